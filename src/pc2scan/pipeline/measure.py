@@ -1,6 +1,6 @@
-"""Measurements before a conversion: the times of scans and beams, the resolution of the lidar, and the clouds' fields.
+"""Measures the first clouds of topics: the times of scans and beams, the resolution of the lidar, and the fields.
 
-Only the first clouds of a topic are read, so that a conversion stays a single pass over the recording.
+Only the first clouds are read, so that a conversion needs a single pass over the recording.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["measure"]
 
-#: How many clouds the scan time is measured from, and how many the time and the width of a beam.
+#: How many clouds are read to measure the scan time, and how many to measure the time and the width of a beam.
 FIRST_CLOUDS = 51
 SWEEPS = 11
 
@@ -58,9 +58,10 @@ def measure(
     connections
         The connections to convert.
     spec
-        ``scan_time``, ``time_increment`` and ``beams`` are measured if they are ``auto``; requested fields must exist.
+        The request: ``scan_time``, ``time_increment`` and ``beams`` are measured if they are ``auto``, and requested
+        fields must exist.
     frames
-        Beams are measured in the frame of the scans.
+        The recording's transforms: beams are measured in the frame of the scans.
     start_ns, stop_ns
         The cut, by log time; None: no limit.
 
@@ -72,8 +73,8 @@ def measure(
     Raises
     ------
     ParameterError
-        If no cloud of a topic's first ones has the ``intensity_field``, or a field that a filter or deskewing needs; if
-        ``beams`` is auto, and they are not in regular rings.
+        If none of the first clouds of a topic has the ``intensity_field``, or a field that a filter or deskewing
+        needs; or if ``beams`` is auto, and the points are not in regular rings.
     """
     params = spec.params
     timings: dict[str, Measured] = {}
@@ -96,7 +97,7 @@ def measure(
         if spec.point_time.partition(":")[0] == "azimuth":
             from .stages.turn import Turn  # noqa: PLC0415  # only with deskewing
 
-            # What is not given is measured later, with a note of its own.
+            # A time that is not given is measured later, with a note of its own.
             turn = Turn.parse(spec.point_time)
             if turn.period:
                 notes.append(f"{topic}: the times of points are computed from their azimuth: {turn}")
@@ -129,7 +130,7 @@ class _FirstClouds:
             self._fit(cloud)
 
     def _step(self, cloud: Points) -> float | None:
-        """Return the azimuth step of a cloud, around the sensor, along the axes of the scan's frame."""
+        """Return the azimuth step of a cloud around the sensor, with the axes of the scan's frame."""
         x, y, z = cloud.xyz()
         transform = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
         if transform is not None:
@@ -145,7 +146,7 @@ class _FirstClouds:
         return azimuth_step(x, y, z, rings)
 
     def _fit(self, cloud: Points) -> None:
-        """Fit a turning lidar to the times of a cloud's points."""
+        """Fit the motion of a turning lidar to the times of a cloud's points."""
         name = next((name for name in TIME_FIELDS if name in self._fields), None)
         if name is None:
             return
@@ -166,7 +167,7 @@ class _FirstClouds:
         return angles
 
     def require_fields(self, topic: str, spec: ScanSpec) -> None:
-        """Raise if a requested field is missing."""
+        """Raise if no cloud has a requested field."""
         if not self._stamps:
             return
         there = f"their fields are: {', '.join(self._fields) or 'none'}"

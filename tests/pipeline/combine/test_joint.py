@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import nullcontext
+from threading import Thread, current_thread
 from typing import TYPE_CHECKING, Any
 from weakref import ref
 
@@ -25,7 +26,9 @@ class Group:
 class EachItsOwn:
     """Makes a scan of each message."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, quick: bool) -> None:
+        self.quick = quick
+        self.threads: set[Thread] = set()
         self.groups: list[ref[Group]] = []
 
     def add(self, arrived: Arrived, log_time_ns: int) -> list[Group]:  # noqa: ARG002  # as `Joint` has them
@@ -36,8 +39,13 @@ class EachItsOwn:
     def finish(self) -> list[Group]:
         return []
 
+    def is_quick(self, group: Group) -> bool:
+        assert isinstance(group, Group)
+        return self.quick
+
     def make(self, group: Group, log_time_ns: int) -> str:
         assert isinstance(group, Group)
+        self.threads.add(current_thread())
         return f"scan {log_time_ns}"
 
     def hold_nothing(self) -> bool:
@@ -48,9 +56,10 @@ class EachItsOwn:
         return not held
 
 
+@pytest.mark.parametrize("quick", [False, True])
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_the_points_of_a_scan_are_freed_before_the_next_message_is_read(jobs: int) -> None:
-    joint: Any = EachItsOwn()
+def test_the_points_of_a_scan_are_freed_before_the_next_message_is_read(jobs: int, *, quick: bool) -> None:
+    joint: Any = EachItsOwn(quick=quick)
     freed = []
 
     def outcomes() -> Generator[int]:
@@ -66,3 +75,6 @@ def test_the_points_of_a_scan_are_freed_before_the_next_message_is_read(jobs: in
         written = list(with_scans(outcomes(), arrivals, [joint], threads))
     assert written == [0, "scan 0", 1, "scan 1", 2, "scan 2"]
     assert freed == [True] * 3
+    if quick:
+        # Handing the work to another thread takes longer.
+        assert joint.threads == {current_thread()}

@@ -1,1 +1,1 @@
-"""One scan of several messages: which of them belong together, and the projection of all their points."""
+"""Makes one scan of several messages: finds which messages belong together, and projects all their points."""

@@ -1,4 +1,4 @@
-"""What is asked for about scans of several messages."""
+"""The request for scans of several messages."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pc2scan.errors import UsageError
 
 __all__ = ["Combining", "Duration"]
 
-#: Seconds, text with or without a unit, or a timedelta.
+#: A time: seconds, text with or without a unit, or a timedelta.
 Duration: TypeAlias = "str | float | timedelta"
 
-#: No scan is made of more, seconds and messages.
+#: The largest time in seconds, and the largest number of messages, that one scan may be made of.
 _LONGEST = 86_400.0
 _MOST = 100_000
 
@@ -28,13 +28,14 @@ class Combining(NamedTuple):
     Attributes
     ----------
     lead
-        The topic whose stamps the scans have; empty: the first one that is named.
+        The topic whose stamps the scans have; empty: the topic that is named first.
     window_ns
-        How far stamps of other topics may be from the leading one's; None: half the median period.
+        The largest difference between the stamps of another topic and of the leading one, nanoseconds; None: half the
+        median period.
     span_ns, count
-        A scan has all points of so many nanoseconds, or of so many messages of each topic; 0: of one message.
+        A scan has the points of this many nanoseconds, or of this many messages of each topic; both 0: of one message.
     every_ns
-        One scan for each interval of so many nanoseconds; 0: one for each message of the leading topic.
+        The length of an interval that becomes one scan, nanoseconds; 0: each message of the leading topic becomes one.
     rebin
         Whether LaserScans are converted instead of clouds.
     """
@@ -56,7 +57,7 @@ class Combining(NamedTuple):
         every: Duration | None = None,
         rebin: bool = False,
     ) -> Combining:
-        """Read what a user writes.
+        """Parse the values that a user gives.
 
         Parameters
         ----------
@@ -66,7 +67,7 @@ class Combining(NamedTuple):
         Raises
         ------
         UsageError
-            If something cannot be read, or cannot be.
+            If a value cannot be parsed, or is out of range.
         """
         count = span_ns = 0
         if isinstance(accumulate, str) and (written := re.fullmatch(_CLOUDS, accumulate.strip())):
@@ -83,12 +84,12 @@ class Combining(NamedTuple):
 
     @property
     def accumulates(self) -> bool:
-        """Whether scans are made of several messages of one topic."""
+        """Whether scans are made of several messages of each topic."""
         return bool(self.span_ns or self.count)
 
 
 def _nanoseconds(name: str, value: Duration, more: str = "") -> int:
-    """Read a time."""
+    """Parse a time; ``more`` is added to the hint of the error."""
     from pc2scan.core.quantities import EXAMPLES, quantity  # noqa: PLC0415  # most scans are made of one message
 
     seconds: float | None

@@ -1,9 +1,8 @@
-"""Scans of several messages: what is done with each message by itself, and with those that belong together.
+"""Converts several messages to one scan: prepares each message by itself, then makes the scan of a group of messages.
 
-A message is decoded and filtered on whichever thread has it. It is projected at once where it is known by then from
-where the scan sees it: what is left is what the beams read of it. Otherwise its points are left, and where its sensor
-was. Which messages belong together is decided in their order. The points that are left are then placed, as seen at the
-scan's time, and projected, again on any thread.
+The thread that loads a message decodes and filters it. If the transform to the scan is certain by then, it projects the
+points at once, and only the ranges of the beams are held. Otherwise the points are held, and the pose of their sensor.
+Messages are grouped in order. The held points are then placed as seen at the scan's time, and projected, on any thread.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ _OVERHEAD = 2_000
 _DEFAULTS = ProjectionParams()
 _AXES = frozenset("xyz")
 
-#: Messages of the leading topic that are remembered, and how few do not tell how often they come.
+#: How many messages of the leading topic are remembered, and how many are needed to know their period.
 _LEADS = 16
 _FEWEST_LEADS = 2
 
@@ -78,34 +77,36 @@ class Prepared(NamedTuple):
     stamp_ns, reference_ns
         Its stamp, and the time of the scan if it leads.
     points
-        Those that were not rejected, in the sensor's frame; with `TIME` if ``track`` is there.
+        The points that were not rejected, in the sensor's frame; with `TIME` if ``track`` is not None.
     frame_id
-        The scan's frame, if it leads.
+        The scan's frame, if the message leads.
     mount
-        target_from_source at its stamp; None if both are the same. The target frame is not made level.
+        target_from_source at the message's stamp, of a target frame that is not made level; None if both frames are
+        the same.
     target_from_fixed, fixed_from_source
-        The former at the scan's time, of a target frame that is made level, if it leads; None without a fixed frame.
+        Transforms from and to the fixed frame; None without one. The first is that of the scan's frame at the scan's
+        time, if the message leads; the second is that at the message's stamp.
     track
-        Where its sensor was while it was measured; None if it is not deskewed.
+        The poses of the sensor during the measurement; None if the points are not deskewed.
     level
-        The scan's frame, if it leads and that is made level.
+        The scan's frame, if the message leads and the frame is made level.
     rejected
         How many points were rejected so far, by reason.
     flat
-        Whether it is a LaserScan.
+        Whether the message is a LaserScan.
     nearest
-        What beams read of it, if its points could be placed already.
+        The ranges of the beams, if the points are projected already.
     motion
-        How far the sensor moved, if ``nearest`` has points that moved.
+        How far the sensor moved, if ``nearest`` is of points that were moved.
     assumed
-        The reference and the frame of the scan that ``nearest`` was made for, with the points beside it for another
-        scan; None: there is no other.
+        The time and the frame of the scan that ``nearest`` is for; ``points`` are held in case that the message
+        belongs to another scan. None: ``nearest`` is right for its only scan.
     sample
-        For `FirstClouds`, while it wants any.
+        A sample for `FirstClouds`, while that needs any.
     size
-        Bytes that it holds, in points that are copies.
+        Bytes that the message holds.
     memory
-        What the points are views of, if they are no copies: it stays as it is for as long as this is referred to.
+        The memory that the points are views of, which is not overwritten while this refers to it; None for copies.
     """
 
     source: int
@@ -129,24 +130,24 @@ class Prepared(NamedTuple):
 
 
 class CombineToScan(Conversion):
-    """Several messages to one scan.
+    """Converts several messages to one scan.
 
     Parameters
     ----------
     spec
-        What is asked for.
+        The request.
     topics
-        The sources; the first one leads.
+        The source topics; the first one leads.
     frames
         The recording's transforms.
     measured
-        What was measured of the leading topic.
+        The measurements of the leading topic.
     grouper
-        Makes what decides which messages belong together; None: each message is a scan by itself.
+        Makes the grouper of messages; None: each message becomes a scan by itself.
     deskew
-        What places points at their own times; None: all points of a message are placed at its stamp.
+        Places points at their own times; None: all points of a message are placed at its stamp.
     first_clouds
-        Returns what judges the first clouds of a topic; None if nobody does.
+        Returns the checks of the first clouds of a topic; None for no checks.
     """
 
     def __init__(
@@ -173,11 +174,12 @@ class CombineToScan(Conversion):
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
         with np.errstate(over="ignore"):
             self._range_max = float(np.float32(params.range_max))
-        #: Where it is known at once where points go, no message waits for the scan's time to be placed.
+        #: Whether the transform of points does not depend on the scan's time, so that no message waits for that.
         self._rigid = not spec.fixed_frame and frames.up is None
-        #: Whether a message is in one scan at most: that of its own time, if it leads.
+        #: Whether a message is in at most one scan. A leading message is in the scan of its own time.
         self._once = not (spec.combining.accumulates or spec.combining.every_ns)
-        #: The last messages of the leading topic that were prepared, in whatever order; replaced, never changed.
+        #: The messages of the leading topic that were prepared last, in any order. The list is replaced, never changed,
+        #: because threads share it.
         self._leads: list[Prepared] = []
         self._early: Select | None = None
         self._late: Select | None = None
@@ -197,17 +199,17 @@ class CombineToScan(Conversion):
 
             self._remove = Remove(spec.remove, params.empty_range)
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
-        #: The smallest positive number: upstream's default is meant for clouds, and would reject every beam of a scan.
+        #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
         self._any_height = params.min_height == _DEFAULTS.min_height
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
-        """Return what decodes clouds or scans; see `Conversion`."""
+        """Return the decoder of clouds or scans; see `Conversion`."""
         if source_type == LASERSCAN:
             return lambda data: decode_laserscan(data, source)
         return CLOUDS[source_type or POINTCLOUD2](source)
 
     def stages(self, topic: str) -> tuple[Step, ...]:
-        """Return what prepares the messages of a topic; where each is a scan by itself, what projects it too."""
+        """Return the steps of one topic's messages; the last one makes a scan only if each message becomes one."""
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
         number = self.topics.index(topic)
         deskew = None if self._deskew is None else self._deskew.of(topic)
@@ -218,11 +220,11 @@ class CombineToScan(Conversion):
         return (prepare,) if self.grouper is not None else (prepare, self.alone)
 
     def encoder(self, target: str) -> Callable[[Any], Any]:
-        """Return what serialises scans; nothing is serialised before messages are put together."""
+        """Return the encoder of scans; messages that are grouped first are not encoded here."""
         return super().encoder(target) if self.grouper is None else _as_it_is
 
     def encoded(self, lead: Prepared, members: Sequence[Prepared], target: str) -> Converted:
-        """Make the scan of messages that belong together, and serialise it as ``ros1`` or ``cdr``."""
+        """Make the scan of a group of messages, and serialise it as ``ros1`` or ``cdr``."""
         return super().encoder(target)(self.scan(lead, members))
 
     def alone(self, prepared: Prepared) -> Result:
@@ -252,7 +254,7 @@ class CombineToScan(Conversion):
         points = points if track is None else track.points
         target_from_fixed = fixed_from_source = level = None
         fixed = self.spec.fixed_frame
-        # Its own scan sees a message where it is mounted.
+        # For its own scan, the place of a leading message does not depend on the fixed frame.
         if fixed and track is None and frames.buffer is not None and not (self._once and number == 0):
             fixed_from_source = frames.buffer.lookup(fixed, source, stamp_ns, frames.tolerance_ns)
         if number == 0:
@@ -295,16 +297,16 @@ class CombineToScan(Conversion):
         return self._assumed(prepared) if self._once else self._held(prepared)
 
     def _projected(self, prepared: Prepared) -> Prepared:
-        """Return a message without its points, but with what beams read of them."""
+        """Return a message with the ranges of the beams instead of its points."""
         nearest, motion = self._nearest(prepared, prepared)
         points = Points(prepared.points.sequence, prepared.stamp_ns, prepared.points.frame_id, {})
         size = _OVERHEAD + nearest.ranges.nbytes
         return prepared._replace(points=points, nearest=nearest, motion=motion, size=size)
 
     def _assumed(self, prepared: Prepared) -> Prepared:
-        """Return a message as it will be needed if the scan is the one that it looks like by now.
+        """Return a message projected for the scan that it probably belongs to, with its points for any other scan.
 
-        Its points are in the processor's cache now, and it takes twice as long to project them when it is certain.
+        The points are in the processor's cache now; projecting them later takes twice as long.
         """
         held = self._held(prepared)
         leads = sorted(self._leads, key=attrgetter("stamp_ns"))
@@ -316,12 +318,12 @@ class CombineToScan(Conversion):
         try:
             nearest, motion = self._nearest(lead, prepared)
         except MessageError:
-            # It is one of the scan, if it is that.
+            # The error is raised when the scan is made, if the message belongs to it.
             return held
         return held._replace(nearest=nearest, motion=motion, assumed=(lead.reference_ns, lead.frame_id))
 
     def _nearest(self, lead: Prepared, member: Prepared) -> tuple[ProjectedScan, Motion | None]:
-        """What beams of a scan read of a message, all its points counted, and how far its sensor moved."""
+        """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
         points, transform, rejected, motion = self._placed(lead, member)
         nearest = self._projector.nearest(Part(*points.xyz(), _rounded(transform)))
         if rejected:
@@ -329,17 +331,17 @@ class CombineToScan(Conversion):
         return nearest, motion
 
     def _held(self, prepared: Prepared) -> Prepared:
-        """Return a message whose points stay as they are: it is there longer than what they are views of."""
+        """Return a message whose points may be used after the buffer that they were decoded in is free again."""
         track, points = prepared.track, prepared.points
         if not prepared.flat and self._intensity:
-            # That the field is missing is the error of this message, not of the scan.
+            # A missing field is an error of this message, not of the scan.
             points.field(self._intensity)
         names = {*self._kept, *(("index",) if prepared.flat else ()), *(() if track is None else (track.time_field,))}
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
         size = _OVERHEAD + sum(each.nbytes for each in views.values())
         memory = None
         if self.grouper is not None:
-            # Of a message that waits for long, or is in many scans, only what is needed is held.
+            # Messages that are in many scans are held for longer, so their fields are copied, which takes less memory.
             memory = kept_together(views.values()) if self._once else None
             views = views if memory is not None else _copied(views)
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
@@ -350,19 +352,19 @@ class CombineToScan(Conversion):
         return all(_fits(member, lead) for member in members)
 
     def scan(self, lead: Prepared, members: Sequence[Prepared]) -> Result:
-        """Make the scan of messages that belong together.
+        """Make the scan of a group of messages.
 
         Parameters
         ----------
         lead
-            Its reference is the scan's time.
+            The leading message, whose reference is the scan's time.
         members
-            In their order.
+            All messages of the group, in order.
 
         Returns
         -------
         Result
-            All points that were not rejected are in it, or behind closer ones.
+            The scan, with the counts of all points.
         """
         others: list[PointCounts] = []
         parts: list[Part] = []
@@ -413,7 +415,7 @@ class CombineToScan(Conversion):
     def _placed(
         self, lead: Prepared, member: Prepared
     ) -> tuple[Points, Rigid | MovingTransform | None, Mapping[str, int], Motion | None]:
-        """The points of a member, the transform that is still to be applied, what was rejected, and the motion."""
+        """Return a member's points, the transform still to apply, the rejection counts, and the sensor's motion."""
         mount = member.mount
         if lead.level is not None:
             level_from_target = lead.level.frame_from_level.inverse()
@@ -425,7 +427,7 @@ class CombineToScan(Conversion):
             moving = track.seen_from(lead.target_from_fixed, (mount or _NOWHERE,), lead.frame_id, lead.reference_ns)
             motion = moving.motion
         elif lead.target_from_fixed is not None and member.stamp_ns == lead.reference_ns:
-            # At one time the transform is that between the two frames, to the bit.
+            # At the scan's own time, the transform between the two frames is used, so that the bits are the same.
             motion = Motion(0.0, 0.0)
         elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
             transform = lead.target_from_fixed.product(member.fixed_from_source)
@@ -444,7 +446,7 @@ class CombineToScan(Conversion):
             bins, used = self._projector.bins(part)
             found.append((bins, numbers[used]))
         layout = self._params.layout
-        # Upstream's beams know nothing of neighbours at the ends of a circle, but its points do.
+        # Upstream's layout does not join the two ends of a circle, but neighbouring points lie on both sides of them.
         around = layout.full_circle or layout.angle_max - layout.angle_min > TURN - 2 * layout.angle_increment
         return rebinned(found, layout.count, full_circle=around)
 
@@ -459,12 +461,12 @@ def _as_it_is(prepared: Prepared) -> Prepared:
 
 
 def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
-    """A transform as it is applied to points."""
+    """Return a transform as it is applied to points."""
     return transform.as_float32() if isinstance(transform, Rigid) else transform
 
 
 def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
-    """Keep the memory that all these arrays are views of; None if they have to be copied."""
+    """Return the memory that all these arrays are views of, which is kept; None if they must be copied."""
     memory: Kept | None = None
     whole: bytes | Memory | None = None
     for array in arrays:
@@ -473,7 +475,7 @@ def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
             base = base.obj if isinstance(base, memoryview) else base.base
         if whole is None and isinstance(base, bytes | Memory):
             whole = base
-            # Of a large chunk with many messages, a copy of one takes less.
+            # A message in a much larger chunk is copied, which takes less memory than keeping the chunk.
             spanned = sum(abs(step) * (count - 1) for step, count in zip(array.strides, array.shape, strict=True))
             memory = keep(whole) if 2 * spanned >= len(base) else None
         if memory is None or base is not whole:
@@ -482,14 +484,14 @@ def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
 
 
 def _copied(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Copies of fields: what they are views of may be used again."""
+    """Return copies of fields, whose memory may be overwritten."""
     axes = compact(*(fields[axis] for axis in "xyz"))
     copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
     return copies | dict(zip("xyz", axes, strict=True))
 
 
 def _moved(transform: Rigid | None, mount: Rigid | None) -> Motion:
-    """How far a sensor was from where it is mounted."""
+    """Return how far a sensor moved from the pose at which it is mounted."""
     one, other = (transform or _NOWHERE).pose, (mount or _NOWHERE).pose
     distance = math.dist(one[:3], other[:3])
     turned = abs(sum(map(mul, one[3:], other[3:])))

@@ -1,7 +1,8 @@
-"""Scans of several messages in the stream of a conversion: put together in order, made on any thread, written in order.
+"""Adds scans of several messages to the stream of a conversion.
 
-A scan has the log time of the message with which it became certain what it is made of: a node would have published it
-then. So the destination is as sorted as it is without such scans.
+Messages are grouped in order, scans are made on any thread, and they are written in order. A scan has the log time of
+the message that completed its group, which is when a node would have published it. So log times in the destination are
+sorted as they are without such scans.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ __all__ = ["Arrived", "Joint", "MadeScan", "with_scans"]
 
 Outcome = TypeVar("Outcome")
 
-#: So much may wait for each thread to be written.
+#: Bytes that may wait for each thread to be written.
 _AHEAD_BYTES = 12 << 20
 
 
 class Arrived(NamedTuple):
-    """A message for a scan: prepared, where the scan goes if it leads (the route's output), and its sequence number."""
+    """A prepared message, the output of the scan if this message leads it, and the sequence number."""
 
     joint: Joint
     output: Any
@@ -41,7 +42,7 @@ class Arrived(NamedTuple):
 
 
 class MadeScan(NamedTuple):
-    """A scan to be written, or why there is none; ``output`` is that of the message that leads it."""
+    """A scan to be written, or the error in its place; ``output`` is that of the leading message."""
 
     output: Any
     log_time_ns: int
@@ -51,19 +52,19 @@ class MadeScan(NamedTuple):
 
 
 class Joint:
-    """Topics whose messages become scans together, as they are read.
+    """Topics whose messages become scans together.
 
     Parameters
     ----------
     conversion
-        What is done.
+        The conversion of the messages.
     serialization
-        Of the scans: ``ros1`` or ``cdr``.
+        The serialisation of the scans: ``ros1`` or ``cdr``.
 
     Attributes
     ----------
     reports
-        The report's entries of the topics, by number: each has what all publishers of one topic share.
+        The report's entry of each topic, by the topic's number. All publishers of a topic share one.
     """
 
     def __init__(self, conversion: CombineToScan, serialization: str) -> None:
@@ -75,12 +76,12 @@ class Joint:
         self._grouper = conversion.grouper()
 
     def add(self, arrived: Arrived, log_time_ns: int) -> list[Group[Any]]:
-        """Take a message; return what is complete."""
+        """Take a message, and return the groups that are complete now."""
         prepared = arrived.prepared
         return self._grouper.add(prepared.source, prepared.stamp_ns, log_time_ns, prepared.size, arrived)  # type: ignore[arg-type]
 
     def finish(self) -> list[Group[Any]]:
-        """Return what is left, and fill in the report."""
+        """Return the groups that are still open, and add the counts to the report."""
         groups: list[Group[Any]] = self._grouper.finish()
         for number, entry in self.reports.items():
             entry.joined = self._grouper.counts[number]
@@ -89,7 +90,7 @@ class Joint:
         return groups
 
     def make(self, group: Group[Arrived], log_time_ns: int) -> MadeScan:
-        """Make a scan; on any thread."""
+        """Make the scan of a group; runs on any thread."""
         lead: Entry[Arrived] = group.lead
         output, prepared, sequence = lead.item.output, lead.item.prepared, lead.item.sequence
         made: Converted | MessageError
@@ -105,7 +106,7 @@ class Joint:
         return self._conversion.is_projected(group.lead.item.prepared, [each.item.prepared for each in group.members])
 
     def alone(self, prepared: Prepared) -> Converted:
-        """Make the scan of one message, as if there were no other; for forecasts."""
+        """Make the scan of one message alone, for forecasts."""
         return self._conversion.encoded(prepared, (prepared,), self._serialization)
 
 
@@ -115,23 +116,23 @@ def with_scans(
     joints: Iterable[Joint],
     threads: Threads | None,
 ) -> Generator[Outcome | MadeScan]:
-    """Add the scans of several messages to what becomes of each.
+    """Add the scans of several messages to the results of single messages.
 
     Parameters
     ----------
     outcomes
-        In the order of writing.
+        The results of single messages, in the order of writing.
     arrivals
-        Returns the log time and the bytes of an outcome, and what it has for scans.
+        Returns the log time of an outcome, its size in bytes, and the messages that it has for scans.
     joints
-        All of them.
+        All joints of the conversion.
     threads
-        What makes the scans, or None for the caller alone. The scans are the same.
+        The threads that make the scans, or None for the caller's alone. The scans do not depend on it.
 
     Yields
     ------
     Outcome | MadeScan
-        Each scan follows the outcome with which it is complete.
+        Each scan follows the outcome that completes it.
     """
     if threads is None:
         with closing(outcomes):
@@ -141,20 +142,22 @@ def with_scans(
                 del work
                 yield done
         return
-    # A scan may hold very many points: only one of such waits.
+    # Of scans with very many points, only one may wait.
     queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)
     try:
         for work, size, takes_long in _work(outcomes, arrivals, joints):
-            while len(queue) and (queue.is_ready() or not queue.has_room(size)):
+            while len(queue) and not queue.has_room(size):
                 yield queue.take()
             queue.put(work, size, at_its_turn=not takes_long)
-            # The threads alone have the points: their buffer is free as soon as the scan is made.
+            # Only the queue refers to the points, so that their buffer is free as soon as the scan is made.
             del work
+            while queue.is_ready():
+                yield queue.take()
         while len(queue):
             yield queue.take()
     finally:
         queue.cancel()
-        # What is loaded ahead is given up, too.
+        # Stops loading ahead.
         outcomes.close()
 
 
@@ -163,7 +166,7 @@ def _work(
     arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrived]]],
     joints: Iterable[Joint],
 ) -> Generator[tuple[Callable[[], Outcome | MadeScan], int, bool]]:
-    """What is to be done in order, the bytes of it, and whether another thread should do it."""
+    """Yield the work in order, its size in bytes, and whether another thread should do it."""
     latest_ns = 0
     for outcome in outcomes:
         log_time_ns, size, found = arrivals(outcome)
@@ -173,8 +176,8 @@ def _work(
         del outcome
         for each in arrived:
             for group in each.joint.add(each, log_time_ns):
-                yield partial(each.joint.make, group, log_time_ns), _size(group), True
-                # The points of the scan do not stay in memory while the next message is read.
+                yield partial(each.joint.make, group, log_time_ns), _size(group), not each.joint.is_quick(group)
+                # This frame must not hold the points in memory while the next message is read.
                 del group
     for joint in joints:
         for group in joint.finish():

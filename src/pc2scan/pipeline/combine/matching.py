@@ -1,8 +1,8 @@
-"""Which messages belong together: decided by their stamps, in the order of the recording, with bounded waiting.
+"""Groups messages that belong together: by their stamps, in the order of the recording, within bounds of memory.
 
-A grouper takes messages one after the other and gives groups as soon as it is certain of them. It depends on the order
-and the times of the messages alone. Stamps decide, log times only how long to wait: whether a message of one topic was
-logged a little before or after that of another makes no difference.
+A grouper takes one message after the other and returns a group as soon as no later message can change it. The result
+depends only on the order and the times of the messages. Stamps decide which messages are in a group. Log times decide
+only how long a group waits, so it makes no difference which of two messages of different topics was logged first.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ __all__ = ["MAX_HELD_BYTES", "Entry", "Group", "Grouper", "Intervals", "Nearest"
 
 Item = TypeVar("Item")
 
-#: Points that may wait for their scans; a scan that is being made may hold as many again.
+#: The most bytes of messages that a grouper holds. A scan that is being made may hold as many again.
 MAX_HELD_BYTES = 96 << 20
 
-#: Nanoseconds of log time that a scan waits for messages of a silent topic, and that in windows, if these are longer.
+#: How long a group waits for a topic without messages, nanoseconds of log time; or in windows, if that is longer.
 _PATIENCE_NS = 1_000_000_000
 _PATIENCE_WINDOWS = 4
 
@@ -31,18 +31,20 @@ _STAMP = attrgetter("stamp_ns", "number")
 
 @dataclass(slots=True, eq=False)
 class Entry(Generic[Item]):
-    """A message that waits for its scan, or may be needed again.
+    """A message that a grouper holds because a group may need it.
 
     Attributes
     ----------
     source
-        The number of its topic; 0 leads.
+        The number of its topic; topic 0 leads.
     stamp_ns, log_time_ns
         Its times.
     number
-        Its place among all messages: the first of two with one stamp comes first.
+        Its place among all messages, which sorts messages of equal stamps.
     size
-        Bytes that it holds.
+        Its size, bytes.
+    item
+        The message.
     used
         Whether it is in a group.
     """
@@ -58,7 +60,7 @@ class Entry(Generic[Item]):
 
 @dataclass(frozen=True, slots=True)
 class Group(Generic[Item]):
-    """Messages that become one scan: the one whose time the scan has, and all of them, by source and stamp."""
+    """The messages of one scan: the one whose time the scan has, and all of them, sorted by source and stamp."""
 
     lead: Entry[Item]
     members: tuple[Entry[Item], ...]
@@ -66,16 +68,16 @@ class Group(Generic[Item]):
 
 @dataclass(slots=True)
 class SourceCounts:
-    """What became of the messages of one topic.
+    """Counts of the messages of one topic.
 
     Attributes
     ----------
     messages, used, unmatched
-        Messages; those in a scan; those in none.
+        All messages, those in a scan, and those in no scan.
     scans_without
-        Scans that have no message of this topic.
+        Scans without a message of this topic.
     silence
-        The stamps of the first and the last of the longest run of such scans, and their number.
+        The longest run of such scans: the stamps of its first and its last scan, and their number.
     """
 
     messages: int = 0
@@ -86,7 +88,7 @@ class SourceCounts:
     _run: tuple[int, int, int] = field(default=(0, 0, 0), repr=False)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return them as JSON's types."""
+        """Return the counts as JSON types."""
         names = ("messages", "used", "unmatched", "scans_without")
         first, last, scans = self.silence
         longest = {"first_stamp_ns": first, "last_stamp_ns": last, "scans": scans} if scans else None
@@ -105,25 +107,25 @@ class SourceCounts:
 
 
 class Grouper(ABC, Generic[Item]):
-    """Collects messages to groups.
+    """Collects messages into groups.
 
     Parameters
     ----------
     sources
-        How many topics there are; number 0 leads.
+        The number of topics; topic 0 leads.
     patience_ns
-        How long a group waits for a topic that is silent, nanoseconds of log time.
+        How long a group waits for a topic without messages, nanoseconds of log time.
 
     Attributes
     ----------
     counts
-        What became of the messages of each topic.
+        The counts of each topic.
     """
 
     def __init__(self, sources: int, patience_ns: int = _PATIENCE_NS) -> None:
         self.counts = [SourceCounts() for _ in range(sources)]
         self._held: list[list[Entry[Item]]] = [[] for _ in range(sources)]
-        #: Messages that lead a group that is not closed yet, by stamp.
+        #: The leading messages of the groups that are not closed yet, sorted by stamp.
         self._waiting: list[Entry[Item]] = []
         self._latest_ns: list[int | None] = [None] * sources
         self._patience_ns = patience_ns
@@ -131,12 +133,12 @@ class Grouper(ABC, Generic[Item]):
         self._number = 0
 
     def add(self, source: int, stamp_ns: int, log_time_ns: int, size: int, item: Item) -> list[Group[Item]]:
-        """Take the next message; return the groups that are complete by now.
+        """Take the next message, and return the groups that are complete now.
 
         Raises
         ------
         UsageError
-            If more is held than `MAX_HELD_BYTES`.
+            If the messages of one scan take more than `MAX_HELD_BYTES`.
         """
         entry = Entry(source, stamp_ns, log_time_ns, self._number, size, item)
         self._number += 1
@@ -154,7 +156,7 @@ class Grouper(ABC, Generic[Item]):
         return groups
 
     def finish(self) -> list[Group[Item]]:
-        """Return the groups that are left."""
+        """Return the groups that are still open."""
         groups = []
         while self._waiting:
             groups.append(self._close(self._waiting.pop(0)))
@@ -168,15 +170,15 @@ class Grouper(ABC, Generic[Item]):
 
     @abstractmethod
     def _is_certain(self, lead: Entry[Item]) -> bool:
-        """Whether no message that is still to come can change the group of the first that waits."""
+        """Whether no later message can change the group of the first leading message that waits."""
 
     @abstractmethod
     def _members(self, lead: Entry[Item]) -> list[Entry[Item]]:
-        """The messages of a group, by source and stamp."""
+        """Return the messages of a group, sorted by source and stamp."""
 
     @abstractmethod
     def _needed_from_ns(self, source: int, log_time_ns: int) -> int | None:
-        """The first stamp of a topic that may be needed again; None: all that is held."""
+        """Return the first stamp of a topic that a group may still need; None: all messages that are held."""
 
     def _closed(self, log_time_ns: int) -> list[Group[Item]]:
         groups = []
@@ -204,7 +206,7 @@ class Grouper(ABC, Generic[Item]):
         return all(latest_ns is not None and latest_ns >= stamp_ns for latest_ns in self._latest_ns[1:])
 
     def _forget(self, log_time_ns: int) -> None:
-        """Drop what no group will need."""
+        """Drop the messages that no group will need."""
         for source in range(len(self._held)):
             first_ns = self._needed_from_ns(source, log_time_ns)
             if first_ns is not None:
@@ -220,7 +222,7 @@ class Grouper(ABC, Generic[Item]):
         del held[:count]
 
     def _relieved(self, stamp_ns: int, log_time_ns: int) -> list[Group[Item]]:  # noqa: ARG002  # others need it
-        """Hold less; return the groups that are closed for it."""
+        """Free memory; return the groups that are closed for that."""
         held = sum(map(len, self._held))
         raise UsageError(
             f"the points of {held} messages up to the stamp {stamp_text(stamp_ns)} are held for one scan, which takes "
@@ -234,19 +236,19 @@ class Nearest(Grouper[Item]):
 
     Each message belongs to the leading message whose stamp is nearest to its own, the earlier one of two. Of several
     messages of one topic that belong to one leading message, the nearest is in the group, the earlier one of two. The
-    others are unmatched, and so are those whose stamps are farther away than the window.
+    others are unmatched, and so are messages whose stamps are farther away than the window.
 
     Parameters
     ----------
     windows_ns
-        For each topic; the first one, that of the leading topic, does not count.
+        The window of each topic, nanoseconds. That of the leading topic is ignored.
     """
 
     def __init__(self, windows_ns: list[int]) -> None:
         longest_ns = max(windows_ns[1:], default=0)
         super().__init__(len(windows_ns), max(_PATIENCE_NS, _PATIENCE_WINDOWS * longest_ns))
         self._windows_ns = windows_ns
-        #: The leading message before those that wait.
+        #: The stamp of the last leading message whose group is closed.
         self._before_ns: int | None = None
 
     def _lead(self, entry: Entry[Item]) -> None:
@@ -255,7 +257,7 @@ class Nearest(Grouper[Item]):
     def _is_certain(self, lead: Entry[Item]) -> bool:
         if len(self._held) == 1:
             return True
-        # The next leading message limits what belongs to this one.
+        # Messages that are nearer to the next leading message do not belong to this one.
         reached = all(
             latest_ns is not None and latest_ns >= lead.stamp_ns + window_ns
             for latest_ns, window_ns in zip(self._latest_ns[1:], self._windows_ns[1:], strict=True)
@@ -288,7 +290,7 @@ class Nearest(Grouper[Item]):
         if source == 0:
             latest_ns = self._latest_ns[0]
             return None if latest_ns is None else latest_ns + 1
-        # The next leading message has not come yet. Nobody waits for it for ever.
+        # The next leading message has not come yet; the wait for it is limited.
         over_ns: int | None = None
         for entry in self._held[source]:
             if log_time_ns - entry.log_time_ns <= self._patience_ns:
@@ -299,7 +301,7 @@ class Nearest(Grouper[Item]):
     def _relieved(self, stamp_ns: int, log_time_ns: int) -> list[Group[Item]]:  # noqa: ARG002  # only errors have it
         groups = []
         while self._bytes > MAX_HELD_BYTES and self._waiting:
-            # No scan is made of less than it has by now; what a late topic would add is unmatched.
+            # The group closes with the messages that it has now; later ones are unmatched.
             groups.append(self._close(self._waiting.pop(0)))
             self._forget(log_time_ns)
         if self._bytes > MAX_HELD_BYTES:
@@ -309,16 +311,16 @@ class Nearest(Grouper[Item]):
 
 
 class Recent(Grouper[Item]):
-    """A group for each message of the leading topic, with all messages of the last seconds, or the last few.
+    """A group for each message of the leading topic, with all messages of the last seconds, or the last few messages.
 
     Parameters
     ----------
     sources
-        How many topics there are.
+        The number of topics.
     span_ns
-        A group has what is stamped less than so long before the leading message, and not after it.
+        A group has the messages with stamps up to the leading message's, and less than this long before it.
     count
-        A group has so many messages of each topic at most, the last ones; 0: all within ``span_ns``.
+        A group has at most this many messages of each topic, the last ones; 0: all within ``span_ns``.
     """
 
     def __init__(self, sources: int, span_ns: int = 0, count: int = 0, *, patience_ns: int = _PATIENCE_NS) -> None:
@@ -357,16 +359,16 @@ class Recent(Grouper[Item]):
 
 
 class Intervals(Recent[Item]):
-    """A group for each interval that has a message of the leading topic; the last of these leads it.
+    """A group for each interval that has a message of the leading topic; the last of these messages leads the group.
 
     Parameters
     ----------
     sources
-        How many topics there are.
+        The number of topics.
     every_ns, begin_ns
-        How long an interval is, and where one of them begins.
+        The length of an interval, and the stamp at which one of them begins.
     span_ns, count
-        As for `Recent`, before the interval's end.
+        As for `Recent`, counted back from the interval's end.
     """
 
     def __init__(self, sources: int, every_ns: int, begin_ns: int, span_ns: int = 0, count: int = 0) -> None:
@@ -375,7 +377,7 @@ class Intervals(Recent[Item]):
         self._begin_ns = begin_ns
 
     def _end_ns(self, stamp_ns: int) -> int:
-        """The end of the interval that a stamp is in; it belongs to the next one."""
+        """Return the end of the interval that a stamp is in; the end itself is in the next interval."""
         return stamp_ns + self._every_ns - (stamp_ns - self._begin_ns) % self._every_ns
 
     def _lead(self, entry: Entry[Item]) -> None:

@@ -1,4 +1,4 @@
-"""What is found out before messages are put together: how often they come, and whether they have one clock."""
+"""Measures the first messages of topics that become scans together: their periods, and whether they share a clock."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
 
 __all__ = ["measured"]
 
-#: Messages that tell of a topic how often it comes, and how few of them cannot.
+#: How many messages of a topic are read to measure its period, and how many are needed at least.
 _LOOKED_AT = 6
 _FEWEST = 3
 
-#: Half a period, nanoseconds, where there are no two stamps to measure one between.
+#: Half a period, nanoseconds, for topics without two different stamps.
 _HALF_PERIOD_NS = 50_000_000
 
-#: Stamps that are so far from the log times, compared with those of another topic, may be of another clock: messages of
-#: slow drivers are late, too. From the second limit on they are.
+#: Two topics may have different clocks if the delays from their stamps to their log times differ by the first limit:
+#: messages of slow drivers are late, too. They have different clocks if the delays differ by the second limit.
 _OTHER_CLOCK_NS = 500_000_000
 _SURELY_ANOTHER_NS = 2_000_000_000
 
-#: A window of more periods is probably one of milliseconds.
+#: A window of more periods was probably meant in milliseconds.
 _MOST_PERIODS = 5
 
 #: The fields that the beams of a LaserScan have.
@@ -53,7 +53,7 @@ _BEAM_FIELDS = ("x", "y", "z", "intensity", "index")
 
 
 class _Firsts(NamedTuple):
-    """The first messages of a topic: their stamps, from these to the log times, and the increments of LaserScans."""
+    """The first messages of a topic: stamps, delays from stamp to log time, and angle increments of LaserScans."""
 
     stamps: list[int]
     delays: list[int]
@@ -66,7 +66,7 @@ class _Firsts(NamedTuple):
 
 
 class _Times(NamedTuple):
-    """The times of a message, None if it cannot be decoded, and the increment of a LaserScan."""
+    """The times of a message, and the angle increment of a LaserScan; no stamp if the message cannot be decoded."""
 
     topic: str
     log_time_ns: int
@@ -83,30 +83,30 @@ def measured(
     start_ns: int | None,
     stop_ns: int | None,
 ) -> tuple[Measured, Callable[[], Grouper[Prepared]] | None, list[str], list[str]]:
-    """Find out what scans of several messages need.
+    """Measure what scans of several messages need.
 
     Parameters
     ----------
     connections
-        Those of the combination.
+        The connections of the combination's sources.
     start_ns, stop_ns
         The cut, by log time; None: no limit.
 
     Returns
     -------
     Measured
-        What the scans have of the leading topic.
+        The measurements of the leading topic.
     callable
-        Makes what decides which messages belong together; None: each message is a scan by itself.
+        Makes the grouper of messages; None: each message becomes a scan by itself.
     list of str, list of str
         Notes and warnings.
 
     Raises
     ------
     ParameterError
-        If a field is missing, or what is ``auto`` cannot be measured.
+        If a field is missing, or a parameter that is ``auto`` cannot be measured.
     UsageError
-        If the topics have stamps of different clocks.
+        If the stamps of the topics are of different clocks.
     """
     spec, topics = combination.spec, combination.sources
     asked, params = spec.combining, spec.params
@@ -135,7 +135,7 @@ def measured(
     if asked.every_ns:
         begin_ns = 0
         if lead is not None and lead.stamps:
-            # The first message is not at the edge of its interval, where a jitter would move others to the next one.
+            # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
             begin_ns = min(lead.stamps) - (lead.period_ns or 0) // 2
         grouper = partial(Intervals, len(topics), asked.every_ns, begin_ns, asked.span_ns, asked.count)
         return found, grouper, notes, [*warnings, *_clocks(firsts, topics, None)]
@@ -154,7 +154,7 @@ def measured(
 
 
 def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: Mapping[str, _Firsts]) -> list[str]:
-    """Warn of times that were probably meant as milliseconds."""
+    """Return warnings of times that were probably meant in milliseconds."""
     start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
     length_ns = 0 if start_ns is None or end_ns is None else end_ns - start_ns
     found = []
@@ -176,7 +176,7 @@ def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: M
 def _first_messages(
     reader: Reader, own: Mapping[str, Sequence[Connection]], start_ns: int | None, stop_ns: int | None
 ) -> dict[str, _Firsts]:
-    """Look at the first messages of the topics: of all together, then of those that begin later."""
+    """Read the first messages of all topics together, then those of topics that begin later."""
     found = {topic: _Firsts([], [], []) for topic in own}
     everything = [connection for connections in own.values() for connection in connections]
     _look(reader, everything, found, start_ns, stop_ns, _LOOKED_AT * len(own))
@@ -195,6 +195,7 @@ def _look(
     stop_ns: int | None,
     most: int,
 ) -> None:
+    """Add the first messages to ``found``, at most ``most`` of them."""
     decoders: dict[int, Callable[[Buffer], Points | LaserScan]] = {
         each.id: partial(decode_laserscan, serialization=each.serialization)
         if each.ros_type == LASERSCAN
@@ -207,12 +208,12 @@ def _look(
         try:
             decoded = decoders[message.connection.id](message.data)
         except MessageError:
-            # What cannot be decoded is reported when its turn to be converted comes.
+            # An error of decoding is reported when this message is converted.
             return _Times(topic, log_time_ns, None, None)
         increment = abs(decoded.angle_increment) if isinstance(decoded, LaserScan) else None
         return _Times(topic, log_time_ns, decoded.stamp_ns, increment)
 
-    # Not the messages themselves: a cloud that is kept is copied.
+    # The callback returns only the times, so that no cloud is copied.
     units = reader.units(connections, start_ns, stop_ns)
     with closing(in_time_order(units, times, path=reader.path)) as seen:
         for each in islice(seen, most):
@@ -227,7 +228,7 @@ def _look(
 
 
 def _windows(firsts: Mapping[str, _Firsts], topics: Sequence[str], window_ns: int | None) -> list[int]:
-    """How far the stamps of each topic may be away: half the longer one of its period and the leading one's."""
+    """Return the window of each topic: half its own period or half the leading topic's, whichever is longer."""
     if window_ns is not None:
         return [window_ns] * len(topics)
     periods = [firsts[topic].period_ns or 2 * _HALF_PERIOD_NS for topic in topics]
@@ -235,7 +236,7 @@ def _windows(firsts: Mapping[str, _Firsts], topics: Sequence[str], window_ns: in
 
 
 def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Sequence[int] | None) -> list[str]:
-    """Compare the clocks of the topics: warnings, or an error where they surely differ."""
+    """Compare the clocks of the topics: return warnings if they may differ, and raise if they do."""
     warnings = []
     lead = firsts.get(topics[0])
     for number, topic in enumerate(topics[1:], 1):
@@ -260,7 +261,7 @@ def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Seque
 
 
 def _of_scans(combination: Combination, lead: _Firsts | None, notes: list[str]) -> Measured:
-    """What scans have if the leading topic has scans, or no messages."""
+    """Return the measurements of a leading topic that has LaserScans, or no messages."""
     params, topic = combination.spec.params, combination.sources[0]
     scan_time, step = params.scan_time, 0.0
     if scan_time == "auto":
@@ -282,7 +283,7 @@ def _of_scans(combination: Combination, lead: _Firsts | None, notes: list[str]) 
 
 
 def _require_fields(flat: Sequence[str], combination: Combination) -> None:
-    """Refuse fields that the beams of scans do not have."""
+    """Raise if a requested field is not one that the beams of LaserScans have."""
     spec = combination.spec
     name = spec.params.intensity_field
     asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []

@@ -1,4 +1,4 @@
-"""What becomes of the beams of scans in the beams of another one: some share a bin, and some bins lie between two."""
+"""Counts what happens to the beams of scans in a new scan: some share a bin, and some bins between them stay empty."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ __all__ = ["Rebinned", "rebinned"]
 
 
 class Rebinned(NamedTuple):
-    """How beams became other beams.
+    """The beams of scans in the beams of a new scan.
 
     Attributes
     ----------
     beams
         Returns that are used.
     shared
-        Those of them that share a beam of the new scan with another one: one of them is read.
+        Returns that share a beam of the new scan with another return; the beam reads one of them.
     between
-        Beams of the new scan without a return between two neighbouring beams of a source that have one.
+        Beams of the new scan that have no return, although they lie between two neighbouring beams of a source that
+        have one.
     """
 
     beams: int
@@ -35,20 +36,20 @@ class Rebinned(NamedTuple):
 def rebinned(
     sources: Iterable[tuple[NDArray[np.int32], NDArray[np.int32]]], length: int, *, full_circle: bool
 ) -> Rebinned:
-    """Count how beams became other beams.
+    """Count how the beams of scans became the beams of a new scan.
 
     Parameters
     ----------
     sources
-        For each source: where its returns are in the new scan, and the numbers of their beams in it, in their order.
+        For each source, of each of its returns in order: its beam in the new scan, and its beam in the source.
     length
         Beams of the new scan.
     full_circle
-        Whether its last beam and its first are neighbours.
+        Whether the last beam and the first are neighbours.
     """
     total = 0
     filled = np.zeros(length + 1, np.bool_)
-    # Where stretches between neighbours begin and end.
+    # +1 where a stretch between two neighbours begins, -1 where it ends.
     edges = np.zeros(length + 1, np.int64)
     for bins, numbers in sources:
         total += bins.size
@@ -58,7 +59,7 @@ def rebinned(
             np.minimum(bins[neighbours], bins[neighbours + 1]),
             np.maximum(bins[neighbours], bins[neighbours + 1]),
         )
-        # The shorter way around a circle.
+        # On a circle, the shorter way between two beams may lead past its end.
         around = (last - first > length // 2) if full_circle else np.zeros(first.size, np.bool_)
         np.add.at(edges, first[~around] + 1, 1)
         np.add.at(edges, last[~around], -1)
