@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import add
 from typing import TYPE_CHECKING
 
 from .rule import NO_TIME, NO_TRANSFORM, REJECTIONS
@@ -11,8 +12,9 @@ if TYPE_CHECKING:
 
 __all__ = ["PointCounts"]
 
-_NONE = {rejection.name: 0 for rejection in REJECTIONS}
-_MOVING = NO_TIME.name, NO_TRANSFORM.name
+_REASONS = tuple(rejection.name for rejection in REJECTIONS)
+_MOVING_REASONS = (*_REASONS, NO_TIME.name, NO_TRANSFORM.name)
+_NONE = dict.fromkeys(_REASONS, 0)
 
 
 class PointCounts:
@@ -40,16 +42,18 @@ class PointCounts:
     PointCounts(total=6, used=2, nan=1, height=1, range=0, angle=0, past_end=0, exclude_box=2)
     """
 
-    __slots__ = ("rejected", "total", "used")
+    # Tuples instead of a dictionary, because counts are made and added for every cloud.
+    __slots__ = ("_reasons", "_values", "total", "used")
 
     total: int
     used: int
-    rejected: Mapping[str, int]
+    _reasons: tuple[str, ...]
+    _values: tuple[int, ...]
 
     def __init__(self, total: int = 0, used: int = 0, **rejected: int) -> None:
         self.total = total
         self.used = used
-        self.rejected = _NONE | rejected
+        self._set(_NONE | rejected)
 
     @classmethod
     def of_projection(cls, total: int, rejected: tuple[int, ...]) -> PointCounts:
@@ -61,26 +65,38 @@ class PointCounts:
         counts = cls.__new__(cls)
         counts.total = total
         counts.used = total - sum(rejected)
-        counts.rejected = dict(zip(_NONE, rejected))  # noqa: B905  # checking the length takes time for every cloud
-        if len(rejected) > len(_NONE):
-            counts.rejected.update(zip(_MOVING, rejected[len(_NONE) :], strict=True))
+        reasons = _REASONS if len(rejected) == len(_REASONS) else _MOVING_REASONS
+        counts._reasons, counts._values = reasons, rejected  # noqa: SLF001  # its own class
         return counts
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """The points that are not used, by reason."""
+        return dict(zip(self._reasons, self._values, strict=True))
+
+    def _set(self, rejected: Mapping[str, int]) -> None:
+        self._reasons, self._values = tuple(rejected), tuple(rejected.values())
 
     def __getattr__(self, name: str) -> int:
         # Python calls this only for names that are no attributes. An object that is being unpickled has no counts yet.
         if name in self.__slots__ or name.startswith("__"):
             raise AttributeError(name)
-        if name in self.rejected:
-            return self.rejected[name]
+        if name in self._reasons:
+            return self._values[self._reasons.index(name)]
         raise AttributeError(f"there is no count {name!r}, only {', '.join(self.as_dict())}")
 
     def __add__(self, other: PointCounts) -> PointCounts:
-        rejected = dict(self.rejected)
-        for name, count in other.rejected.items():
-            rejected[name] = rejected.get(name, 0) + count
         # Not by keywords, which take as long as all of it.
         added = PointCounts.__new__(PointCounts)
-        added.total, added.used, added.rejected = self.total + other.total, self.used + other.used, rejected
+        added.total, added.used = self.total + other.total, self.used + other.used
+        reasons = self._reasons
+        if reasons == other._reasons:
+            added._reasons, added._values = reasons, tuple(map(add, self._values, other._values))
+            return added
+        rejected = self.rejected
+        for name, count in other.rejected.items():
+            rejected[name] = rejected.get(name, 0) + count
+        added._set(rejected)
         return added
 
     def __eq__(self, other: object) -> bool:

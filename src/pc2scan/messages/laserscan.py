@@ -23,6 +23,8 @@ LASERSCAN = "sensor_msgs/msg/LaserScan"
 
 _FLOAT32 = np.dtype("<f4")
 _COUNT = struct.Struct("<I")
+_EMPTY = _COUNT.pack(0)
+_GEOMETRY = struct.Struct("<7f")
 
 
 def _no_values() -> NDArray[np.float32]:
@@ -142,7 +144,7 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
         scan.range_max,
     )
     try:
-        packed = struct.pack("<7f", *geometry)
+        packed = _GEOMETRY.pack(*geometry)
     except OverflowError:
         with np.errstate(over="ignore"):
             packed = np.array(geometry).astype("<f4").tobytes()
@@ -153,7 +155,9 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     packer.raw(encode(scan.frame_id, packed, serialization))
     # From the geometry on, everything is aligned in both formats.
     for values in (scan.ranges, scan.intensities):
+        if not len(values):
+            packer.raw(_EMPTY)
+            continue
         packer.raw(_COUNT.pack(len(values)))
-        if len(values):
-            packer.raw(values.astype(_FLOAT32, copy=False).tobytes())
+        packer.raw((values if values.dtype is _FLOAT32 else values.astype(_FLOAT32)).tobytes())
     return packer.finish()

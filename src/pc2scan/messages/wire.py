@@ -117,7 +117,7 @@ class Cursor:
 
     def stamp_ns(self) -> int:
         """Read a stamp: ROS 1's (uint32, uint32) or ROS 2's (int32, uint32), as nanoseconds."""
-        seconds, nanoseconds = self.read("II" if self.ros1 else "iI")
+        seconds, nanoseconds = self.read("iI" if self._aligned else "II")
         return seconds * 1_000_000_000 + nanoseconds
 
     def sequence(self) -> int:
@@ -157,7 +157,7 @@ class Packer:
     def write(self, code: str, *values: float) -> None:
         """Append primitives that need no padding between them: `struct` codes, aligned to the last."""
         layout, alignment = _compiled("<" + code)
-        if self._aligned:
+        if self._aligned and self._size % alignment:
             self.align(alignment)
         self._parts.append(layout.pack(*values))
         self._size += layout.size
@@ -183,16 +183,17 @@ class Packer:
         DecodeError
             If the stamp does not fit: ROS 1 counts uint32 seconds, ROS 2 int32.
         """
-        if self.ros1:
+        ros1 = not self._aligned
+        if ros1:
             self.write("I", sequence)
         seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-        low, high = (0, 2**32 - 1) if self.ros1 else (-(2**31), 2**31 - 1)
+        low, high = (0, 2**32 - 1) if ros1 else (-(2**31), 2**31 - 1)
         if not low <= seconds <= high:
             raise DecodeError(
-                f"a stamp of {seconds} s does not fit into ROS {1 if self.ros1 else 2}'s {low} to {high} s",
+                f"a stamp of {seconds} s does not fit into ROS {1 if ros1 else 2}'s {low} to {high} s",
                 stamp_ns=stamp_ns,
             )
-        self.write("II" if self.ros1 else "iI", seconds, nanoseconds)
+        self.write("II" if ros1 else "iI", seconds, nanoseconds)
 
     def body(self) -> bytes:
         """Return what was appended."""

@@ -149,8 +149,10 @@ class Conversion(ABC):
         target
             The serialisation of what they become: ``ros1`` or ``cdr``.
         """
-        steps = (self.decoder(source, source_type), *self.stages(topic), self.encoder(target))
-        return partial(_in_turn, steps)
+        return partial(_in_turn, self._steps(topic, source, target, source_type))
+
+    def _steps(self, topic: str, source: str, target: str, source_type: str) -> tuple[Step, ...]:
+        return self.decoder(source, source_type), *self.stages(topic), self.encoder(target)
 
     def encoder(self, target: str) -> Callable[[Result], Converted]:
         """Return the encoder that serialises results as ``ros1`` or ``cdr``."""
@@ -177,7 +179,7 @@ def converter(
     """
     first = conversions[0]
     if len(conversions) == 1:
-        return partial(_convert_alone, first.for_topic(topic, source, target, source_type))
+        return partial(_alone, first._steps(topic, source, target, source_type))  # noqa: SLF001  # of this module
     tree: list[_StepNode] = []
     for place, conversion in enumerate(conversions):
         nodes = tree
@@ -222,14 +224,17 @@ def _follow(nodes: Sequence[_StepNode], value: Any, found: list[Any]) -> None:
                 found[place] = made
 
 
-def _convert_alone(convert: Callable[[Buffer], Converted], data: Buffer) -> tuple[Converted]:
-    return (convert(data),)
-
-
 def _in_turn(steps: Sequence[Step], value: Any) -> Any:
     for step in steps:
         value = step(value)
     return value
+
+
+def _alone(steps: Sequence[Step], value: Any) -> tuple[Any]:
+    # Not by `_in_turn`: a call takes time for every message.
+    for step in steps:
+        value = step(value)
+    return (value,)
 
 
 def _encoded(encode: Callable[[Any, str], bytes], target: str, result: Result) -> Converted:

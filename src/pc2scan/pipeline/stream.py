@@ -104,6 +104,7 @@ def stream(
     # In a piece that is not the first one, the first messages say nothing about the whole recording.
     judged = [route.connection for route in routes.values() if route.convert is not None and span.latched]
     unconnected = Unconnected(judged)
+    is_connected = not unconnected.is_possible
     # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
     with closing(outcomes):
         for outcome in outcomes:
@@ -113,8 +114,9 @@ def stream(
                 _write_scan(outcome, writer, report, options.on_error, levels)
             else:
                 _write(outcome, writer, report, options.on_error, levels)
-                if unconnected.is_possible and outcome.route.convert is not None:
+                if not is_connected and outcome.route.convert is not None:
                     unconnected.note(outcome.route.connection, outcome.failure)
+                    is_connected = not unconnected.is_possible
             if progress is not None:
                 steps += _PROGRESS_EVERY if isinstance(outcome, StoredChunk) else 1
                 if steps >= _PROGRESS_EVERY:
@@ -193,32 +195,46 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
             entry.skip(1)
         return
     route.messages += 1
-    # Equal errors are reported once, with all topics that miss the message.
-    errors: dict[str, tuple[MessageError, list[str]]] = {}
     try:
         if passing is not None:
             writer.write(route.passing_handle, log_time_ns, passing, publish_time_ns, sequence)
     except UnwritableError as err:
         error = err
+    failed: list[tuple[MessageError, TopicReport]] = []
     if route.report is not None:
         _count(route.report, error)
         if error is not None:
-            errors[error.message] = error, [route.report.target or ""]
+            failed.append((error, route.report))
     for output in route.outputs:
-        failed = error
-        if failed is None:
+        reason = error
+        if reason is None:
             made = converted[output.place]
             if isinstance(made, MessageError):
-                failed = made
+                reason = made
             elif output.joint is None:
-                failed = _write_one(made, output, outcome, writer, levels)
-        _count(output.report, failed, is_written=output.joint is None)
-        if failed is not None:
-            errors.setdefault(failed.message, (failed, []))[1].append(output.report.target or "")
+                reason = _write_one(made, output, outcome, writer, levels)
+        _count(output.report, reason, is_written=output.joint is None)
+        if reason is not None:
+            failed.append((reason, output.report))
     for made in converted:
         if isinstance(made, Converted) and made.sample is not None:
             made.sample.clouds.add(made.sample, made.counts)
-    topic = route.connection.topic
+    if failed:
+        _skip(route.connection.topic, log_time_ns, failed, report, on_error)
+
+
+def _skip(
+    topic: str,
+    log_time_ns: int,
+    failed: Sequence[tuple[MessageError, TopicReport]],
+    report: Report,
+    on_error: str,
+) -> None:
+    """Report the errors of a message, or raise the first one if errors are not skipped."""
+    # Equal errors are reported once, with all topics that miss the message.
+    errors: dict[str, tuple[MessageError, list[str]]] = {}
+    for error, entry in failed:
+        errors.setdefault(error.message, (error, []))[1].append(entry.target or "")
     for each, targets in errors.values():
         each.topic = topic
         if on_error == "fail":
