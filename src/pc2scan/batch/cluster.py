@@ -39,10 +39,10 @@ if TYPE_CHECKING:
 __all__ = ["check_dask", "dask_setup", "execute_on_dask"]
 
 #: Seconds between two checks whether a task was cancelled, and between two polls of the events.
-_LOOK_SECONDS = 0.5
+_POLL_SECONDS = 0.5
 
 #: Seconds that interrupted conversions, and those of lost workers, have to remove their unfinished output.
-_PATIENCE = 15.0
+_CLEANUP_SECONDS = 15.0
 
 #: Seconds within which a scheduler must answer.
 _CONNECT_SECONDS = 10
@@ -145,7 +145,7 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                 futures[job.key] = future
                 future.add_done_callback(lambda future, key=job.key: inbox.put(("done", key, future)))
             try:
-                what, key, value = inbox.get(timeout=_LOOK_SECONDS)
+                what, key, value = inbox.get(timeout=_POLL_SECONDS)
             except Empty:
                 if client.status == "closed":
                     raise _lost() from None
@@ -189,10 +189,10 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
 
 def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, float]) -> None:
     """Wait until cancelled conversions have removed their unfinished output."""
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _CLEANUP_SECONDS
     while running and time.monotonic() < deadline:
         with suppress(Empty):
-            what, key, _ = inbox.get(timeout=_LOOK_SECONDS)
+            what, key, _ = inbox.get(timeout=_POLL_SECONDS)
             if what == "gone":
                 running.pop(key, None)
 
@@ -244,7 +244,7 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
             raise _CancelledError
 
     threads = max(1, worker.state.nthreads // max(1, worker.state.executing_count))
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _CLEANUP_SECONDS
     worker.log_event(topic, ("began", job.key, None))
     try:
         while True:
@@ -255,7 +255,7 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
             # The process of an earlier attempt may still hold the output. It ends soon after its worker was killed.
             if "being written by another run" not in error.get("message", "") or time.monotonic() > deadline:
                 break
-            time.sleep(_LOOK_SECONDS)
+            time.sleep(_POLL_SECONDS)
     finally:
         worker.log_event(topic, ("gone", job.key, None))
     if result.outcome == "died":
@@ -270,7 +270,7 @@ def _is_there(folder: Path) -> bool:
     with suppress(OSError):
         # Listing a folder makes network file systems refresh what they have cached of it.
         list(folder.parent.iterdir())
-    time.sleep(_LOOK_SECONDS)
+    time.sleep(_POLL_SECONDS)
     return folder.is_dir()
 
 
@@ -283,7 +283,7 @@ def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> Result
         for event in events:
             if isinstance(event, Ended):
                 return event.result
-            if isinstance(event, Progressed) and time.monotonic() - last >= _LOOK_SECONDS:
+            if isinstance(event, Progressed) and time.monotonic() - last >= _POLL_SECONDS:
                 last = time.monotonic()
                 check()
                 tell((event.done, event.total))

@@ -49,7 +49,7 @@ __all__ = ["BatchOptions", "BatchProgress", "Watch", "run_batch"]
 _WORKERS = "manifest.jsonl.workers"
 
 #: Seconds that a run waits for the workers of a killed run to end.
-_PATIENCE = 15.0
+_WAIT_SECONDS = 15.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,7 +287,7 @@ def _lock(out: Path) -> Iterator[int]:
 
     The second one shows that workers of a killed run are still alive. They may take some seconds to end.
     """
-    deadline = time.monotonic() + _PATIENCE
+    deadline = time.monotonic() + _WAIT_SECONDS
     with ExitStack() as stack:
         try:
             stack.enter_context(only_run(out / MANIFEST))

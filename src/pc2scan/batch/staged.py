@@ -41,7 +41,7 @@ __all__ = ["is_remote", "jobs_here"]
 _BESIDE = 1_000_000
 
 #: Seconds that copying threads have to end. After that the folder is removed in any case.
-_PATIENCE = 5.0
+_END_SECONDS = 5.0
 
 #: Space for copies, by folder and size. Dask tasks that run in one process share it.
 _rooms: dict[tuple[Path | None, int | None], Room] = {}
@@ -159,7 +159,7 @@ class _StagedQueue(Queue):
         with suppress(ValueError):
             self._room.listeners.remove(self.look)
         for thread in self._threads:
-            thread.join(_PATIENCE)
+            thread.join(_END_SECONDS)
         with self._lock:
             for copy in list(self._copies.values()):
                 self._release(copy)

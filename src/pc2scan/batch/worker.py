@@ -31,7 +31,7 @@ __all__ = ["main"]
 _PROGRESS_SECONDS = 0.1
 
 #: Seconds after which the process is ended even if its conversion does not react to the interrupt.
-_PATIENCE = 10.0
+_END_SECONDS = 10.0
 
 
 class _Ending:
@@ -48,7 +48,7 @@ class _Ending:
     def begin(self) -> None:
         """Interrupt the conversion; called by the thread that reads the input."""
         self.begun = True
-        watch = threading.Timer(_PATIENCE, os._exit, (1,))
+        watch = threading.Timer(_END_SECONDS, os._exit, (1,))
         watch.daemon = True
         watch.start()
         if hasattr(signal, "pthread_kill"):

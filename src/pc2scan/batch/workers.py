@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["Began", "Died", "Ended", "Event", "Executor", "Information", "Progressed", "Queue", "execute"]
 
 #: Seconds that an interrupted worker has to remove its unfinished output.
-_PATIENCE = 12.0
+_END_SECONDS = 12.0
 
 #: The program of a worker.
 _PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__package__}.worker import main; main()"
@@ -220,7 +220,7 @@ class _Pool:
         for worker in self.workers:
             with suppress(OSError):
                 _pipe(worker.process.stdin).close()
-        deadline = time.monotonic() + _PATIENCE
+        deadline = time.monotonic() + _END_SECONDS
         for worker in self.workers:
             try:
                 worker.process.wait(max(0.1, deadline - time.monotonic()))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Limit", "Room", "ScratchError", "scratch_folder"]
 
 #: Seconds between two measurements of a folder's size.
-_LOOK_SECONDS = 0.1
+_MEASURE_SECONDS = 0.1
 
 
 class ScratchError(OutputError):
@@ -143,7 +143,7 @@ class Limit:
             if began >= self._next:
                 self.check()
                 # Measuring takes long if there are very many files, so it is done for a twentieth of the time at most.
-                self._next = time.monotonic() + max(_LOOK_SECONDS, 20 * (time.monotonic() - began))
+                self._next = time.monotonic() + max(_MEASURE_SECONDS, 20 * (time.monotonic() - began))
             if progress is not None:
                 progress(done, total, messages)
 

@@ -283,7 +283,7 @@ def _stretch_of(
 
 
 def _many(data: memoryview, wanted: Mapping[int, Connection | None], start_ns: int, stop_ns: int) -> Many[RawMessage]:
-    """The messages of a sound chunk, each made when its turn comes."""
+    """Return the messages of a sound chunk, each created when it is needed."""
     found = FoundMessages()
     layout, literals, expected, at_connection, at_seconds = USUAL_LAYOUT
     position, end = 0, len(data)
@@ -318,7 +318,7 @@ class FoundMessages:
             values.append(value)
 
     def many(self, data: memoryview, known: Mapping[int, Connection]) -> Many[RawMessage]:
-        """Return the messages, each made when its turn comes."""
+        """Return the messages, each created when it is needed."""
         times, ids, starts, stops = self._times, self._ids, self._starts, self._stops
 
         def made(number: int) -> RawMessage:

@@ -207,7 +207,7 @@ class Rosbag1Reader(PartReader):
     def _compare_index(self, segment: Segment, check: IndexCheck, found: int | None) -> None:
         """Note wrong index records after a chunk, given how many messages it has."""
         if trouble := check.trouble(found):
-            error = f"the index behind the chunk with data at byte {segment.offset} contradicts it: {trouble}"
+            error = f"the index after the chunk with data at byte {segment.offset} contradicts it: {trouble}"
             span = {"first_ns": segment.start_ns, "last_ns": segment.end_ns}
             self._log.note(self._file.damage_error(error), offset=segment.offset, key="index", messages_lost=0, **span)
 

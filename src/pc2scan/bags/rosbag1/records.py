@@ -181,11 +181,11 @@ class BagFile(SourceFile):
         self._ahead = b""
 
     def damage(self, message: str) -> Damaged:
-        """Make the error for a damaged bag; the reader adds the place."""
+        """Return the error for a damaged bag; the reader adds the place."""
         return Damaged(message)
 
     def damage_error(self, message: str) -> DamageError:
-        """Make the error that the reader raises."""
+        """Return the error that the reader raises."""
         return DamageError(self.located(message), path=self.path, hint=RECOVER)
 
     def head(self, length: int) -> bytes:
