@@ -36,9 +36,9 @@ from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
 from pc2scan.batch.run import BatchOptions, run_batch
 from pc2scan.batch.workers import execute
-from pc2scan.cli.memory import keep_freed_memory
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
+from pc2scan.memory import keep_freed_memory
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 
 if TYPE_CHECKING:

@@ -150,7 +150,7 @@ import pc2scan
 if sys.argv[1] == "converts":
     pc2scan.convert(sys.argv[2], sys.argv[3], jobs=2, overwrite=True)
 elif sys.argv[1] == "keeps":
-    from pc2scan.cli.memory import keep_freed_memory
+    from pc2scan.memory import keep_freed_memory
     keep_freed_memory()
 faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 for _ in range(50):

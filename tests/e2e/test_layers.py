@@ -26,6 +26,7 @@ GROUND = {
     "callable_package",
     "errors",
     "json_types",
+    "memory",
     "model",
     "names",
     "shown",
@@ -51,8 +52,7 @@ ALLOWED = {
     "streams": {"pipeline", "core", "tf", "messages", "bags"},
     "export": {"streams", "pipeline", "core", "tf", "messages", "bags", "files"},
     "look": {"streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
-    # `cli.memory`: worker processes are the command's own.
-    "batch": {"requests", "export", "pipeline", "core", "bags", "files", "cli.memory", "remote"},
+    "batch": {"requests", "export", "pipeline", "core", "bags", "files", "remote"},
     # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
     "requests": {"pipeline", "core", "streams", "tf"},
     "api": {
@@ -202,6 +202,19 @@ def test_libraries_stay_in_their_layers(path: Path) -> None:
     assert outside <= allowed
 
 
+def test_no_packages_import_each_other() -> None:
+    left: dict[str, set[str]] = {}
+    for path in MODULES:
+        layer = layer_of(path)
+        others = {name.split(".")[1] for name in imports_of(path) & NAMES.keys() if "." in name} - {layer}
+        left[layer] = left.get(layer, set()) | others
+    # The package itself has the public API, and nothing imports it.
+    while free := [layer for layer, needed in left.items() if not needed & left.keys()]:
+        for layer in free:
+            del left[layer]
+    assert left == {}
+
+
 HEAVY = ("fsspec", "numpy", "rosbags", "mcap", "rich.progress", "sqlite3", "ruamel", "lz4", "zstandard")
 
 
@@ -224,7 +237,7 @@ def test_starting_is_cheap(code: str) -> None:
 #: as some thousand points.
 LOADED_BY_CONVERT = {
     "pc2scan": (
-        "arguments bags callable_package cli core errors files json_types messages model names pipeline "
+        "arguments bags callable_package cli core errors files json_types memory messages model names pipeline "
         "remote requests shown text_enum tf threads version"
     ),
     "pc2scan.bags": ("chunked damage destinations formats many mcap opening parts reader rosbag1 topics units zstd"),
@@ -232,7 +245,7 @@ LOADED_BY_CONVERT = {
     "pc2scan.bags.mcap": "record_types records writer",
     "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
     "pc2scan.cli": (
-        "app completion convert damage fitting groups interrupts memory next_command options outcome progress "
+        "app completion convert damage fitting groups interrupts next_command options outcome progress "
         "render screen spelling usage"
     ),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule",

@@ -25,8 +25,9 @@ def _run() -> None:
     # No threads for NumPy's linear algebra: nothing here uses them, and to start them takes longer than to convert a
     # small recording.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from pc2scan.memory import keep_freed_memory
+
     from .app import application
-    from .memory import keep_freed_memory
     from .screen import Screen, StdoutError
 
     keep_freed_memory()

@@ -200,12 +200,6 @@ class McapReader(PartReader):
                 self._compare_index(segment, check, None if is_cut else len(scan.messages))
             return scan.messages
 
-        def load(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
-            items = read(segment, callback, whole=whole)
-            if self._data_crc is not None:
-                self._data_crc.compare()
-            return items
-
         def read(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
             def compare(records: memoryview, found: int) -> None:
                 self._compare_index(segment, self._check_index(segment, wanted, records), found)
@@ -241,7 +235,16 @@ class McapReader(PartReader):
                 found = self._salvaged(segment, data, problem).selected(wanted, first, stop)
             return mapped(callback, unpacked_messages(found, self._log, segment.offset, self._file.path))
 
-        return units_of(segments, load, alone, self._file)
+        section = self._data_crc
+        if section is None:
+            return units_of(segments, read, alone, self._file)
+
+        def read_and_compare(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
+            items = read(segment, callback, whole=whole)
+            section.compare()
+            return items
+
+        return units_of(segments, read_and_compare, alone, self._file)
 
     def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
         """A segment's records as far as they can be decompressed, and why that is not all."""

@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from pc2scan.cli import main, memory
+from pc2scan import memory
+from pc2scan.cli import main
 
 FAULTS = """
 import resource
@@ -32,7 +33,7 @@ def faults(prepare: str) -> int:
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc is told")
 def test_freed_memory_is_used_again() -> None:
-    told = "from pc2scan.cli.memory import keep_freed_memory\nassert keep_freed_memory()"
+    told = "from pc2scan.memory import keep_freed_memory\nassert keep_freed_memory()"
     # A page is 4 KiB at least: 24 MiB fifty times, or only once.
     assert 3 * faults(told) < faults("")
 
