@@ -199,7 +199,7 @@ def test_remappings(place: Path, options: tuple[str, ...]) -> None:
         (("-r", "cloud_in:=/points", "-t", "/points"), "--topic and --remap say the same in two ways"),
         (("-t", "/lidar*"), "no PointCloud2 topic matches /lidar*"),
         (("-t", "/points:=/scan_*"), "has more * on the right than on the left"),
-        (("--arg", "a:=b"), "--arg are those of a launch file, and none is given"),
+        (("--arg", "a:=b"), "--arg needs a launch file, and none is given"),
         (("--params-file", "params.yaml", "--arg", "a:=b"), "only XML launch files have arguments"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",

@@ -213,7 +213,7 @@ def _decompressed_message(log: DamageLog, place: int, path: Path, message: RawMe
 
 
 def _least_size(message: RawMessage) -> int:
-    """How many bytes a message at least takes in memory once it is unpacked, as far as it tells."""
+    """The least number of bytes that a message takes in memory when it is unpacked, as far as it declares."""
     with suppress(CompressionError):
         return compression.zstd_content_size(message.data) or allowed_bytes(message.size)
     return message.size

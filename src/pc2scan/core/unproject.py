@@ -201,9 +201,9 @@ def unproject(
     angle_min, angle_increment
         Radians, of any sign; float32 in the message and rounded to it here.
     range_min, range_max
-        Metres; likewise.
+        Metres; rounded to float32, too.
     time_increment
-        Seconds from beam to beam; likewise.
+        Seconds from beam to beam; rounded to float32, too.
     params
         Channels and cutoff; None means the defaults.
 

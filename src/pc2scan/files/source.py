@@ -37,7 +37,7 @@ _LOGS = ("-wal", "-journal")
 #: Functions that fetch the bytes of stand-ins, by path. They are called with the offset and length before each read.
 on_demand: dict[Path, Callable[[int, int], None]] = {}
 
-#: Bytes of a stand-in that are fetched when it is opened: the beginning tells its format.
+#: Bytes of a stand-in that are fetched when it is opened: the beginning identifies its format.
 _HEAD_BYTES = 1 << 17
 
 

@@ -44,5 +44,5 @@ class OutputType(Generic[Message]):
 #: What clouds become, by ROS type in ROS 2's spelling; the first is the default.
 OF_CLOUDS: dict[str, OutputType[LaserScan]] = {LASERSCAN: OutputType("scan", encode_laserscan)}
 
-#: What scans become; likewise.
+#: The same for scans.
 OF_SCANS: dict[str, OutputType[StructuredCloud]] = {POINTCLOUD2: OutputType("cloud", encode_structured)}

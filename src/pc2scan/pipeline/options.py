@@ -92,8 +92,8 @@ class TimeBound(NamedTuple):
         Parameters
         ----------
         value
-            Text as `parse` reads it, and numbers likewise: seconds from the beginning, from 100,000,000 on seconds
-            since 1970, whole numbers from 100,000,000,000 on nanoseconds since 1970. A `datetime` with a time zone, or
+            Text as in `parse`, or a number: seconds from the beginning; 100,000,000 and more are seconds
+            since 1970, whole numbers of 100,000,000,000 and more nanoseconds since 1970. A `datetime` with a time zone, or
             a `numpy.datetime64` (UTC), is a point in time; a `timedelta` or `numpy.timedelta64` counts from the
             beginning.
 
@@ -236,7 +236,7 @@ class ConvertOptions:
     verify
         Whether the CRCs that MCAP files carry are compared. The checksums of lz4 and bz2 always are.
     strict
-        Whether damage of a source is an error; otherwise everything readable is recovered, and the report tells the
+        Whether damage of a source is an error; otherwise everything readable is recovered, and the report has the
         rest.
     fail_on
         What makes the whole run fail, so that nothing is written: ``empty`` (a scan without any return), or ``warning``

@@ -88,7 +88,7 @@ def resolve_sources(
             "`node` chooses a section of a parameter file, and none is given", hint=f"`params_file=FILE` `node={node}`"
         )
     if launch_args and file is None:
-        raise UsageError("`launch_args` are those of a launch file, and none is given", hint="`params_file=FILE`")
+        raise UsageError("`launch_args` needs a launch file, and none is given", hint="`params_file=FILE`")
     # Modules are imported only if needed: a conversion of a small recording spends most of its time on imports.
     found = list(settings)
     ignored: tuple[str, ...] = ()

@@ -180,7 +180,7 @@ def _led(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> l
         return list(topics)
     lead = find_topic(spec.combining.lead, types, list(topics), *spec.named_types)
     if lead not in topics and len(topics) > 1:
-        raise TopicError(f"`lead` is {lead}, which is none of the topics of the scan: {name_list(topics)}")
+        raise TopicError(f"`lead` is {lead}, which is not one of the scan's topics: {name_list(topics)}")
     return sorted(topics, key=lambda topic: topic != lead)
 
 

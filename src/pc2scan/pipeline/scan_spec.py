@@ -84,7 +84,7 @@ class ScanSpec:
     level
         Make scans of clouds in a frame without roll and pitch, by ``fixed_frame`` or by ``imu``.
     imu
-        With ``level``: the IMU that knows which way is up, as ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame`` is
+        With ``level``: the IMU that measures the up direction, ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame`` is
         used.
     combining
         Which messages become one scan.

@@ -60,7 +60,7 @@ def tally_of(reader: Reader, routes: Mapping[int, OpenRoute], serialization: str
 
 
 def conclude(report: Report, tally: Tally, options: ConvertOptions) -> None:
-    """Add to a report what only the whole conversion can tell.
+    """Add to a report what is known only of the whole conversion.
 
     Raises
     ------

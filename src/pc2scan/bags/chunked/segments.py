@@ -43,7 +43,7 @@ class Segment:
     start_ns, end_ns
         Log times of the earliest and the latest message, both inclusive.
     connection_ids
-        The connections with messages in it; None if unknown (then only reading it tells).
+        The connections with messages in it; None if unknown until it is read.
     """
 
     offset: int

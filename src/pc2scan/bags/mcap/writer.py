@@ -81,7 +81,7 @@ class McapWriter:
     Raises
     ------
     DestinationError
-        If MCAP knows no such compression.
+        If MCAP has no such compression.
     OutputError
         If the file exists or cannot be written (from every method).
     """

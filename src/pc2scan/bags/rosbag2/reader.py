@@ -51,12 +51,12 @@ class Rosbag2Reader(MergedReader):
         Whether checksums of MCAP files are verified.
     strict
         Whether damage is an error, and so are a missing file and messages that metadata.yaml counts and the files do
-        not have; otherwise what there is is read, and `damage` tells the rest.
+        not have; otherwise everything else is read, and `damage` has the rest.
 
     Raises
     ------
     RecordingError
-        If metadata.yaml tells of what is not supported, or no file can be read.
+        If metadata.yaml declares something that is not supported, or no file can be read.
     UsageError
         Without metadata.yaml, if the files are several recordings.
     DamageError

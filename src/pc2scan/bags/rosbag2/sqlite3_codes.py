@@ -25,7 +25,7 @@ def code_of(error: sqlite3.Error) -> int:
     Notes
     -----
     Python 3.10 has the text only: there, what is no error of the disk and no lack of memory is an error of the
-    database, and a short read cannot be told from a failing disk.
+    database, and a short read cannot be distinguished from a failing disk.
     """
     code = getattr(error, "sqlite_errorcode", None)
     return _CODES.get(str(error), ERROR) if code is None else int(code)
