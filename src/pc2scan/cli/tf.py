@@ -12,7 +12,7 @@ from pc2scan.errors import TransformError, UsageError, stamp_text
 from . import completion
 from .damage import show_damage
 from .options import Json, StaticTf, TfTopics
-from .render import count, print_json, printable, table, warn
+from .render import print_json, printable, show_parts, warn
 
 if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
@@ -123,25 +123,7 @@ def _show(tree: FrameTree) -> None:
             typer.echo(printable(line))
     if tree.frames:
         typer.echo()
-        table(
-            ("child", "parent", "kind", "transforms", "Hz", "first", "last", "largest gap"),
-            [
-                (
-                    frame.child,
-                    ", ".join(frame.parents),
-                    "static" if frame.static else "dynamic",
-                    count(frame.transforms),
-                    "-" if frame.rate_hz is None else f"{frame.rate_hz:.2f}",
-                    stamp_text(frame.first_ns),
-                    stamp_text(frame.last_ns),
-                    "-"
-                    if frame.largest_gap_ns is None or frame.largest_gap_at_ns is None
-                    else f"{frame.largest_gap_ns / 1e9:.3f} s after {stamp_text(frame.largest_gap_at_ns)}",
-                )
-                for frame in tree.frames
-            ],
-            left=("child", "parent", "kind", "largest gap"),
-        )
+        show_parts([tree.table()])
     for warning in tree.warnings:
         warn(warning)
 

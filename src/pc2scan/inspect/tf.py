@@ -87,8 +87,14 @@ class FrameTree(Shown):
             several = f"tree {number} of {len(self.trees)}, not connected with the others, " * (len(self.trees) > 1)
             yield f"{several}from {', '.join(tree.roots or tree.frames[:1])}: {len(tree.frames)} frames"
         yield ""
-        yield Table(
-            ("child", "parent", "kind", "transforms", "Hz", "first", "last"),
+        yield self.table()
+        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
+        yield from (f"warning: {warning}" for warning in self.warnings)
+
+    def table(self) -> Table:
+        """Return a table with a row for each frame that has a parent."""
+        return Table(
+            ("child", "parent", "kind", "transforms", "Hz", "first", "last", "largest gap"),
             [
                 (
                     frame.child,
@@ -98,13 +104,14 @@ class FrameTree(Shown):
                     "-" if frame.rate_hz is None else f"{frame.rate_hz:.2f}",
                     stamp_text(frame.first_ns),
                     stamp_text(frame.last_ns),
+                    "-"
+                    if frame.largest_gap_ns is None or frame.largest_gap_at_ns is None
+                    else f"{frame.largest_gap_ns / 1e9:.3f} s after {stamp_text(frame.largest_gap_at_ns)}",
                 )
                 for frame in self.frames
             ],
-            left=("child", "parent", "kind"),
+            left=("child", "parent", "kind", "largest gap"),
         )
-        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
-        yield from (f"warning: {warning}" for warning in self.warnings)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON's types."""

@@ -92,8 +92,8 @@ class TimeBound(NamedTuple):
         Parameters
         ----------
         value
-            Text as in `parse`, or a number: seconds from the beginning; 100,000,000 and more are seconds
-            since 1970, whole numbers of 100,000,000,000 and more nanoseconds since 1970. A `datetime` with a time zone, or
+            Text as in `parse`, or a number: seconds from the beginning; 100,000,000 and more are seconds since 1970,
+            whole numbers of 100,000,000,000 and more nanoseconds since 1970. A `datetime` with a time zone, or
             a `numpy.datetime64` (UTC), is a point in time; a `timedelta` or `numpy.timedelta64` counts from the
             beginning.
 
