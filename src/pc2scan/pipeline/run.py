@@ -278,21 +278,7 @@ def _run(
             check_parts(path, overwrite=output.overwrite)
         else:
             check_destination(path, overwrite=output.overwrite, beside_recording=beside_recording, folder=output.folder)
-        span = span_of(reader, options)
-        refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-        conversions, _ = prepared(reader, plan, options, span, stack, report)
-        from .forecast import forecast  # noqa: PLC0415  # dry runs only
-
-        levels = _level_frames(reader, plan, target, options, Declarations(), report)
-        size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report)
-        if levels is not None:
-            made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
-            levels.report.messages_out = max(made, default=0)
-        if output.cut is not None:
-            from .parts import expected_files  # noqa: PLC0415  # most recordings are one file
-
-            last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
-            report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
+        _estimate(reader, plan, target, options, output, stack, report)
         return None
     if output.folder is not None:
         stack.enter_context(made_folder(output.folder))
@@ -378,6 +364,34 @@ def _run(
 
             report.files = files_in(unfinished, path)
     return None
+
+
+def _estimate(
+    reader: Reader,
+    plan: Plan,
+    target: Destination,
+    options: ConvertOptions,
+    output: OutputOptions,
+    stack: ExitStack,
+    report: Report,
+) -> None:
+    """Add to the report of a dry run what the conversion would write."""
+    from .forecast import forecast  # noqa: PLC0415  # dry runs only
+
+    span = span_of(reader, options)
+    converted = [route.connection for route in plan.routes if route.targets]
+    refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
+    conversions, _ = prepared(reader, plan, options, span, stack, report)
+    levels = _level_frames(reader, plan, target, options, Declarations(), report)
+    size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report)
+    if levels is not None:
+        made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
+        levels.report.messages_out = max(made, default=0)
+    if output.cut is not None:
+        from .parts import expected_files  # noqa: PLC0415  # most recordings are one file
+
+        last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
+        report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
 
 
 def _transforms_of(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
