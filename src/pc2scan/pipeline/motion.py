@@ -1,4 +1,4 @@
-"""How far a sensor moved while a scan was measured."""
+"""The motion of a sensor while a scan was measured."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Motion"]
 
 
 class Motion(NamedTuple):
-    """How far the sensor was from its pose at the scan's time, at most: metres and radians.
+    """The largest distance of the sensor from its pose at the scan's time: metres and radians.
 
     ``gap`` is the longest time that transforms were interpolated over, seconds.
     """

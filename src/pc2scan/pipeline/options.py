@@ -1,4 +1,4 @@
-"""What a conversion is asked to do, apart from the projection's own parameters."""
+"""The options of a conversion, besides the projection's own parameters."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 __all__ = ["ConvertOptions", "TimeBound", "bound_of", "destination_and_folder"]
 
-#: Numbers from here on are points in time, not seconds from the beginning: no recording lasts three years.
+#: Larger numbers are points in time, not seconds from the beginning: no recording lasts three years.
 _ABSOLUTE_SECONDS = 100_000_000
-#: And from here on they are nanoseconds: as seconds they would lie beyond the year 5000.
+#: Larger whole numbers are nanoseconds: as seconds they would be after the year 5000.
 _ABSOLUTE_NANOSECONDS = 100_000_000_000
 
 _SECONDS = r"@?(\d+\.?\d*|\.\d+) ?(s|ms)?"
@@ -87,7 +87,7 @@ class TimeBound(NamedTuple):
 
     @classmethod
     def of(cls, value: Time) -> TimeBound:
-        """Take a time as Python users have it.
+        """Read a time in the forms that Python users have.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class TimeBound(NamedTuple):
 
     @classmethod
     def _of_numpy(cls, value: Any) -> TimeBound:
-        """Take NumPy's times without importing NumPy."""
+        """Read NumPy's times without importing NumPy."""
         kind = type(value).__name__
         nanoseconds = value.astype(f"{kind}[ns]")
         # Beyond 64 bits NumPy's nanoseconds wrap around without an error.
@@ -150,7 +150,7 @@ class TimeBound(NamedTuple):
                 f"{value!r} looks like nanoseconds since 1970, which a float cannot hold exactly",
                 hint=f"give a whole number, {int(seconds)}, or seconds, {seconds / 1e9}",
             )
-        # As it is written: 0.1 is a tenth, and not the float next to it.
+        # By its decimal text: 0.1 means a tenth, not the nearest float.
         text = repr(_not_negative(value, seconds))
         return cls.parse(f"{seconds:.9f}" if "e" in text else text)
 
@@ -175,7 +175,7 @@ def _moment(text: str) -> tuple[datetime, int]:
     if not written:
         return datetime.fromisoformat(text), 0
     start, fraction, zone = written.groups(default="")
-    # In the one form that Python 3.10 reads, too.
+    # In the only form that Python 3.10 can read.
     zone = "+00:00" if zone == "Z" else zone and f"{zone[:3]}:{zone[3:].lstrip(':') or '00'}"
     return datetime.fromisoformat(start + zone), int(fraction[:9].ljust(9, "0"))
 
@@ -210,7 +210,7 @@ def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConvertOptions:
-    """What a conversion is asked to do, checked: its outputs, and what is the same for all of them.
+    """The checked options of a conversion: its outputs, and options that apply to all of them.
 
     Attributes
     ----------
@@ -228,23 +228,23 @@ class ConvertOptions:
     start, end
         The cut, by log time: from ``start`` on, before ``end``.
     on_error
-        ``skip`` or ``fail``: what a message that cannot be converted does.
+        What to do if a message cannot be converted: ``skip`` or ``fail``.
     ros_distro
-        Whose definitions stand in for those that the recording lacks; empty for a default.
+        The ROS distribution whose message definitions are used if the recording has none; empty: a default.
     jobs
-        Threads that convert; 0 means as many as there are processor cores.
+        Number of threads; 0: one for each processor core.
     verify
-        Whether the CRCs that MCAP files carry are compared. The checksums of lz4 and bz2 always are.
+        Whether the CRCs of MCAP files are checked. The checksums of lz4 and bz2 always are.
     strict
-        Whether damage of a source is an error; otherwise everything readable is recovered, and the report has the
-        rest.
+        Whether damage of a source is an error; otherwise everything readable is recovered, and the report lists the
+        damage.
     fail_on
-        What makes the whole run fail, so that nothing is written: ``empty`` (a scan without any return), or ``warning``
-        (that, and any other warning, skipped message or damage); empty for neither.
+        When the whole run fails and nothing is written: ``empty`` (if a scan has no return), or ``warning`` (also for
+        any other warning, skipped message or damage); empty text for neither.
     min_used
-        The share of the points of each topic, 0 to 1, that have to be in its scans; otherwise the run fails.
+        The share of the points of each topic, 0 to 1, that must be in its scans; otherwise the run fails.
     repair
-        Convert nothing: everything passes through as it is, byte for byte.
+        Convert nothing: all messages are copied, byte for byte.
     """
 
     scans: tuple[ScanSpec, ...] = (ScanSpec(),)

@@ -1,4 +1,4 @@
-"""One of the pieces that a recording is converted in, each by a process of its own."""
+"""A piece of a recording that a process of its own converts, and its result."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""A long recording converted in pieces, each by a process of its own, perhaps on another machine.
+"""Converts a long recording in pieces, in several processes, which may run on several machines.
 
-A rosbag2 recording that is split by time consists of files that do not depend on each other. So each piece is some of
-these files, cut out of the source by its index, and the pieces are what one conversion writes, byte for byte: all look
-at the whole source for whatever the whole decides (where time begins, all transforms, what is measured). Transforms are
-read in stretches, too, since nearly every chunk has some.
+A rosbag2 recording that is split by time consists of files that do not depend on each other. A piece is some of these
+files. The pieces together have the same bytes as one conversion would write, because each process reads the whole
+source for decisions that depend on it (the beginning of time, all transforms, measurements). Transforms are read in
+parts, too, since nearly every chunk has some.
 
-The number of a file is in the file. How many files a piece has is known by the source's index, unless there are
-stretches of which nothing is written. What was numbered wrongly is made again.
+A file contains its own number. The source's index shows how many files a piece will have, unless nothing is written
+for some stretch of time. Files with wrong numbers are converted again.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _MOST_FILES = 5_000
 
 
 class Stretch(NamedTuple):
-    """Log times ``start_ns <= t < stop_ns`` (None: no limit), and how many files are expected of them."""
+    """Log times ``start_ns <= t < stop_ns`` (None: no limit), and the expected number of files."""
 
     start_ns: int | None
     stop_ns: int | None
@@ -72,22 +72,22 @@ class Stretches(NamedTuple):
 
 
 def may_be_cut(cut: Cut | None) -> bool:
-    """Whether the files of a recording depend on time alone."""
+    """Return whether time alone decides which file a message is in."""
     return cut is not None and bool(cut.duration_ns) and not cut.size and not cut.repeats
 
 
 def stretches_of(sources: Sequence[Path], options: ConvertOptions, cut: Cut, *, piece_bytes: int) -> Stretches | None:
     """Decide where a recording is cut; None where one process converts it better.
 
-    That is the case for short recordings, damaged ones (whose index has to be found again by each process), those that
-    are compressed as a whole, and where scans are made of several messages, which may be of two pieces.
+    This is so for short recordings, for damaged ones (each process would have to recover the index), for those that
+    are compressed as a whole, and if scans are made of several messages, which may be in two pieces.
 
     Parameters
     ----------
     cut
         Where new files begin.
     piece_bytes
-        Bytes of the source that are worth a process.
+        The minimum number of the source's bytes for a process.
 
     Raises
     ------
@@ -105,9 +105,9 @@ def stretches_of(sources: Sequence[Path], options: ConvertOptions, cut: Cut, *, 
         last_ns = end_ns if span.stop_ns is None else min(end_ns, span.stop_ns - 1)
         edges = _edges(reader, plan, span, last_ns, replace(cut, begin_ns=span.first_ns))
     pieces = min(len(edges), reader.summary.size_bytes // max(1, piece_bytes))
-    if pieces < 2:  # nothing to share
+    if pieces < 2:  # not worth it
         return None
-    # The first file begins with what is before it, the last one ends with the recording.
+    # The first piece also has everything before its first file, and the last one ends with the recording.
     firsts = [len(edges) * number // pieces for number in range(pieces)] + [len(edges)]
     stretches = tuple(
         Stretch(edges[first] if first else None, edges[last] if last < len(edges) else None, last - first)
@@ -117,7 +117,7 @@ def stretches_of(sources: Sequence[Path], options: ConvertOptions, cut: Cut, *, 
 
 
 def _edges(reader: Reader, plan: Plan, span: Span, last_ns: int, cut: Cut) -> list[int]:
-    """Return where the files begin that are going to have messages, by the index."""
+    """Return where the files begin that will have messages, according to the index."""
     count = cut.cell(last_ns) + 1
     if count > _MOST_FILES:
         return []
@@ -181,7 +181,7 @@ def joined_report(made: Sequence[Made], damage: Iterable[Damage], options: Conve
     Parameters
     ----------
     damage
-        What was found beside: where transforms were read.
+        Damage that was found while transforms were read.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def joined_report(made: Sequence[Made], damage: Iterable[Damage], options: Conve
         report.damage += other.damage
         report.messages_read += other.messages_read
     report.topics = list(topics.values())
-    # What a conversion finds of a place replaces what the reading of transforms has found of it.
+    # For a place, the damage that a conversion has found replaces what reading the transforms has found.
     places = {(each.path, each.offset) for each in report.damage}
     report.damage += (each for each in damage if each.offset is None or (each.path, each.offset) not in places)
     report.damage = list(dict.fromkeys(report.damage))
@@ -211,8 +211,8 @@ def joined_report(made: Sequence[Made], damage: Iterable[Damage], options: Conve
 
 
 def _by_key(report: Report) -> dict[tuple[object, ...], TopicReport]:
-    """Return the entries of topics by what they are about."""
-    # Equal specs of different processes need not be equal: they may have filters of the user's.
+    """Return the topics' entries by their source, target and output."""
+    # Specs from different processes may compare unequal, because they may have the user's own filters.
     specs = {id(spec): number for number, spec in enumerate(report.scans)}
     return {
         (each.topic, each.msgtype, each.target, each.action, each.note, specs.get(id(each.spec))): each
@@ -221,7 +221,7 @@ def _by_key(report: Report) -> dict[tuple[object, ...], TopicReport]:
 
 
 def _whole(tallies: Iterable[Tally]) -> Tally:
-    """Return what the tallies of all pieces say together."""
+    """Return the tallies of all pieces as one."""
     first, *others = tallies
     counts = [(topic, declared, read) for topic, declared, read in first.counts]
     refusals = {text: dict.fromkeys(names) for text, names in first.refusals.items()}

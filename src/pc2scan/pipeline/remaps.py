@@ -88,7 +88,7 @@ def remapped(texts: Iterable[str], *, reverse: bool = False) -> Remapped:
         source, target = found.get(source_name, "*"), found.get(target_name)
         topics = (str(source) if target is None else f"{source}:={target}",)
         TopicRequest.parse(topics[0])
-    # If only one of the two is remapped, the other keeps its name.
+    # If only one of the two topics is remapped, the other one keeps its name.
     moved = [found[name] for name in _TF if name in found]
     tf_topics = tuple(found.get(name, f"/{name}") for name in _TF) if len(moved) == 1 else tuple(moved)
     return Remapped(topics, tf_topics)

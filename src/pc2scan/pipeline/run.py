@@ -159,7 +159,7 @@ def run_piece(
 
 
 def _begun(sources: Sequence[Path], destination: Path | None, options: ConvertOptions) -> Report:
-    """Return a report of nothing yet."""
+    """Return a report without results yet."""
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
     return report
@@ -286,7 +286,7 @@ def _run(
     if in_parts:
         staging = staged_parts(path, overwrite=output.overwrite)
     elif piece is not None:
-        # A process that was lost may have completed it.
+        # A process that was taken for lost may have completed it.
         staging = staged(piece.folder, overwrite=True, beside_recording=beside_recording)
     else:
         staging = staged(path, overwrite=output.overwrite, beside_recording=beside_recording)

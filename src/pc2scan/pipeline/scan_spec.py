@@ -1,4 +1,4 @@
-"""One output of a conversion: which topics become it, and how."""
+"""One output of a conversion: its source topics, parameters and options."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class TopicRequest(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScanSpec:
-    """What one output is made of, and how, checked. Two of them are never equal.
+    """The checked description of one output. Two of these are never equal.
 
     Attributes
     ----------
@@ -59,27 +59,28 @@ class ScanSpec:
         What to convert and where to; empty means every topic of `source_types`. Messages that go to several topics are
         converted once.
     name
-        What errors and the report call it, and without ``topics`` where the only topic goes that can be converted.
-        Empty where the command line describes the output.
+        The name of the output in errors and the report; without ``topics``, also the target of the only topic that can
+        be converted. Empty if the command line describes the output.
     place
         Where it is described, for errors.
     origins
-        Where each parameter's value came from, by name; ``default`` if from nowhere.
+        The origin of each parameter's value, by name; ``default`` if it was not given.
     params
         The projection's parameters.
     reverse
-        Whether LaserScan becomes PointCloud2; of ``params`` then only the frame's count.
+        Whether LaserScan becomes PointCloud2. Of ``params``, only those about frames are used then.
     channels
         Fields of the clouds that ``reverse`` makes, and the range cutoff; None means the defaults.
     deskew
         Transform each point of a cloud, with ``reverse`` each beam of a scan, by the pose at its own time.
     fixed_frame
-        A frame that does not move: with ``deskew`` of clouds points are placed through it, with ``level`` its z is up.
+        A frame that does not move. With ``deskew`` of clouds, points are transformed through it; with ``level``, its z
+        axis points up.
     point_time
-        With ``deskew`` of clouds: where the times of points are, as ``FIELD`` or ``FIELD:UNIT``. Empty: in the first
-        field that is usual.
+        With ``deskew`` of clouds: the field with the times of points, as ``FIELD`` or ``FIELD:UNIT``. Empty: the first
+        of the usual fields that exists.
     stamp
-        With ``deskew`` of clouds: the scan's time: that of the cloud's ``header``, or the ``start``, ``middle`` or
+        With ``deskew`` of clouds: the scan's stamp: that of the cloud's ``header``, or the ``start``, ``middle`` or
         ``end`` of its points' times.
     level
         Make scans of clouds in a frame without roll and pitch, by ``fixed_frame`` or by ``imu``.
@@ -89,14 +90,14 @@ class ScanSpec:
     combining
         Which messages become one scan.
     filters
-        What selects points of clouds before they are projected, in order.
+        Filters of points, which are applied before the projection, in order.
     remove
-        What removes beams of scans after the projection, in order: ``Shadows`` and ``Speckles`` of
+        Filters of beams, which are applied after the projection, in order: ``Shadows`` and ``Speckles`` of
         `pc2scan.pipeline.stages.beams`.
     keep_used
         A topic for the points of clouds that the scan's beams read; empty: none.
     output_type
-        What messages become: a type in the tables of `pc2scan.messages.outputs`. Empty: the first one there,
+        The type of the output: one in the tables of `pc2scan.messages.outputs`. Empty: the first one there,
         LaserScan (PointCloud2 with ``reverse``).
     """
 
@@ -242,7 +243,7 @@ class ScanSpec:
 
     @property
     def rejections(self) -> tuple[Rejection, ...]:
-        """Why points may be rejected, other than by the projection itself."""
+        """The reasons for which points may be rejected, besides those of the projection."""
         further: tuple[Rejection, ...] = ()
         if self.filters:
             from .stages.filters import rejection_of  # noqa: PLC0415  # only where points are filtered
@@ -256,13 +257,13 @@ class ScanSpec:
 
     @property
     def needs_transforms(self) -> bool:
-        """Whether messages, or what filters see of them, are transformed."""
+        """Whether messages are transformed, for the output or for a filter."""
         in_others = any(isinstance(each.frame, str) for each in self.filters)
         return bool(self.params.target_frame or self.fixed_frame or self.level or in_others)
 
     @property
     def needs_measuring(self) -> bool:
-        """Whether something has to be found out in the first clouds."""
+        """Whether anything must be measured in the first clouds."""
         params = self.params
         needs_fields = params.intensity_field or self.deskew or any(each.fields for each in self.filters)
         return bool(needs_fields) or "auto" in (params.scan_time, params.time_increment, params.beams)
@@ -274,7 +275,7 @@ class ScanSpec:
 
     @property
     def named_types(self) -> tuple[str, ...]:
-        """The types that are converted if they are asked for by name."""
+        """The types that are converted if a topic is requested by name."""
         return (*self.source_types, LASERSCAN) if self.may_combine and not self.combining.rebin else self.source_types
 
     @property

@@ -41,9 +41,9 @@ class OutputKey(NamedTuple):
 #: The choices by key. Keys that are attributes of `ScanSpec` are copied; `filters_from` and `_spec` read the others.
 OUTPUT_KEYS: Mapping[str, OutputKey] = {
     "sources": OutputKey("texts", "Topic, or topics, that become this output. Default: the only topic with clouds."),
-    "preset": OutputKey("text", "A consumer of the scans: parameters that suit it."),
-    "params_file": OutputKey("text", "A ROS parameter file, relative to this file. It beats the preset."),
-    "node": OutputKey("text", "The node whose section of the parameter file is read."),
+    "preset": OutputKey("text", "A consumer of the scans, for parameters that suit it."),
+    "params_file": OutputKey("text", "A ROS parameter file, relative to this file. It overrides the preset."),
+    "node": OutputKey("text", "The node whose parameters are read from the parameter file."),
     **{name: OutputKey(option.kind, option.help, option.words) for name, option in FILTER_OPTIONS.items()},
     "deskew": OutputKey("flag", "Transform each point by the pose at its own time, through fixed_frame."),
     "fixed_frame": OutputKey("text", "A frame that does not move, such as odom."),
@@ -52,14 +52,14 @@ OUTPUT_KEYS: Mapping[str, OutputKey] = {
     ),
     "stamp": OutputKey("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
     "level": OutputKey("flag", "Make scans in a frame without the roll and pitch of the target frame."),
-    "lead": OutputKey("text", "Of several sources, the one whose stamps the scans have. Default: the first."),
-    "window": OutputKey("time", "How far stamps of the other sources may be from it. Default: half the median period."),
-    "accumulate": OutputKey("time", "All points of the last seconds in each scan; or of the last clouds: 10clouds."),
-    "every": OutputKey("time", "One scan for each interval of this many seconds, instead of one for each cloud."),
+    "lead": OutputKey("text", "With several sources: the one whose stamps the scans have. Default: the first."),
+    "window": OutputKey("time", "Maximum difference to stamps of other sources. Default: half the median period."),
+    "accumulate": OutputKey("time", "Each scan has all points of the last seconds, or of the last clouds: 10clouds."),
+    "every": OutputKey("time", "Make a scan once in this many seconds, instead of one for each cloud."),
     "rebin": OutputKey("flag", "Sources are LaserScans instead of clouds."),
     "remove": OutputKey("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
-    "keep_used": OutputKey("text", "Topic for the points that the scan's beams read, with the beam's number."),
-    "imu": OutputKey("text", "With level: the IMU that measures which way is up, as TOPIC or TOPIC:FRAME."),
+    "keep_used": OutputKey("text", "Topic for the points that the scan's beams read, with the index of the beam."),
+    "imu": OutputKey("text", "With level: the IMU that measures the direction of up, TOPIC or TOPIC:FRAME."),
 }
 
 _TOP = ("defaults", "scans")
