@@ -58,7 +58,7 @@ class Ups:
         Raises
         ------
         UsageError
-            If the messages of an IMU do not show which way is up.
+            If the messages of an IMU do not show the direction of up.
         """
         key = (spec.fixed_frame, spec.imu, tolerance_ns)
         if key not in self._sources:
