@@ -188,7 +188,7 @@ def test_several_outputs_are_words(tmp_path: Path) -> None:
     assert again.digest() == asked.digest()
     moved.write_text(moved.read_text().replace("0.1", "0.2"))
     assert request_of({"scans": moved, "max_height": 3, "range_min": 0.5}).digest() != asked.digest()
-    with pytest.raises(UsageError, match="`preset` cannot be given beside `scans`"):
+    with pytest.raises(UsageError, match="`preset` cannot be combined with `scans`"):
         request_of({"scans": moved, "preset": "gmapping"})
 
 

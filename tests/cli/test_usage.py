@@ -101,7 +101,7 @@ def test_a_parameter_is_checked_alike_wherever_it_is_given(arguments: list[str],
     [
         (["--end", "soon"], "error: --end: 'soon' is not a time\nhint: give seconds from the beginning (12.5)"),
         (["--only-scans", "--keep", "/x"], "error: --only-scans contradicts --keep and --keep-clouds\n"),
-        (["--range-cutoff", "3"], "error: --channel and --range-cutoff go with --reverse\n"),
+        (["--range-cutoff", "3"], "error: --channel and --range-cutoff need --reverse\n"),
         (["--reverse", "--deskew"], "such as --target-frame odom\n"),
         (["--write-static-tf"], "hint: give one with --static-tf\n"),
         (["-o", HALL], "sources are never changed"),

@@ -132,7 +132,7 @@ def test_convert_warns_and_check_says_why(name: str, tmp_path: Path) -> None:
     done = run("convert", HALL, "-o", path, *HALF, "--report", tmp_path / "report.json")
     assert done.status == 0
     (warning,) = done.stderr.splitlines()
-    assert warning.startswith("warning: /scan: slam_toolbox would refuse these scans: 180 ranges where it allows 181")
+    assert warning.startswith("warning: /scan: slam_toolbox would ignore these scans: 180 ranges where it allows 181")
     assert "--geometry centered" in warning
     # The report is the library's, which names parameters.
     (reported,) = json.loads((tmp_path / "report.json").read_text())["warnings"]

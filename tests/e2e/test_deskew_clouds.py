@@ -78,7 +78,7 @@ def test_where_nothing_moves_deskewing_changes_nothing_but_the_last_bits(tmp_pat
     ("options", "said"),
     [
         (["--deskew"], "--deskew of clouds needs a frame that does not move: --fixed-frame"),
-        (["--fixed-frame", "odom"], "--fixed-frame goes with --deskew or --level of clouds"),
+        (["--fixed-frame", "odom"], "--fixed-frame needs --deskew or --level of clouds"),
         (
             ["--deskew", "--fixed-frame", "odom", "--point-time", "rnig:s"],
             "--point-time is 'rnig:s', which the clouds",

@@ -119,10 +119,10 @@ def test_names_of_arguments_and_nodes(place: Path) -> None:
         ("<launch>", "line 1: not valid XML: no element found"),
         ("<robot/>", "is not a launch file: its root is <robot>"),
         ("<launch/>", "no node of pointcloud_to_laserscan in it"),
-        ('<!DOCTYPE l [<!ENTITY a "aaaa">]><launch>&a;</launch>', "line 1: a document type is declared"),
+        ('<!DOCTYPE l [<!ENTITY a "aaaa">]><launch>&a;</launch>', "line 1: it declares a document type"),
         (
             '<!DOCTYPE l SYSTEM "file:///etc/passwd"><launch/>',
-            "line 1: a document type is declared",
+            "line 1: it declares a document type",
         ),
         ("<launch>" + "<group>" * 60 + "</group>" * 60 + "</launch>", "nested more than 50 levels deep"),
         (

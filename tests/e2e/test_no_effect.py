@@ -22,7 +22,7 @@ MOUNT = "base_link lidar 0 0 0.5 0 0 0"
     [
         (
             ["--node", "front"],
-            "--node chooses a section of a parameter file, and none is given",
+            "--node chooses a section of a parameter file, but no file is given",
             "--params-file FILE --node front",
         ),
         (["--tf-from", "none.bag"], "none.bag: does not exist (from --tf-from)", ""),
@@ -34,7 +34,7 @@ MOUNT = "base_link lidar 0 0 0.5 0 0 0"
         (["--kth", "2"], "kth is 2, which needs reduce kth", ""),
         (["--intensity-field", "reflectivity"], "intensity_field is 'reflectivity', which the clouds", "their fields"),
         (["--write-static-tf"], "there is no added transform to write", ""),
-        (["--range-cutoff", "3"], "go with --reverse", ""),
+        (["--range-cutoff", "3"], "need --reverse", ""),
         (["--only-scans", "--keep", "/tf"], "--only-scans contradicts --keep", ""),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else "",

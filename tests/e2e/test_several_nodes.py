@@ -118,11 +118,11 @@ def test_topics_need_a_node(tmp_path: Path) -> None:
 def test_where_one_node_is_expected_one_has_to_be_named(tmp_path: Path) -> None:
     file = tmp_path / "robot.yaml"
     file.write_text(PARAMS)
-    with pytest.raises(SeveralNodesError, match="several nodes could be meant"):
+    with pytest.raises(SeveralNodesError, match="several nodes match"):
         pc2scan.ProjectionParams.from_file(file)
     both = "pointcloud_to_laserscan:\n  ros__parameters: {}\nlaserscan_to_pointcloud:\n  ros__parameters: {}\n"
     file.write_text(both)
-    with pytest.raises(UsageError, match="several nodes could be meant"):
+    with pytest.raises(UsageError, match="several nodes match"):
         pc2scan.convert(HALL, tmp_path / "a.mcap", params_file=file)
 
 

@@ -63,7 +63,9 @@ def test_messages_that_a_container_cannot_hold_are_counted(form: str, tmp_path: 
     counts = {name: (entry["messages_in"], entry["messages_out"], entry["skipped"]) for name, entry in topics.items()}
     assert counts == {"/state": (30, 0, 30), "/log": (10, 0, 10), "/empty": (0, 0, 0), "/text": (7, 7, 0)}
     (warning,) = done.stderr.splitlines()
-    assert warning.startswith("warning: 40 messages of 2 topics are skipped: /state (30: json messages fit only into")
+    assert warning.startswith(
+        "warning: 40 messages of 2 topics are skipped: /state (30: json messages can only be stored in"
+    )
     assert "/log (10:" in warning
     shown = run("repair", source, "-o", tmp_path / "again.bag")
     (row,) = [line.split() for line in shown.stdout.splitlines() if line.startswith("/state")]

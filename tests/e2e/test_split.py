@@ -276,7 +276,7 @@ def test_what_is_no_time_and_no_size(split: str, tmp_path: Path) -> None:
 
 
 def test_repeating_goes_with_splitting(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="`repeat_latched` goes with `split`"):
+    with pytest.raises(UsageError, match="`repeat_latched` needs `split`"):
         pc2scan.convert(HALL, tmp_path / "out.bag", repeat_latched=True, **HEIGHTS)
 
 

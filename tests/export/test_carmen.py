@@ -96,7 +96,7 @@ def test_flaser_of_beams_that_its_readers_guess(count: int, degrees: float, tmp_
 @pytest.mark.parametrize(
     ("scan", "said"),
     [
-        (replace(PATTERN, stamp_ns=STAMPS[2]), "FLASER does not say where beams look"),
+        (replace(PATTERN, stamp_ns=STAMPS[2]), "FLASER has no directions of beams"),
         (sick(401, math.radians(180 / 400)), "are 0.25 degrees apart"),
         (
             replace(sick(181, math.radians(1)), range_max=200.0, ranges=np.full(181, 90, np.float32)),

@@ -214,7 +214,9 @@ def test_kitti_has_returns_alone(tmp_path: Path) -> None:
 def test_kitti_needs_an_intensity(tmp_path: Path) -> None:
     names = list(NAMES)
     names[3] = "other"
-    with pytest.raises(ResultError, match="no field is the intensity: the cloud's fields are x, y, z, other") as caught:
+    with pytest.raises(
+        ResultError, match="the cloud has no field with intensities: its fields are x, y, z, other"
+    ) as caught:
         pc2scan.export(recorded(tmp_path, names=names), tmp_path / "out", format="kitti")
     assert "pcd" in str(caught.value.hint)
 
@@ -256,7 +258,7 @@ def plain(ros_version: int, seq: int, frame: str) -> bytes:
 
 
 def test_parameters_of_scans_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="pcd holds clouds"):
+    with pytest.raises(UsageError, match="pcd is a format of clouds"):
         pc2scan.export(HALL, tmp_path / "out", format="pcd", min_height=0.1)
     pc2scan.convert(HALL, tmp_path / "scans.mcap", min_height=0.1)
     with pytest.raises(UsageError, match="no PointCloud2 topic"):

@@ -140,7 +140,7 @@ def test_the_same_scans_make_the_same_bytes(mcap: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"ranges": PATTERN.ranges[:8], "intensities": PATTERN.intensities[:8]}, "8 beams, and the first has 9"),
+        ({"ranges": PATTERN.ranges[:8], "intensities": PATTERN.intensities[:8]}, "8 beams, but the first has 9"),
         ({"angle_min": -0.5}, "from -0.5 rad on"),
         ({"intensities": np.empty(0, np.float32)}, "no intensities"),
     ],
@@ -307,11 +307,11 @@ def test_a_source_is_never_the_destination(mcap: Path) -> None:
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ({"destination": "scans.dat"}, "suffix is that of no format"),
+        ({"destination": "scans.dat"}, "no format has this suffix"),
         ({"format": "nzp"}, "must be one of npz"),
         ({"pose_frame": "map"}, "no transforms have the frame 'map'"),
         ({"pose_frame": "odom", "base_frame": "bas_link"}, "no transforms have the frame 'bas_link'"),
-        ({"base_frame": "base_link"}, "goes with `pose_frame`"),
+        ({"base_frame": "base_link"}, "needs `pose_frame`"),
         ({"odom_topic": "/odom", "pose_frame": "odom"}, "two sources of poses"),
         ({"odom_topic": "/scan"}, "is sensor_msgs/msg/LaserScan"),
         ({"odom_topic": "/odo"}, "no topic /odo"),
@@ -320,7 +320,7 @@ def test_a_source_is_never_the_destination(mcap: Path) -> None:
         ({"where": "x > 3"}, "have an effect only if clouds become scans"),
         ({"deskew": True, "fixed_frame": "odom"}, "have an effect only if clouds become scans"),
         ({"topics": ["/scan:=/a", "/front:=/a"]}, "no topic /front in the recording"),
-        ({"node": "a"}, "`node` chooses a section of a parameter file, and none is given"),
+        ({"node": "a"}, "`node` chooses a section of a parameter file, but no file is given"),
         ({"min_height": 0.1}, "no PointCloud2 topic"),
     ],
 )

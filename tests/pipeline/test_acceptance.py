@@ -17,6 +17,6 @@ def test_who_would_refuse_a_scan(serialization: str) -> None:
     assert told() == ""
     # Mis-placed beams are no refusal.
     assert told(angle_max=1.1) == ""
-    assert told(angle_max=1.25).startswith("slam_toolbox would refuse these scans: 9 ranges where it allows 10 ranges.")
+    assert told(angle_max=1.25).startswith("slam_toolbox would ignore these scans: 9 ranges where it allows 10 ranges.")
     both = told(angle_max=1.25, range_max=0.0)
-    assert "slam_toolbox would refuse these scans (so would cartographer, amcl)" in both
+    assert "slam_toolbox would ignore these scans (so would cartographer, amcl)" in both

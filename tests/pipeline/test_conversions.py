@@ -226,8 +226,8 @@ def test_a_stamp_of_zero_stays_where_every_transform_is_static() -> None:
 @pytest.mark.parametrize(
     ("stamp_ns", "increment", "message"),
     [
-        (0, -0.1, "its last beam would be at -0.200000003, before ROS's time begins"),
-        (SECOND, -0.6, "its last beam would be at -0.200000048, before ROS's time begins"),
+        (0, -0.1, "its last beam would be at -0.200000003, which is before 1970"),
+        (SECOND, -0.6, "its last beam would be at -0.200000048, which is before 1970"),
         (SECOND, math.nan, "time_increment is nan s: the last of 3 beams would be nan s after the first"),
         (SECOND, 2e9, "time_increment is 2000000000.0 s: the last of 3 beams would be 4000000000.0 s after the first"),
     ],

@@ -364,7 +364,7 @@ def two_nodes() -> str:
 
 def test_several_candidates_are_listed(load: Load) -> None:
     err = failure(lambda: load(two_nodes()))
-    assert "several nodes could be meant: /a/pointcloud_to_laserscan, /b/pointcloud_to_laserscan" in str(err)
+    assert "several nodes match: /a/pointcloud_to_laserscan, /b/pointcloud_to_laserscan" in str(err)
     assert "`node=/a/pointcloud_to_laserscan`" in str(err.hint)
     both = failure(lambda: load(ros2({}) + ros2({}, "laserscan_to_pointcloud")))
     assert "/pointcloud_to_laserscan, /laserscan_to_pointcloud" in str(both)

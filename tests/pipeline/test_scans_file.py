@@ -213,7 +213,7 @@ def test_what_only_the_file_may_have() -> None:
         "stamp": "header",
     }
     refuse_beside(given_among(usual))
-    with pytest.raises(UsageError, match="`preset`, `where` cannot be given beside `scans`"):
+    with pytest.raises(UsageError, match="`preset`, `where` cannot be combined with `scans`"):
         refuse_beside(given_among(usual | {"preset": "gmapping", "where": ["x > 1"]}))
 
 

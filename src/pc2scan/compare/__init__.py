@@ -1,1 +1,1 @@
-"""Two recordings compared: what differs between their scans and clouds, message by message."""
+"""Compares the scans and clouds of two recordings, message by message."""

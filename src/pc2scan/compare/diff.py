@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TopicPair", "diff", "diff_sources", "open_source", "paired_streams"]
 
-#: More topics of scans or clouds are read together: one after the other would take too long.
+#: If there are more topics of scans or clouds, they are read together, because one after the other takes too long.
 _MANY_TOPICS = 16
 
 
@@ -80,11 +80,11 @@ def diff(
     clouds
         A recording of the scans' clouds; None: ``a``, or if it has none, ``b``.
     progress
-        Called now and then; see `pc2scan.compare.progress`.
+        Called regularly; see `pc2scan.compare.progress`.
     """
     if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
         raise UsageError(
-            "comparing a recording with itself needs two topics",
+            "to compare a recording with itself, two topics are needed",
             path=a,
             hint="give a second recording, or two topics: `topics=/scan:=/scan2`",
         )
@@ -164,12 +164,12 @@ def diff_sources(
 def paired_streams(
     a: OpenRecording, b: OpenRecording, topics: Sequence[TopicPair] = ()
 ) -> list[tuple[TopicStream, TopicStream]]:
-    """Pair the topics that were asked for, or all that have scans or clouds on either side.
+    """Pair the requested topics, or all that have scans or clouds on either side.
 
     Raises
     ------
     TopicError
-        If a topic that was asked for does not exist.
+        If a requested topic does not exist.
     """
     return _asked_streams(a, b, topics) if topics else _sides(a, b, decoded=True)
 
@@ -215,7 +215,7 @@ def _asked_streams(
 def _sides(
     a: OpenRecording, b: OpenRecording, *, decoded: bool, without: Sequence[TopicPair] = ()
 ) -> list[tuple[TopicStream, TopicStream]]:
-    """Return every topic that has scans or clouds (or: none) on either side, with the other side's of its name."""
+    """Return the topics that have scans or clouds (or have none) on either side, with the same topic of the other."""
     of_a, of_b = _by_topic(a), _by_topic(b)
     taken = {name for pair in without for name in (pair.a, pair.b)}
     pairs = []

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CloudsByStamp", "Explainer", "Explanation", "Lookup"]
 
-#: Points at a time, so that memory is bounded.
+#: Number of points that are processed at a time, which bounds the memory.
 _BLOCK = 65_536
 #: Fields that are equal in both messages if their beams are the same.
 _ANGLES = ("angle_min", "angle_max", "angle_increment")
@@ -198,7 +198,7 @@ class _StreamPosition(NamedTuple):
 
 
 class _CloudTopic:
-    """The clouds of one topic, read once if they are asked for in order."""
+    """The clouds of one topic, read once if they are requested in order."""
 
     def __init__(self, stream: TopicStream) -> None:
         self.stream = stream
@@ -219,7 +219,7 @@ class _CloudTopic:
         """Return a cloud."""
         if self._next < 0:
             self._following, self._next = enumerate(self.stream.messages()), 0
-        # Reading on is faster than seeking, which would decompress a chunk for each cloud in it.
+        # Continue to read if possible, because seeking decompresses a chunk again for each cloud in it.
         if position.number >= self._next:
             for number, message in self._following:
                 if number == position.number:

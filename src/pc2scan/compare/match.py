@@ -121,7 +121,7 @@ def matched(a: TopicStream, b: TopicStream) -> Iterator[Match]:
 
 
 def moved_indices(mates: Sequence[int]) -> set[int]:
-    """Return the elements that have moved between two sequences: all outside the longest run in order.
+    """Return the elements that have moved between two sequences: those outside of the longest ascending subsequence.
 
     Parameters
     ----------

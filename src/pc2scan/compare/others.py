@@ -33,7 +33,7 @@ _Group = dict[int, list["RawMessage"]]
 def compare_others(
     pairs: Sequence[tuple[TopicStream, TopicStream]], entries: Sequence[TopicDifference], rules: Rules
 ) -> None:
-    """Compare several topics in one pass.
+    """Compare several topics in one pass over both recordings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far a comparison is."""
+"""Reports the progress of a comparison."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ _EVERY = 32
 
 
 class Counted:
-    """Reports how far the comparison of two recordings is, topic by topic.
+    """Reports the progress of the comparison of two recordings, topic by topic.
 
     Parameters
     ----------
     progress
-        Takes the bytes read so far, the bytes in all, and the messages compared so far. None: nothing is reported.
+        Takes the bytes read so far, the total bytes, and the messages compared so far. None: nothing is reported.
     sources
-        What is compared. Each topic reads both of them.
+        The recordings that are compared. Each topic reads both of them.
     """
 
     def __init__(self, progress: Callable[[int, int, int], None] | None, sources: Sequence[OpenRecording]) -> None:
@@ -38,7 +38,7 @@ class Counted:
         self._before: list[int] = []
 
     def begin(self, topic: int, topics: int) -> None:
-        """Begin with a topic, one of so many."""
+        """Begin with a topic; ``topics`` is the number of all topics."""
         self._topic, self._topics = topic, topics
         self._before = [reader.bytes_read for reader in self._readers]
 
@@ -47,7 +47,7 @@ class Counted:
         self._messages += 1
         if self._progress is None or self._messages % _EVERY:
             return
-        # Some readers count on, others begin anew with each pass.
+        # Some readers continue to count in each pass, others start again at 0.
         passed = [(reader.bytes_read, before) for reader, before in zip(self._readers, self._before, strict=True)]
         read = sum(now - before if now >= before else now for now, before in passed)
         done = self._topic * self._size + min(read, self._size)

@@ -38,7 +38,7 @@ class Difference(Shown):
 
     @property
     def same(self) -> bool:
-        """Whether nothing differs but what is allowed."""
+        """Whether there are no differences except allowed ones."""
         return all(topic.same for topic in self.topics)
 
     @property

@@ -78,7 +78,7 @@ class Rules:
 
 
 def parse_tolerance(texts: Iterable[str], option: str) -> dict[str, float]:
-    """Read tolerances as the command line gives them: ``0.001`` for all values, ``x=0.001`` for those of one name.
+    """Read tolerances in the command line's notation: ``0.001`` for all values, ``x=0.001`` for those of one name.
 
     Raises
     ------

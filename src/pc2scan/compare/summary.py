@@ -29,7 +29,7 @@ _WORDS = {LASERSCAN: ("beam", "scan"), POINTCLOUD2: ("point", "cloud")}
 
 
 def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str, str] = ("A", "B")) -> Iterator[str]:
-    """Write one block of lines a topic, and a verdict.
+    """Yield a block of lines for each topic, and a verdict.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _worst_text(found: ValuesFound, element: str, names: tuple[str, str]) -> str
 
 
 def _libm(found: Explanation, names: tuple[str, str]) -> Iterator[str]:
-    """Say how many differing beams another libm explains, and by which evidence."""
+    """Yield how many differing beams another libm explains, and by which evidence."""
     if found.scans:
         text = (
             f"{found.explained:,} of {counted(found.beams, 'differing beam')} explained by the clouds on "

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ChangeFound", "MessageTimes", "TopicDifference", "Unpaired", "ValuesFound", "WorstValue"]
 
-#: Messages are listed one by one up to here; all of them are counted.
+#: Maximum number of messages that are listed; all of them are counted.
 MAX_LISTED = 100
 
 
@@ -120,7 +120,7 @@ class TopicDifference:
     worst
         The pair with the most differing beams or points, and their number.
     libm
-        The differing ranges that another libm explains; None if that was not asked for.
+        The differing ranges that another libm explains; None if this was not requested.
     """
 
     topic_a: str | None
@@ -154,7 +154,7 @@ class TopicDifference:
 
     @property
     def same(self) -> bool:
-        """Whether nothing differs but what is allowed."""
+        """Whether there are no differences except allowed ones."""
         unpaired = self.missing.count or self.extra.count or self.moved.count
         # A topic without messages is no difference.
         present = (self.topic_a is not None and self.topic_b is not None) or not (self.messages_a or self.messages_b)

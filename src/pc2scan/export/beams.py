@@ -18,7 +18,7 @@ class SameBeams:
     Parameters
     ----------
     what
-        The name of the format's file in errors: ``an .npz archive``.
+        What errors call the format's file: ``an .npz archive``.
     angles
         Whether the angles must be the same, too.
     """
@@ -35,16 +35,18 @@ class SameBeams:
             self._first = scan
             return
         if len(scan.ranges) != len(first.ranges):
-            found = f"{len(scan.ranges)} beams, and the first has {len(first.ranges)}"
+            found = f"{len(scan.ranges)} beams, but the first has {len(first.ranges)}"
         elif self._angles and (scan.angle_min, scan.angle_increment) != (first.angle_min, first.angle_increment):
-            found = f"its beams from {scan.angle_min:.6g} rad on, {scan.angle_increment:.6g} rad apart, and the first "
-            found += f"from {first.angle_min:.6g}, {first.angle_increment:.6g} apart"
+            found = f"its beams from {scan.angle_min:.6g} rad on, {scan.angle_increment:.6g} rad apart, but the first "
+            found += f"from {first.angle_min:.6g} on, {first.angle_increment:.6g} apart"
         elif has_intensities(scan) != has_intensities(first):
-            found = "intensities, and the first has none" if has_intensities(scan) else "no intensities, as the first"
+            found = (
+                "intensities, but the first has none" if has_intensities(scan) else "no intensities, but the first has"
+            )
         else:
             return
         raise UsageError(
-            f"the scan at {stamp_text(scan.stamp_ns)} has {found}: {self._what} holds scans with the same beams",
+            f"the scan at {stamp_text(scan.stamp_ns)} has {found}: {self._what} needs scans with the same beams",
             topic=scan.topic,
             hint="`pc2scan convert` with `rebin` gives all scans the same beams; `start` and `end` export a part",
         )

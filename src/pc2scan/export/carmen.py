@@ -1,4 +1,4 @@
-"""CARMEN's log files: ``ROBOTLASER1`` with the directions of beams, and ``FLASER``, whose readers guess them.
+"""CARMEN's log files: ``ROBOTLASER1`` has the directions of beams, for ``FLASER`` readers assume them.
 
 Sources of the rules: "Logger and Playback" of CARMEN's manual (carmen.sourceforge.net/logger_playback.html), what
 CARMEN's ``readlog`` (order of the fields, guesses about FLASER), and MRPT's ``carmen_log_parse_line``.
@@ -74,7 +74,7 @@ class CarmenWriter:
         laser = placed.sensor()
         if laser.matrix[2, 2] <= 0:
             raise UsageError(
-                f"the laser {item.frame!r} is upside down in {placed.pose_frame!r}, which x, y and yaw cannot say",
+                f"the laser {item.frame!r} is upside down in {placed.pose_frame!r}, but x, y and yaw cannot say so",
                 topic=item.topic,
                 hint="scans that are made of clouds may be in any frame: `target_frame=base_link`",
             )
@@ -102,10 +102,10 @@ class CarmenWriter:
     def _body(self, scan: Scan) -> str:
         if not math.isfinite(scan.range_max):
             raise UsageError(
-                "range_max is infinite: a reading of no return is the maximum range, and there is none",
+                "range_max is infinite, but the format writes beams without a return as the maximum range",
                 topic=scan.topic,
                 stamp_ns=scan.stamp_ns,
-                hint="where scans are made of clouds, `range_max=30` sets it",
+                hint="for scans that are made of clouds, `range_max=30` sets it",
             )
         start, step, ranges, intensities = _counterclockwise(scan)
         readings = np.where(_ordered(scan, scan.valid), ranges, np.float32(scan.range_max))
@@ -150,12 +150,12 @@ class FlaserWriter(CarmenWriter):
         off = max(abs(start + math.pi / 2), abs(start + (count - 1) * step + math.pi / 2 - (count - 1) * guessed))
         if count < 2 or off > _MOST_OFF * guessed:
             raise UsageError(
-                f"FLASER does not say where beams look: {count} readings begin at -90 degrees and are "
+                f"FLASER has no directions of beams: readers assume that {count} readings begin at -90 degrees and are "
                 f"{math.degrees(guessed):.6g} degrees apart, those of this scan begin at {math.degrees(start):.6g} and "
                 f"are {math.degrees(step):.6g} apart",
                 topic=scan.topic,
                 stamp_ns=scan.stamp_ns,
-                hint="`format=carmen` writes ROBOTLASER1, which says it",
+                hint="`format=carmen` writes ROBOTLASER1, which has the directions",
             )
         valid = _ordered(scan, scan.valid)
         if (farthest := float(ranges[valid].max(initial=0))) >= _FLASER_LIMIT:
@@ -163,7 +163,7 @@ class FlaserWriter(CarmenWriter):
                 f"a reading of {farthest:.6g} m: in FLASER, readings from {_FLASER_LIMIT:g} m on mean no return",
                 topic=scan.topic,
                 stamp_ns=scan.stamp_ns,
-                hint="`format=carmen` writes ROBOTLASER1, which says its maximum range",
+                hint="`format=carmen` writes ROBOTLASER1, which has the maximum range",
             )
         readings = np.where(valid, ranges, np.float32(_FLASER_NONE))
         return " ".join((str(count), *float32_texts(readings)))

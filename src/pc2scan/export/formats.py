@@ -98,11 +98,11 @@ FORMATS = {
     entry.name: entry
     for entry in (
         Format("npz", ".npz", "NumPy arrays: ranges, angles, stamps, poses", ("npz", "NpzWriter")),
-        Format("csv", ".csv", "a row for each scan", ("csv_rows", "CsvWriter")),
-        Format("tum", ".tum", "the trajectory alone, which evo reads", ("tum", "TumWriter"), needs_poses=True),
+        Format("csv", ".csv", "one row per scan", ("csv_rows", "CsvWriter")),
+        Format("tum", ".tum", "the trajectory only, for evo", ("tum", "TumWriter"), needs_poses=True),
         Format("carmen", ".log", "CARMEN's ROBOTLASER1", ("carmen", "CarmenWriter"), needs_poses=True),
         Format("flaser", ".clf", "CARMEN's older FLASER", ("carmen", "FlaserWriter"), needs_poses=True),
-        Format("pcd", ".pcd", "a binary file for each cloud", ("pcd", "PcdWriter"), clouds=True, folder=True),
+        Format("pcd", ".pcd", "one binary file per cloud", ("pcd", "PcdWriter"), clouds=True, folder=True),
         Format(
             "kitti",
             ".bin",
@@ -131,7 +131,7 @@ def format_of(name: str | None, destination: Path) -> Format:
             hint = f"give `format`: {', '.join(FORMATS)}"
             if folder := next((each for each in FORMATS.values() if each.suffix == suffix and each.folder), None):
                 hint = f"a file for each cloud, in a folder: `destination={destination.stem}/`, `format={folder.name}`"
-            raise UsageError("its suffix is that of no format", path=destination, hint=hint)
+            raise UsageError("no format has this suffix", path=destination, hint=hint)
         return found
     if name not in FORMATS:
         near = did_you_mean(name, FORMATS) or None

@@ -46,8 +46,8 @@ class KittiWriter:
         name = next((each for each in _INTENSITIES if each in fields), None)
         if name is None:
             raise UnwritableError(
-                f"no field is the intensity: the cloud's fields are {', '.join(fields) or 'none'}",
-                hint="`format=pcd` holds any fields",
+                f"the cloud has no field with intensities: its fields are {', '.join(fields) or 'none'}",
+                hint="`format=pcd` can hold any fields",
             )
         rows = ""
         if placed is not None:

@@ -49,9 +49,9 @@ class PoseOptions:
 
     def __post_init__(self) -> None:
         if self.pose_frame and self.odom_topic:
-            raise UsageError("`pose_frame` and `odom_topic` name two sources of poses; give one of them")
+            raise UsageError("`pose_frame` and `odom_topic` are two sources of poses; give only one of them")
         if self.base_frame and not self.wanted:
-            raise UsageError("`base_frame` goes with `pose_frame` or `odom_topic`")
+            raise UsageError("`base_frame` needs `pose_frame` or `odom_topic`")
 
     @property
     def wanted(self) -> bool:

@@ -148,8 +148,8 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
     """Raise if an option has no effect on an export, or if one is missing."""
     if written.clouds and form.converting:
         raise UsageError(
-            f"{written.name} holds clouds, and parameters of the projection make scans of them",
-            hint="remove the parameters; or choose a format of scans: `format=npz`",
+            f"{written.name} is a format of clouds, but parameters of the projection make scans of them",
+            hint="remove the parameters, or choose a format of scans: `format=npz`",
         )
     if written.needs_poses and not form.poses.wanted:
         raise UsageError(
@@ -192,8 +192,8 @@ def _topics(connections: Iterable[Any], written: Format, options: ConvertOptions
     if asked:
         if not form.converting and (renamed := [topic for topic in asked if topic.target]):
             raise UsageError(
-                f"{renamed[0].source}:={renamed[0].target} renames a topic, and only scans that are made of clouds "
-                "have a new topic",
+                f"{renamed[0].source}:={renamed[0].target} renames a topic, but only scans that are made of clouds "
+                "get a new topic",
                 hint=f"`topics={renamed[0].source}`",
             )
         return [topic.source for topic in asked]

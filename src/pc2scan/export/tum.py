@@ -31,7 +31,7 @@ class TumWriter:
         assert placed is not None
         if self._last_ns is not None and item.stamp_ns <= self._last_ns:
             raise UnwritableError(
-                f"its stamp is not later than the one before, {stamp_text(self._last_ns)}, and they have to ascend",
+                f"its stamp is not later than the one before, {stamp_text(self._last_ns)}, but stamps have to ascend",
                 stamp_ns=item.stamp_ns,
             )
         self._last_ns = item.stamp_ns

@@ -1,1 +1,1 @@
-"""What is in a recording: read, counted, and never changed."""
+"""Shows the content of recordings, and checks them; nothing is changed."""

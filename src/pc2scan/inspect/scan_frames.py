@@ -114,7 +114,7 @@ class ScanFrames:
         if level < 1 - _TILT:
             self._tilted.add(stamp_ns)
         self._tilt = max(self._tilt, math.degrees(math.acos(level)))
-        # gmapping transforms the point (0, 0, 1 + the sensor's height) from the robot's frame to the scan's.
+        # Like gmapping, which transforms (0, 0, 1 + the sensor's height) from the robot's frame to the scan's.
         x, y, _ = (float(part) for part in base_from_scan.translation)
         return up - x * ahead - y * left
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Finding", "Judged", "Level", "ScanTopic", "Tally", "finding"]
 
-#: ``defect``: against the definition of the message, or of no use. ``notice``: worth knowing.
+#: ``defect``: violates the definition of the message, or makes scans useless. ``notice``: worth knowing.
 Level = Literal["defect", "notice"]
 
 #: Intervals between stamps are counted in classes with this ratio, 1 %, so that their median needs little memory.
@@ -413,7 +413,7 @@ class ScanTopic:
         return found
 
     def _of(self, tally: Tally, verb: str = "") -> str:
-        """Return how many of the scans, with the verb's form for so many."""
+        """Return "N of M scans", with the verb in singular or plural."""
         of = f"{tally.count:,} of {counted(self.scans, 'scan')}"
         return f"{of} {agreeing(tally.count, verb)}" if verb else of
 

@@ -40,7 +40,7 @@ class ScanPoints(NamedTuple):
 
 
 def unprojected(scan: LaserScan, params: UnprojectParams | None = None) -> UnprojectedScan:
-    """Return the points of a scan, as `unproject` makes them.
+    """Return the points of a scan; see `unproject`.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""The message types that are clouds: one table of what decodes them to points.
+"""The table of the message types that are clouds, with their decoders to points.
 
-A new type is one entry: everything that asks which topics can be converted asks the table.
+A new type is one entry, because everything that needs to know which topics can be converted uses this table.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CLOUDS", "Decode", "message_of"]
 
-#: From the bytes of a message to its points. Threads may share one. Raises a `DecodeError`.
+#: A decoder: returns the points of a message's bytes, or raises a `DecodeError`. Threads may share one.
 Decode: TypeAlias = Callable[[Buffer], Points]
 
 
@@ -48,7 +48,7 @@ class _Fields(Mapping[str, "NDArray[Any]"]):
 
 
 def message_of(points: Points) -> PointCloud2 | None:
-    """Return the PointCloud2 whose points these are, all of them; None for other types."""
+    """Return the PointCloud2 that these points are all the points of; None for other types."""
     fields = points.fields
     return fields._cloud if isinstance(fields, _Fields) else None  # noqa: SLF001  # of this module
 
@@ -63,5 +63,6 @@ def _pointcloud2(serialization: str) -> Decode:
     return points
 
 
-#: By ROS type, in ROS 2's spelling: makes the decoder of a serialisation (``ros1`` or ``cdr``), best one a topic.
+#: By ROS type in ROS 2's spelling, the function that makes the decoder of a serialisation (``ros1`` or ``cdr``). A
+#: decoder is fastest if it is used for only one topic.
 CLOUDS: dict[str, Callable[[str], Decode]] = {POINTCLOUD2: _pointcloud2}

@@ -13,7 +13,7 @@ __all__ = ["consumed_scan"]
 
 
 def consumed_scan(message: LaserScan) -> Scan:
-    """Return a decoded scan as the consumers' rules take it."""
+    """Return a decoded scan in the form that the consumers' rules need."""
     return Scan.of(
         message.ranges,
         angle_min=message.angle_min,

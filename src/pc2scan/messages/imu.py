@@ -20,10 +20,10 @@ _UNIT = 0.01
 
 
 class Imu(NamedTuple):
-    """A decoded message; what its sender does not know is None.
+    """A decoded message; quantities without an estimate are None.
 
     Source of the rule: REP 145 and the comments of the message: -1 as the first number of a covariance means that
-    there is no estimate. An orientation that is no rotation, which drivers send that never set it, is none either.
+    there is no estimate. An orientation that is not a rotation counts as none, too: some drivers never set it.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Imu(NamedTuple):
     orientation
         x, y, z, w: ``world_from_imu``, with the world's z up.
     angular_velocity
-        Radians a second.
+        Radians per second.
     linear_acceleration
         m/s^2; at rest it points up.
     """

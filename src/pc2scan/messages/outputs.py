@@ -1,6 +1,6 @@
-"""The message types that conversions make: what encodes them, and what they are called.
+"""The tables of the message types that conversions make, with their names and encoders.
 
-A new type is one entry. What is encoded are arrays: encoding comes last.
+A new type is one entry. Encoders get arrays, because encoding comes last.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class OutputType(Generic[Message]):
     define: Callable[[str, int], tuple[Definition, str]] = definition
 
 
-#: What clouds become, by ROS type in ROS 2's spelling; the first is the default.
+#: The types that clouds can become, by ROS type in ROS 2's spelling; the first is the default.
 OF_CLOUDS: dict[str, OutputType[LaserScan]] = {LASERSCAN: OutputType("scan", encode_laserscan)}
 
 #: The same for scans.

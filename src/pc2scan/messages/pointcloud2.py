@@ -90,7 +90,7 @@ class _FieldLayout(NamedTuple):
     needed: int
 
 
-# Never changed, but not frozen: making a frozen one takes three times as long.
+# Not frozen, although it is never changed, because a frozen dataclass takes three times as long to make.
 @dataclass(slots=True)
 class PointCloud2:
     """A decoded cloud; its points are a view of the message's bytes.
@@ -116,7 +116,7 @@ class PointCloud2:
     row_step: int
     data: memoryview
     is_dense: bool
-    #: By name of a field. Clouds of one description share it.
+    #: The layouts by name of a field. Clouds with the same description share this table.
     _layouts: dict[str, _FieldLayout] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -193,7 +193,7 @@ class PointCloud2:
         return packed
 
     def _elements(self, field: PointField) -> NDArray[Any]:
-        """All elements of a field, along the last axis."""
+        """Return all elements of a field, along the last axis."""
         first = self.field(field.name)
         # Drivers write 0 for a single element.
         count = max(field.count, 1)
@@ -246,12 +246,12 @@ class PointCloud2:
         return self.field("x"), self.field("y"), self.field("z")
 
     def check_size(self) -> None:
-        """Refuse clouds of more than `MAX_SMALL_POINTS` tiny points.
+        """Raise if the cloud has too many tiny points.
 
         Raises
         ------
         DecodeError
-            If there are more.
+            If it has more than `MAX_SMALL_POINTS`.
         """
         if self.point_step < _SMALL and self.points > MAX_SMALL_POINTS:
             raise self._error(
@@ -396,7 +396,7 @@ class StructuredCloud:
     Attributes
     ----------
     sequence, stamp_ns, frame_id
-        The header's.
+        Those of the header.
     points
         (M,), structured, little-endian: its fields become the cloud's.
     """

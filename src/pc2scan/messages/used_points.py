@@ -1,4 +1,4 @@
-"""Some points of a cloud with the numbers of the beams that read them, as PointCloud2."""
+"""Encodes the points that give a scan its ranges as PointCloud2, with the numbers of their beams."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BEAM", "UsedPoints"]
 
-#: The field with the number of the beam; with ``scan_`` in front where the cloud has such a field.
+#: The field with the number of the beam. If the cloud has such a field, ``scan_`` precedes its name.
 BEAM = "beam"
 
 _UINT32 = 6
@@ -29,16 +29,16 @@ _UINT32 = 6
 
 @dataclass(frozen=True, slots=True)
 class UsedPoints:
-    """The points of a cloud that the beams of a scan read.
+    """The points of a cloud that give a scan its ranges.
 
     Attributes
     ----------
     cloud
-        All points, as they were decoded.
+        All decoded points.
     numbers
-        (K,) which of them, in the order of the cloud.
+        (K,) indices of the used points, in the order of the cloud.
     beams
-        (K,) the beam of each.
+        (K,) the beam of each used point.
     """
 
     cloud: Points
@@ -46,9 +46,9 @@ class UsedPoints:
     beams: NDArray[np.int32]
 
     def encode(self, serialization: str) -> bytes:
-        """Serialise them as PointCloud2: with the cloud's header, the bytes of its points as they are, and the beam.
+        """Serialise them as PointCloud2: with the cloud's header, the unchanged bytes of its points, and the beam.
 
-        Points of other types than PointCloud2 have those of their fields that have one value a point.
+        Points of types other than PointCloud2 keep the fields that have one value per point.
 
         Parameters
         ----------
@@ -90,18 +90,18 @@ class UsedPoints:
 
 
 def _bytes_of(message: PointCloud2) -> NDArray[np.uint8]:
-    """The bytes of each point, (height, width, point_step)."""
+    """Return the bytes of each point, (height, width, point_step)."""
     shape = (message.height, message.width, message.point_step)
     data: Any = message.data
     needed = (shape[0] - 1) * message.row_step + shape[1] * message.point_step
     if len(data) < needed:
-        # Behind its last field a point may be cut off.
+        # The last point may end after its last field, without the padding.
         data = bytes(data) + bytes(needed - len(data))
     return np.ndarray(shape, np.uint8, data, 0, (message.row_step, message.point_step, 1))
 
 
 def _free(names: Iterable[str]) -> str:
-    """The name of the new field."""
+    """Return the name of the new field."""
     taken, name = set(names), BEAM
     while name in taken:
         name = f"scan_{name}"

@@ -1,4 +1,4 @@
-"""Warnings about scans that consumers would refuse, or that have returns where there is no object."""
+"""Warnings about scans that consumers would not accept, or that have returns where there is no object."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 __all__ = ["ghosts", "refusal"]
 
 
-#: What a consumer does with scans that it does not accept, as part of a sentence.
+#: What a consumer does with scans by its verdict, as part of a sentence.
 _DOES: dict[Outcome, str] = {
     "shifted": "would turn these scans by up to one beam",
     "misplaced": "would misplace these scans",
-    "ignored": "would refuse these scans",
+    "ignored": "would ignore these scans",
     "aborts": "would abort at these scans",
 }
 
@@ -60,7 +60,7 @@ def refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
         return ""
     first = verdicts[0]
     others = f" (so would {', '.join(verdict.consumer for verdict in verdicts[1:])})" if verdicts[1:] else ""
-    return f"{first.consumer} would refuse these scans{others}: {_why(first)}"
+    return f"{first.consumer} would ignore these scans{others}: {_why(first)}"
 
 
 def _why(verdict: Verdict) -> str:

@@ -43,7 +43,7 @@ def refuse_no_messages(
     with closing(reader.messages(converted, start_ns, stop_ns)) as messages:
         if next(messages, None) is not None:
             return
-    # Damage is reported by itself.
+    # If the recording is damaged, this is reported instead.
     if reader.damage:
         return
     if outside is not None:
@@ -52,7 +52,7 @@ def refuse_no_messages(
     is_cut = start_ns is not None or stop_ns is not None
     raise TopicError(
         f"there is nothing to convert: no messages on {topics}{' in the cut' if is_cut else ''}",
-        hint="see `start` and `end`" if is_cut else "pc2scan info lists the topics, and how many messages they have",
+        hint="check `start` and `end`" if is_cut else "pc2scan info lists the topics, and how many messages they have",
     )
 
 

@@ -40,7 +40,7 @@ __all__ = ["CloudToScan"]
 
 
 class _Beams:
-    """What all scans of a topic share: their beams, and the projection to them."""
+    """The parts that all scans of a topic share: their beams, and the projection to them."""
 
     __slots__ = ("layout", "no_returns", "project")
 
@@ -60,8 +60,8 @@ class CloudToScan(Conversion):
     frames
         The recording's transforms.
     timings
-        What was measured for each source topic. Other topics use the parameters; a parameter that is ``auto`` is 0
-        there.
+        The measured values of each source topic. Other topics use the parameters; a parameter that is ``auto`` is then
+        0.
     filters
         Filters that select points before the projection, in order.
     deskew
@@ -101,7 +101,7 @@ class CloudToScan(Conversion):
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
         with np.errstate(over="ignore"):
-            # Upstream's default is the largest float64. Rounded here, it need not be rounded for every scan.
+            # Rounded here once instead of for every scan; upstream's default is the largest float64.
             self._range_max = float(np.float32(params.range_max))
         self._place = Place(frames, deskew)
         self._select: Callable[[Placed], Placed] | None = None

@@ -145,7 +145,7 @@ class Conversion(ABC):
         Parameters
         ----------
         source, source_type
-            As for `decoder`.
+            See `decoder`.
         target
             The serialisation of what they become: ``ros1`` or ``cdr``.
         """
@@ -210,7 +210,7 @@ def _all(
 
 
 def _follow(nodes: Sequence[_StepNode], value: Any, found: list[Any]) -> None:
-    """Apply each step to a value, and the steps behind it to the result."""
+    """Apply each step to a value, and the steps after it to the result."""
     for step, places, further in nodes:
         made: Any
         try:

@@ -35,7 +35,9 @@ def refuse_nothing(report: Report) -> None:
         error = f"no message was converted: there was none to convert in a damaged recording: {place.what}"
         raise ResultError(error, path=place.path)
     if not read:
-        raise ResultError("no message was converted: there was none to convert", hint="see `topics`, `start` and `end`")
+        raise ResultError(
+            "no message was converted: there was none to convert", hint="check `topics`, `start` and `end`"
+        )
     reasons = Counter(entry.reason for entry in report.skipped)
     hints = {entry.reason: entry.hint for entry in report.skipped}
     ((reason, count),) = reasons.most_common(1) or [("", 0)]

@@ -92,7 +92,7 @@ def run_each(
     progress: Progress | None = None,
     done: Callable[[Outcome], None] | None = None,
 ) -> Each:
-    """Convert each of several recordings by itself, as `pc2scan.convert` does.
+    """Convert each of several recordings on its own, like `pc2scan.convert`.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def run_each(
     if not sources:
         raise UsageError("no source given")
     if any(map(is_url, (*sources, output.folder, output.report))):
-        raise UsageError("`each` takes local paths, not URLs", hint="convert each URL by itself")
+        raise UsageError("`each` takes local paths, not URLs", hint="convert each URL on its own")
     result = Each(list(_with_destinations(sources, output)))
     _refuse_collisions(result.outcomes)
     inputs = [InputPath(outcome.source) for outcome in result.outcomes]

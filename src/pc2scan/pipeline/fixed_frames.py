@@ -1,4 +1,4 @@
-"""Checks a fixed frame before the conversion: whether there is such a frame, and whether anything moves in it."""
+"""Checks a fixed frame before the conversion: whether it exists, and whether anything moves in it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["check_fixed_frame"]
 
 _MOST_NAMES = 20
 
-#: Frames in which robots move, by REP 105; the first one that there is, is offered first.
+#: Frames in which robots move, by REP 105; the first one that exists is suggested first.
 _USUAL = ("odom", "map", "world", "earth")
 
 
@@ -41,7 +41,7 @@ def check_fixed_frame(
     Raises
     ------
     ParameterError
-        If there is no such frame.
+        If the frame does not exist.
     """
     fixed = spec.fixed_frame.removeprefix("/")
     if fixed not in buffer.frames:
@@ -67,7 +67,7 @@ def check_fixed_frame(
 
 
 def _offered(buffer: TransformBuffer, fixed: str) -> str:
-    """Offer a frame in which something else moves; empty if there is none."""
+    """Return a hint that suggests a frame in which something moves; empty if there is none."""
     roots = [root for tree in buffer.trees if not fixed or fixed in tree.frames for root in tree.roots]
     names = dict.fromkeys((*(name for name in _USUAL if name in buffer.frames), *roots))
     moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}

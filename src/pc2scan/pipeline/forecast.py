@@ -59,10 +59,10 @@ def forecast(
     stop_ns: int | None,
     report: Report,
 ) -> float:
-    """Fill in a report as a conversion would, estimated from the indexes and the first messages.
+    """Fill in a report like a conversion, estimated from the indexes and the first messages.
 
-    Its points and its skipped messages are those of the first messages. Returns about how many bytes the written
-    messages have before compression.
+    Its points and skipped messages are those of the first messages. Returns an estimate of the written messages' bytes
+    before compression.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def _converted_sizes(
                     result = converted[output.place]
                     if output.joint is not None and not isinstance(result, MessageError):
                         if output.handle < 0:
-                            # It becomes part of a scan that another topic leads.
+                            # Its size counts with the topic that leads the scan.
                             output.report.messages_out += 1
                             continue
                         result = output.joint.alone(cast("Any", result))
@@ -152,7 +152,7 @@ def _converted_sizes(
 
 
 def _compressed_size(data: bytes) -> int:
-    """Return about the size of a message after compression."""
+    """Return an estimate of a message's size after compression."""
     import zlib  # noqa: PLC0415  # dry runs only
 
     return len(zlib.compress(data, 1))
@@ -221,7 +221,7 @@ def _written_size(
     counts: Mapping[int, int],
     sizes: Mapping[int, _Size],
 ) -> int:
-    """Return about how many bytes the destination will have, by how well the source is compressed."""
+    """Return an estimate of the destination's size in bytes, by the compression ratio of the source."""
     whole = sum((route.connection.message_count or 0) * sizes[key].read for key, route in routes.items())
     ratio = min(1.0, reader.summary.size_bytes / whole) if whole and target.compression != "none" else 1.0
     stored = sum((counts.get(key) or 0) * (size.passed * ratio + size.made + _INDEXED) for key, size in sizes.items())

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["doubts", "refuse_unusable"]
 
-#: An angle_increment from here on, radians (11 degrees), is nearly always meant in degrees.
+#: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
 _COARSE = 0.2
 
 
@@ -71,7 +71,7 @@ def _frame_doubts(options: ConvertOptions, spec: ScanSpec, given: set[str]) -> l
     params, frames = spec.params, options.frames
     found = []
     if spec.level and spec.imu and spec.fixed_frame and not (spec.deskew or spec.may_combine):
-        found.append("`fixed_frame` has no effect: `imu` makes scans level")
+        found.append("`fixed_frame` has no effect: roll and pitch come from `imu`")
     if spec.needs_transforms:
         source = frames.source_frame.removeprefix("/")
         if source and source == params.target_frame.removeprefix("/"):

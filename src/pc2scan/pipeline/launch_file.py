@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 __all__ = ["LaunchNode", "LaunchParam", "is_launch_xml", "launch_node"]
 
-#: The most levels of nested elements.
+#: Maximum number of levels of nested elements.
 _MAX_DEPTH = 50
 
-#: The most substitutions in one text, counting nested ones.
+#: Maximum number of substitutions in one text, including nested ones.
 _MAX_SUBSTITUTIONS = 100
 
 _SUBSTITUTION = re.compile(r"\$\(([a-z-]+)\s*([^()$]*)\)")
@@ -113,7 +113,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     arguments
         Values of its arguments; the others have the defaults in the file.
     node
-        Name of the node, with or without its namespace; None: the only one there is.
+        Name of the node, with or without its namespace; None: the only node in the file.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     if len(chosen) > 1:
         names = [name for name, *_ in chosen]
         message, hint = (
-            f"{path}: several nodes could be meant: {name_list(names)}",
+            f"{path}: several nodes match: {name_list(names)}",
             f"choose one, for example `node={names[0]}`",
         )
         others = any(_direction_of(element) == "laserscan_to_pointcloud" for _, element, _ in chosen)
@@ -158,7 +158,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
 
 
 def _parsed(text: str, path: Path) -> _Element:
-    """Return the root element. ElementTree is not used: it has no lines, and expands entities before one can refuse."""
+    """Return the root element. ElementTree is not used: it has no line numbers, and always expands entities."""
     from xml.parsers import expat  # noqa: PLC0415  # only for launch files
 
     root = _Element("", {}, 0)
@@ -180,7 +180,7 @@ def _parsed(text: str, path: Path) -> _Element:
 
     def refuse(*_declared: object) -> None:
         raise ParameterError(
-            f"{path}, line {parser.CurrentLineNumber}: a document type is declared, which is not read",
+            f"{path}, line {parser.CurrentLineNumber}: it declares a document type, which is not supported",
             hint="remove the <!DOCTYPE ...>; launch files need none",
         )
 
@@ -210,7 +210,7 @@ _Found = tuple[str, _Element, _Scope]
 
 
 class _LaunchReader:
-    """Walks the elements of a file, and knows the values of its arguments."""
+    """Walks through the elements of a file, with the values of its arguments."""
 
     def __init__(self, path: Path, arguments: dict[str, str]) -> None:
         self.path = path
@@ -288,7 +288,7 @@ class _LaunchReader:
             raise ParameterError(
                 f"{name}: <param> has no value here (from {self._place(element)})",
                 name=name,
-                hint=f"textfile, binfile and command are not read; give it by itself: `{name}=...`"
+                hint=f"textfile, binfile and command are not supported; give its value: `{name}=...`"
                 if name.isidentifier()
                 else None,
             )
@@ -298,7 +298,7 @@ class _LaunchReader:
     def _rosparam(self, element: _Element) -> LaunchParam:
         command = element.attributes.get("command", "load")
         if command != "load":
-            raise ParameterError(f"<rosparam command={command!r}> is not read (from {self._place(element)})")
+            raise ParameterError(f"<rosparam command={command!r}> is not supported (from {self._place(element)})")
         if "file" in element.attributes:
             return LaunchParam("", str(self._file(self._read(element, "file"))), "file", element.line)
         substituted = element.attributes.get("subst_value", "").lower() in {"1", "true"}
@@ -391,8 +391,8 @@ class _LaunchReader:
             if folder.name == name or (folder / "package.xml").exists():
                 return folder
         raise ParameterError(
-            f"{self.path}: where is the package {name!r}? (from {self._place(element)})",
-            hint="give the parameter file in it by itself: `params_file=FILE`",
+            f"{self.path}: the package {name!r} was not found (from {self._place(element)})",
+            hint="give the parameter file in it: `params_file=FILE`",
         )
 
     def _refuse(self, text: str, element: _Element) -> NoReturn:

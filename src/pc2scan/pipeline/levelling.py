@@ -1,4 +1,4 @@
-"""Level scans: the sources of the direction of up, and the transforms of the level frames, written for every scan."""
+"""Level scans: where the direction of up comes from, and the writer of the level frames' transforms."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Ups:
     buffer
         Their transforms.
     report
-        Receives what was found, as notes.
+        Gets notes about what was measured.
     """
 
     def __init__(self, readers: Sequence[Reader], buffer: TransformBuffer, report: Report) -> None:

@@ -19,7 +19,7 @@ from .scan_spec import ScanSpec
 if TYPE_CHECKING:
     import numpy as np
 
-    #: What a time may be given as; see `TimeBound.of`.
+    #: The types that a time may have; see `TimeBound.of`.
     Time: TypeAlias = str | float | datetime | timedelta | np.datetime64 | np.timedelta64 | np.number[Any]
 
 __all__ = ["ConvertOptions", "TimeBound", "bound_of", "destination_and_folder"]
@@ -30,7 +30,7 @@ _ABSOLUTE_SECONDS = 100_000_000
 _ABSOLUTE_NANOSECONDS = 100_000_000_000
 
 _SECONDS = r"@?(\d+\.?\d*|\.\d+) ?(s|ms)?"
-#: A date and time, with a time zone or without. After it: the seconds' fraction, the time zone.
+#: A date and time, with or without a time zone. Its groups: the fraction of the seconds, the time zone.
 _DATE_AND_TIME = r"(\d{4}-\d\d-\d\d[T ][\d:]+?)(?:[.,](\d+))?(Z|[+-]\d\d(?::?\d\d)?)?"
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
@@ -121,7 +121,7 @@ class TimeBound(NamedTuple):
         raise UsageError(
             f"{value!r} is not a time",
             hint="give seconds from the beginning (12.5), seconds or nanoseconds since 1970 (1604515190.25), a "
-            "datetime with a time zone, a numpy.datetime64, or text as the command line takes it",
+            "datetime with a time zone, a numpy.datetime64, or text like on the command line",
         )
 
     @classmethod
@@ -131,7 +131,7 @@ class TimeBound(NamedTuple):
         nanoseconds = value.astype(f"{kind}[ns]")
         # Beyond 64 bits NumPy's nanoseconds wrap around without an error.
         if str(value) == "NaT" or nanoseconds.astype(value.dtype) != value:
-            raise UsageError(f"{value!r} is not a time that nanoseconds of 64 bits can hold")
+            raise UsageError(f"{value!r} does not fit into nanoseconds of 64 bits")
         whole = int(nanoseconds.astype("int64"))
         return cls(whole, absolute=True) if kind == "datetime64" else cls(_not_negative(value, whole))
 
@@ -163,14 +163,14 @@ _Number = TypeVar("_Number", int, float)
 
 
 def _not_negative(value: object, number: _Number) -> _Number:
-    """Return a number that counts from the beginning of a recording, which nothing is before."""
+    """Return a number of seconds from the beginning of a recording; raise if it is negative."""
     if number < 0:
         raise UsageError(f"{value!r} is negative", hint="times count from the beginning of the recording")
     return number
 
 
 def _moment(text: str) -> tuple[datetime, int]:
-    """Read a date and time in ISO 8601, and the nanoseconds of a second's fraction, which no `datetime` holds."""
+    """Read a date and time in ISO 8601; return the fraction of the second in nanoseconds, which `datetime` lacks."""
     written = re.fullmatch(_DATE_AND_TIME, text.strip())
     if not written:
         return datetime.fromisoformat(text), 0
@@ -194,7 +194,7 @@ def bound_of(name: str, time: Time | None) -> TimeBound | None:
 
 
 def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
-    """Return the destination, or the folder to write into where that was typed: it ends with a slash, or with a dot.
+    """Return the destination, or the folder to write into if the text ends with a slash or is a dot.
 
     >>> destination_and_folder("scans/"), destination_and_folder("scans")
     ((None, PosixPath('scans')), (PosixPath('scans'), None))
@@ -202,7 +202,7 @@ def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
     if text is None:
         return None, None
     separators = tuple(filter(None, (os.sep, os.altsep)))
-    # Not Path.name: that ignores the slash.
+    # Not Path.name, which ignores the slash.
     if text.endswith(separators) or os.path.basename(text) in {".", ".."}:  # noqa: PTH119
         return None, Path(text)
     return Path(text), None
@@ -215,16 +215,16 @@ class ConvertOptions:
     Attributes
     ----------
     scans
-        The outputs; nearly always there is only one.
+        The outputs; usually only one.
     frames
-        Where transforms come from.
+        The source of transforms.
     keep_clouds
-        Write the converted messages too.
+        Whether the converted messages are written, too.
     only_scans
-        Write nothing but what was converted.
+        Whether only the new messages are written.
     keep, drop
-        Topics or globs that choose among the topics that are not converted. ``drop`` wins, and also
-        excludes a cloud topic that was not asked for by name.
+        Topics or globs that choose among the topics that are not converted. ``drop`` has precedence, and also
+        excludes a cloud topic that is not requested by name.
     start, end
         The cut, by log time: from ``start`` on, before ``end``.
     on_error
@@ -283,5 +283,5 @@ class ConvertOptions:
         return self.scans[0]
 
     def with_scan(self, **changes: Any) -> ConvertOptions:
-        """Return the same with only the first output, changed."""
+        """Return the options with only the first output, changed."""
         return replace(self, scans=(replace(self.scan, **changes),))

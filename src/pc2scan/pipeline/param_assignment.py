@@ -29,7 +29,7 @@ def parse_param(text: str) -> Setting:
     Raises
     ------
     ParameterError
-        If there is no ``:=`` or no name, or the value is no YAML scalar.
+        If there is no ``:=`` or no name, or the value is not a YAML scalar.
     """
     rule, assigned, written = text.partition(":=")
     name = rule.rpartition(":")[2].strip().lstrip("_~")

@@ -20,18 +20,18 @@ __all__ = ["ResolvedSources", "resolve_sources"]
 
 
 class ResolvedSources(NamedTuple):
-    """What `resolve_sources` found.
+    """The result of `resolve_sources`.
 
     Attributes
     ----------
     params, origin
-        As those of `pc2scan.pipeline.parameters.ResolvedParams`.
+        See `pc2scan.pipeline.parameters.ResolvedParams`.
     reverse
         Whether scans become clouds.
     ignored
-        Places in the parameter file that are no parameters of the projection.
+        Places of entries in the parameter file that are not parameters of the projection.
     remaps, files
-        As those of `pc2scan.pipeline.params_file.ParamsFile`.
+        See `pc2scan.pipeline.params_file.ParamsFile`.
     """
 
     params: ProjectionParams
@@ -43,7 +43,7 @@ class ResolvedSources(NamedTuple):
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """The topics that a launch file remaps, as `pc2scan.pipeline.options.TopicRequest` reads them."""
+        """The topics that a launch file remaps, in the notation of `pc2scan.pipeline.options.TopicRequest`."""
         if not self.remaps:
             return ()
         from .remaps import remapped  # noqa: PLC0415  # only where a launch file is given
@@ -61,14 +61,14 @@ def resolve_sources(
     preset: str | None = None,
     reverse: bool = False,
 ) -> ResolvedSources:
-    """Resolve parameters: ``settings`` beat ``assignments``, which beat the file, which beats the preset.
+    """Resolve parameters: ``settings`` override ``assignments``, which override the file, which overrides the preset.
 
     Parameters
     ----------
     settings
         Parameters that are given as options or keywords.
     assignments
-        As `pc2scan.pipeline.param_assignment.parse_param` reads them; a later one beats an earlier one.
+        Texts for `pc2scan.pipeline.param_assignment.parse_param`; a later one overrides an earlier one.
     file, node
         A parameter file or a launch file, and the node whose section of it is read.
     launch_args
@@ -85,7 +85,8 @@ def resolve_sources(
     """
     if node is not None and file is None:
         raise UsageError(
-            "`node` chooses a section of a parameter file, and none is given", hint=f"`params_file=FILE` `node={node}`"
+            "`node` chooses a section of a parameter file, but no file is given",
+            hint=f"`params_file=FILE` `node={node}`",
         )
     if launch_args and file is None:
         raise UsageError("`launch_args` needs a launch file, and none is given", hint="`params_file=FILE`")
@@ -115,7 +116,7 @@ def resolve_sources(
 
 
 def _launch_arguments(texts: Sequence[str]) -> dict[str, str]:
-    """Read arguments of a launch file; a later one beats an earlier one."""
+    """Read arguments of a launch file; a later one overrides an earlier one."""
     arguments = {}
     for text in texts:
         name, assigned, value = text.partition(":=")

@@ -51,7 +51,7 @@ __all__ = [
     "unknown_parameter",
 ]
 
-#: Upstream's two nodes; each direction is called as its node.
+#: Upstream's two nodes; each direction has the name of its node.
 Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
 
 
@@ -128,7 +128,7 @@ class ResolvedParams(NamedTuple):
     params
         The checked parameters.
     origin
-        For each name of `PARAMETERS`, the origin of the setting that won, or ``default``.
+        For each name of `PARAMETERS`, the origin of the setting that is used, or ``default``.
     """
 
     params: ProjectionParams
@@ -246,7 +246,7 @@ TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic",
 #: node may use them, also for groups of parameters.
 SCALAR_PARAMETERS = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
 
-#: Pairs of parameters that describe the same thing: the stronger setting of the two wins, the other one is ignored.
+#: Pairs of parameters that describe the same thing. The setting with the higher precedence is used, the other ignored.
 RIVALS = {
     "beams": "angle_increment",
     "angle_increment": "beams",
@@ -356,13 +356,13 @@ def _type_hint(parameter: Parameter, value: object) -> str | None:
 def resolve(
     settings_by_precedence: Iterable[Setting], *, direction: Direction = "pointcloud_to_laserscan"
 ) -> ResolvedParams:
-    """Let the stronger setting win, check everything, and build the parameters.
+    """Take the setting with the highest precedence for each parameter, check everything, and build the parameters.
 
     Parameters
     ----------
     settings_by_precedence
-        The strongest first: command-line options, then ``--param`` **from the last to the first**, then
-        the file's, then the preset's. Settings that lose are checked for name and type, too.
+        The highest precedence first: command-line options, then ``--param`` **from the last to the first**, then
+        the file's, then the preset's. The name and type of overridden settings are checked, too.
     direction
         The node; ``laserscan_to_pointcloud`` has three of the parameters, and the others keep their
         defaults.
@@ -411,7 +411,7 @@ def refuse_degrees(
 ) -> None:
     """Raise if the angles are too large for a sector: they are nearly always degrees.
 
-    A sector may be a whole turn from anywhere, such as 1 to 1 + 2 pi. A sector of more than a turn is refused where the
+    A sector may be a full turn with any limits, such as 1 to 1 + 2 pi. A sector of more than a turn is an error if the
     geometry would replace it by a full circle.
 
     Parameters
@@ -419,7 +419,7 @@ def refuse_degrees(
     values
         Radians, by parameter.
     written
-        The same as the user wrote them; some may be in degrees already.
+        The same values as text of the user; some may have the unit degrees.
     """
     names = ("angle_min", "angle_max")
     low, high = (values.get(name, PARAMETERS[name].default) for name in names)
@@ -469,7 +469,7 @@ def preset_settings(consumer: str) -> list[Setting]:
 
 
 def in_words(value: float | bool | str) -> str:
-    """Return a parameter's value for people: ``no limit`` and ``above 0`` for the largest and the smallest number.
+    """Return a parameter's value for users: ``no limit`` and ``above 0`` for the largest and the smallest number.
 
     >>> in_words(1.7976931348623157e308), in_words(2.2250738585072014e-308), in_words(True), in_words(-0.3)
     ('no limit', 'above 0', 'true', '-0.3')
@@ -482,7 +482,7 @@ def in_words(value: float | bool | str) -> str:
 
 
 def default_in_words(parameter: Parameter) -> str:
-    """Return a parameter's default for people, with its unit; empty if there is none to show.
+    """Return a parameter's default for users, with its unit; empty if there is none to show.
 
     >>> default_in_words(PARAMETERS["angle_increment"]), default_in_words(PARAMETERS["range_max"])
     ('pi/180 rad, 1 degree', 'no limit')
@@ -512,7 +512,7 @@ def from_option(origin: str) -> bool:
 
 
 def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
-    """Return the error that two settings of equal strength contradict each other."""
+    """Return the error that two settings of the same precedence contradict each other."""
     return ParameterError(
         f"{rival.name} and {setting.name} set the same thing in two ways; give one of them "
         f"({rival.name} from {rival.origin}; {setting.name} from {setting.origin})",
@@ -547,7 +547,7 @@ def _where_given(hint: str, origin: Mapping[str, str]) -> str:
             return f"{name}={value}" if plain_scalar(value) != value else f'{name}="{value}"'
         if place.startswith("--param "):
             return f"--param {name}:={value}"
-        # The option beats a preset and a default, and is the shortest way to write it.
+        # An option overrides presets and defaults, and is the shortest way to write it.
         return advice[0] if place == "default" or place.startswith("--") else f"{name}: {value} ({place})"
 
     return re.sub(r"`(\w+)=([^`]*)`", spelled, hint)

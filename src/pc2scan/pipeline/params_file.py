@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 __all__ = ["ParamsFile", "load_params_file", "render_params_file"]
 
-#: The largest parameter file. A larger file was given by mistake.
+#: Maximum size of a parameter file. A larger file was given by mistake.
 MAX_FILE_BYTES = 1_000_000
 
-#: The most levels of nesting. The limit also stops an alias that contains itself.
+#: Maximum number of levels of nesting. It also stops an alias that contains itself.
 MAX_DEPTH = 50
 
 #: Parameters that every ROS 2 node has.
@@ -48,7 +48,7 @@ _EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_
 
 @dataclass(frozen=True, slots=True)
 class ParamsFile:
-    """What `load_params_file` read from a file.
+    """The result of `load_params_file`.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class ParamsFile:
         flat mapping of a ROS 1 file.
     ignored
         Origins of entries that were ignored: names of topics, wildcard parameters of another node, a
-        ``concurrency_level`` beside a ``queue_size``. A warning lists them.
+        ``concurrency_level`` together with a ``queue_size``. A warning lists them.
     remaps
         The remappings of a launch file, ``cloud_in:=/points``, of the node's topics and of the transforms'.
     files
@@ -79,15 +79,15 @@ class ParamsFile:
 def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[str, str] | None = None) -> ParamsFile:
     """Read a ROS 2 parameter file, a ROS 1 YAML, or an XML launch file of either.
 
-    A file with ``ros__parameters`` in it is ROS 2's: nodes by their names, with namespaces in the name or
-    around it, ``/**`` and ``/*`` as wildcards. Any other file is ROS 1's: parameters, flat or
-    below the name of the node, as ``rosparam load`` reads them, with ``deg(90)`` and ``rad(pi/2)``.
+    A file with ``ros__parameters`` is one of ROS 2. It has nodes by their names, with namespaces in the name or as keys
+    above it, and the wildcards ``/**`` and ``/*``. Any other file is one of ROS 1. It has parameters, flat or below the
+    name of the node, like for ``rosparam load``, with ``deg(90)`` and ``rad(pi/2)``.
 
-    The section that is read is that of ``node``; or else of the only node with ``pointcloud_to_laserscan`` or
-    ``laserscan_to_pointcloud`` in its name; or else the only section whose parameters are all upstream's.
-    Sections with wildcards that match the node are merged below it: the specific beats the wildcard
-    (ROS 2 did so until Galactic; since Humble the later one in the file wins). What every ROS 2 node has
-    (``use_sim_time``, ``qos_overrides``) is ignored.
+    The section of ``node`` is read. Without ``node``, it is the section of the only node with
+    ``pointcloud_to_laserscan`` or ``laserscan_to_pointcloud`` in its name; otherwise the only section whose parameters
+    are all upstream's. Sections with wildcards that match the node are merged into it; the specific section overrides
+    the wildcard (like in ROS 2 until Galactic; since Humble, the later one in the file overrides). Parameters of every
+    ROS 2 node (``use_sim_time``, ``qos_overrides``) are ignored.
 
     Parameters
     ----------
@@ -106,13 +106,13 @@ def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[
     Raises
     ------
     ParameterError
-        If the file cannot be read or is not YAML (with line and column), a key appears twice, no section
-        or several could be meant, the node has no such parameter, or a value is not a scalar.
+        If the file cannot be read or is not YAML (with line and column), a key appears twice, no section or several
+        match, the node has no such parameter, or a value is not a scalar.
     """
     if path.suffix == ".py":
         raise ParameterError(
             f"{path}: is a Python program, which is not executed",
-            hint="give the parameter file that it names; of a running node `ros2 param dump` writes one",
+            hint="give the parameter file that it names; `ros2 param dump` writes that of a running node",
         )
     text = read_text(path)
     if is_launch_xml(text):
@@ -225,7 +225,7 @@ def read_text(path: Path) -> str:
         raise ParameterError(f"{path}: cannot be read: {err.strerror or err}") from err
     if len(data) > MAX_FILE_BYTES:
         raise ParameterError(
-            f"{path}: larger than {MAX_FILE_BYTES:,} bytes, which no parameter file is",
+            f"{path}: larger than {MAX_FILE_BYTES:,} bytes, the maximum for parameter files",
             hint="was a recording given as the parameter file?",
         )
     try:
@@ -255,7 +255,7 @@ _Sections = dict[str, dict[str, _Leaf]]
 
 
 def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]:
-    """Yield every value below a mapping. An empty mapping is a value, and so is whatever a parameter holds."""
+    """Yield every value below a mapping. Empty mappings and the values of parameters are not divided further."""
     if len(above) > MAX_DEPTH:
         raise ParameterError(f"{file}, {place_of(mapping)}: nested more than {MAX_DEPTH} levels deep")
     first_lines: dict[str, int] = {}
@@ -336,12 +336,12 @@ def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
     if len(named) == 1:
         return named[0]
     if named:
-        _raise_several(f"{file}: several nodes could be meant: {', '.join(named)}", named)
+        _raise_several(f"{file}: several nodes match: {', '.join(named)}", named)
     own = {full: _own_names(parameters) for full, parameters in sections.items()}
     upstreams = _most_specific([full for full, names in own.items() if _only_upstreams(names)])
     if len(upstreams) == 1:
         return upstreams[0]
-    # The only section, with some right names, is the one that was meant; its unknown names are reported later.
+    # A single section with some known names is used; its unknown names are reported later.
     if len(own) == 1:
         [(only, names)] = own.items()
         if len(_foreign(names)) < len(names) or not names:
@@ -353,7 +353,7 @@ def _node_to_read(sections: _Sections, node: str | None, file: Path) -> str:
 
 
 def _raise_several(message: str, nodes: list[str]) -> NoReturn:
-    """Raise because several nodes could be meant. The error lists them as nodes of one conversion if all make scans."""
+    """Raise because several nodes match. The error lists them as nodes of one conversion if all make scans."""
     hint = f"choose one, for example `node={nodes[0]}`"
     if any("*" in node or _direction_of(node) == "laserscan_to_pointcloud" for node in nodes):
         raise ParameterError(message, hint=hint)
@@ -372,7 +372,7 @@ def _asked_for(sections: _Sections, node: str, file: Path) -> str:
         if literal:
             raise ParameterError(
                 f"{file}: several nodes are named {node!r}: {', '.join(literal)}",
-                hint="give `node` the whole name, with its namespace",
+                hint="give the full name in `node`, with its namespace",
             )
     if any(_matches(pattern, wanted) for pattern in sections):
         return wanted
@@ -439,7 +439,7 @@ def _most_specific(patterns: Collection[str]) -> list[str]:
 
 def _merged_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
     """Merge the sections that apply to a node, wildcards below, and check the names."""
-    # The sort is stable, so that of two equally specific sections the later one wins, as in ROS 2.
+    # The sort is stable, so that the later one of two equally specific sections is used, like in ROS 2.
     applying = sorted((s for s in sections if _matches(s, target)), key=_vagueness, reverse=True)
     direction = _direction_of(target)
     if direction is None and any(
@@ -483,8 +483,8 @@ def render_params_file(params: ProjectionParams, *, direction: Direction = "poin
     ----------
     params
         Every value is written, except: a ``queue_size`` of 0, which is pc2scan's default (upstream's default is the
-        number of processor cores); the defaults of parameters that upstream does not have; and of two parameters that
-        set the same the weaker one (``beams`` became an increment, ``no_return`` beats ``use_inf``).
+        number of processor cores); the defaults of parameters that upstream does not have; and of two parameters for
+        the same thing the one that is not used (``beams`` became an increment, ``no_return`` overrides ``use_inf``).
     direction
         The node; only its parameters are written.
 

@@ -18,16 +18,16 @@ __all__ = ["cut_of", "expected_files", "files_in"]
 
 
 def cut_of(split: str | None, *, repeat_latched: bool) -> Cut | None:
-    """Read where a new file begins: ``60s``, ``10min``, ``500MB``, ``1GiB``; None for one file.
+    """Read when a new file begins: ``60s``, ``10min``, ``500MB``, ``1GiB``; None for one file.
 
     Raises
     ------
     UsageError
-        If it is no time and no size, or `repeat_latched` is given without it.
+        If it is neither a time nor a size, or `repeat_latched` is given without it.
     """
     if split is None:
         if repeat_latched:
-            raise UsageError("`repeat_latched` goes with `split`", hint="such as `split=60s`")
+            raise UsageError("`repeat_latched` needs `split`", hint="such as `split=60s`")
         return None
     duration, size = duration_ns(split), byte_size(split)
     if not duration and not size:
@@ -44,7 +44,7 @@ def expected_files(cut: Cut, target: Destination, last_ns: int, size: float) -> 
     Parameters
     ----------
     cut
-        Where a new file begins.
+        When a new file begins.
     target
         The destination.
     last_ns
@@ -67,7 +67,7 @@ def files_in(unfinished: Path, final: Path) -> list[str]:
     unfinished
         The directory that they are in.
     final
-        The directory that it becomes, if it has a metadata.yaml; else the path that the parts are named after.
+        The final directory, if it has a metadata.yaml; otherwise the path that the parts are named after.
     """
     names = sorted(entry.name for entry in unfinished.iterdir())
     folder = final if "metadata.yaml" in names else final.parent

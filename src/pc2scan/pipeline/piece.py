@@ -15,7 +15,7 @@ __all__ = ["Made", "Piece"]
 
 
 class Piece(NamedTuple):
-    """Which messages are converted, and where their files go.
+    """The messages of a piece, and the folder of its files.
 
     Attributes
     ----------
@@ -25,8 +25,8 @@ class Piece(NamedTuple):
         Only messages with ``start_ns <= log_time_ns < stop_ns``; None: from the beginning, to the end of what is
         converted.
     is_first
-        Whether it begins with what comes before the messages: latched ones from before the cut, attachments, the user's
-        transforms.
+        Whether it has everything that precedes the messages: latched messages from before the cut, attachments, the
+        user's transforms.
     first_file
         The number of its first file.
     transforms
@@ -42,7 +42,7 @@ class Piece(NamedTuple):
 
 
 class Made(NamedTuple):
-    """What a piece has become: its report, not yet concluded, and what metadata.yaml says of its files."""
+    """The result of a piece: its report, not yet concluded, and its files' part of metadata.yaml."""
 
     report: Report
     tally: Tally

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Stretch", "Stretches", "join", "joined_report", "may_be_cut", "read_stretch", "stretches_of"]
 
-#: More files than this are not counted one by one.
+#: Maximum number of files that are counted one by one.
 _MOST_FILES = 5_000
 
 
@@ -57,7 +57,7 @@ class Stretch(NamedTuple):
 
 
 class Stretches(NamedTuple):
-    """How a recording can be cut.
+    """A division of a recording into stretches.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ def may_be_cut(cut: Cut | None) -> bool:
 
 
 def stretches_of(sources: Sequence[Path], options: ConvertOptions, cut: Cut, *, piece_bytes: int) -> Stretches | None:
-    """Decide where a recording is cut; None where one process converts it better.
+    """Decide where a recording is cut; None if it is better converted by one process.
 
     This is so for short recordings, for damaged ones (each process would have to recover the index), for those that
     are compressed as a whole, and if scans are made of several messages, which may be in two pieces.
@@ -85,7 +85,7 @@ def stretches_of(sources: Sequence[Path], options: ConvertOptions, cut: Cut, *, 
     Parameters
     ----------
     cut
-        Where new files begin.
+        When new files begin.
     piece_bytes
         The minimum number of the source's bytes for a process.
 
@@ -149,14 +149,14 @@ def join(folder: Path, pieces: Sequence[Piece], made: Sequence[Made]) -> None:
     Parameters
     ----------
     folder
-        The directory, which has the folders of the pieces in it, and files of transforms. Both are removed.
+        The directory with the folders of the pieces and the files of transforms. Both are removed.
     pieces, made
-        The pieces in their order, and what they have become.
+        The pieces in their order, and their results.
 
     Raises
     ------
     OutputError
-        If that is not possible.
+        If a file cannot be moved or written.
     """
     import shutil  # noqa: PLC0415
 
@@ -176,7 +176,7 @@ def join(folder: Path, pieces: Sequence[Piece], made: Sequence[Made]) -> None:
 
 
 def joined_report(made: Sequence[Made], damage: Iterable[Damage], options: ConvertOptions) -> Report:
-    """Make one report of those of the pieces.
+    """Join the reports of the pieces.
 
     Parameters
     ----------

@@ -167,15 +167,15 @@ def _combined_topics(
             raise TopicError(
                 f"{name_list(topics)} become one scan on {target}, which needs a frame for the points of all: "
                 "`target_frame`",
-                hint="such as `target_frame=base_link`; with `fixed_frame=odom` what the robot moved between their "
-                "stamps is accounted for",
+                hint="such as `target_frame=base_link`; `fixed_frame=odom` corrects the robot's motion between their "
+                "stamps",
             )
         found.append(Combination(spec, tuple(_led(topics, spec, types)), target))
     return found
 
 
 def _led(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> list[str]:
-    """Return the topics of a scan, the leading one first."""
+    """Return the topics of a scan, beginning with the one that leads."""
     if not spec.combining.lead:
         return list(topics)
     lead = find_topic(spec.combining.lead, types, list(topics), *spec.named_types)

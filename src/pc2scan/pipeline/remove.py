@@ -47,7 +47,7 @@ class Remove:
         """Remove beams of a scan."""
         scan = result.message
         seen = np.array(scan.ranges)
-        # Some scans have a number where there is no return; filters must not see it as a return.
+        # Beams without a return may have a finite range, which filters must not take for a return.
         seen[seen == self._empty] = np.inf
         returns = np.isfinite(seen)
         counts = {"returns": int(np.count_nonzero(returns))}

@@ -45,18 +45,19 @@ __all__ = [
     "write_static",
 ]
 
-#: The most fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots have
-#: thousands.
+#: Maximum number of fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots
+#: have thousands.
 _MAX_COMPILED_FIELDS = 20_000
 
 
 @dataclass(slots=True)
 class Output:
-    """A topic of the destination that the converted messages of a route go to.
+    """A topic of the destination that the converted messages of a route are written to.
 
     ``handle`` is the writer's; -1 if another topic leads the scans. ``place`` is the index of its messages in the
-    result of ``convert``. ``used`` is whether these are the points that beams read. ``sample`` is the first message;
-    all others have the same geometry. ``joint`` makes one scan of several messages; None if each message is one scan.
+    result of ``convert``. ``used`` is whether its messages are the points that give scans their ranges. ``sample`` is
+    the first message; all others have the same geometry. ``joint`` makes one scan of several messages; None if each
+    message is one scan.
     """
 
     handle: int
@@ -163,7 +164,7 @@ def open_routes(
 
 
 def joint_of(joints: dict[Combination, Joint], task: Task, conversion: Conversion, serialization: str) -> Joint | None:
-    """Return what makes one scan of several messages; all routes of a combination share it."""
+    """Return the `Joint` that makes one scan of several messages; all routes of a combination share it."""
     if task.combination is None:
         return None
     from .combine.conversion import CombineToScan  # noqa: PLC0415  # few scans are made of several messages
@@ -241,7 +242,7 @@ def _prepare_passing(
         return
     if foreign:
         error: MessageError = MessageError(
-            f"{connection.serialization or 'unspecified'} messages fit only into an {_holding_any()} file"
+            f"{connection.serialization or 'unspecified'} messages can only be stored in an {_holding_any()} file"
         )
     else:
         try:

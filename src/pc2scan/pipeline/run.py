@@ -146,9 +146,9 @@ def run_piece(
     Parameters
     ----------
     destination
-        Of the whole recording; files are named after it.
+        The destination of the whole recording; files are named after it.
     piece
-        Which one, and where its files go.
+        The piece, with the folder of its files.
     """
     report = _begun(sources, destination, options)
     with ExitStack() as stack:
@@ -168,7 +168,7 @@ def _begun(sources: Sequence[Path], destination: Path | None, options: ConvertOp
 def opened_plan(
     sources: Sequence[Path], options: ConvertOptions, stack: ExitStack
 ) -> tuple[Reader, Sequence[Reader], Plan]:
-    """Open the sources, as one and each by itself, and decide what goes where.
+    """Open the sources, each and all as one, and plan the conversion.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def _run(
     warn: Callable[[str], None] | None,
     piece: Piece | None = None,
 ) -> Made | None:
-    """Convert; everything except writing the report's file, and for a piece except what depends on the others."""
+    """Convert, without writing the report's file; for a piece, without what depends on the other pieces."""
     _refuse_missing_destination(files.sources, files.destination, output)
     reader, readers, plan = opened_plan(files.sources, options, stack)
     report.bytes_read = reader.summary.size_bytes

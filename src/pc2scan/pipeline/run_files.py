@@ -1,4 +1,4 @@
-"""The files of a run: how the destination is written, what is read, and the report."""
+"""The files of a run: the destination and its options, the inputs, and the report."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class OutputOptions(NamedTuple):
     like_source
         Whether a named destination has the storage of the source, like a destination that is named after the source.
     cut
-        Where a new file begins; None for a recording in one file.
+        When a new file begins; None for a recording in one file.
     scratch, scratch_size
         Folder of the local copies of URLs, and how many bytes they may take; None: the system's folder for temporary
         files, without a limit.
@@ -141,7 +141,7 @@ class RunFiles:
         if self._output.report is None or self._output.dry_run:
             return
         if report.error is not None and report.error.path == self._output.report:
-            # The error is that this file cannot be written.
+            # The error may be that this file cannot be written.
             return
         with suppress(DestinationError, OutputError), ExitStack() as stack:
             if self._write_report is None:

@@ -29,7 +29,7 @@ __all__ = ["ScanSpec", "TopicRequest"]
 
 
 class TopicRequest(NamedTuple):
-    """A topic to convert, and where to."""
+    """A topic to convert, and the topic of the result."""
 
     source: str
     target: str | None = None
@@ -41,7 +41,7 @@ class TopicRequest(NamedTuple):
         Raises
         ------
         UsageError
-            If a side of ``:=`` is empty, or the right one is no name of a topic.
+            If a side of ``:=`` is empty, or the right one is not the name of a topic.
         """
         source, remapped, target = text.partition(":=")
         if not source or (remapped and not target):
@@ -56,13 +56,13 @@ class ScanSpec:
     Attributes
     ----------
     topics
-        What to convert and where to; empty means every topic of `source_types`. Messages that go to several topics are
-        converted once.
+        The topics to convert, and those of the results; empty means every topic of `source_types`. Messages that go to
+        several topics are converted once.
     name
         The name of the output in errors and the report; without ``topics``, also the target of the only topic that can
         be converted. Empty if the command line describes the output.
     place
-        Where it is described, for errors.
+        The place of its description, for errors.
     origins
         The origin of each parameter's value, by name; ``default`` if it was not given.
     params
@@ -72,7 +72,7 @@ class ScanSpec:
     channels
         Fields of the clouds that ``reverse`` makes, and the range cutoff; None means the defaults.
     deskew
-        Transform each point of a cloud, with ``reverse`` each beam of a scan, by the pose at its own time.
+        Whether each point of a cloud, with ``reverse`` each beam of a scan, is transformed by the pose at its own time.
     fixed_frame
         A frame that does not move. With ``deskew`` of clouds, points are transformed through it; with ``level``, its z
         axis points up.
@@ -83,7 +83,7 @@ class ScanSpec:
         With ``deskew`` of clouds: the scan's stamp: that of the cloud's ``header``, or the ``start``, ``middle`` or
         ``end`` of its points' times.
     level
-        Make scans of clouds in a frame without roll and pitch, by ``fixed_frame`` or by ``imu``.
+        Whether scans of clouds are in a frame without roll and pitch, which come from ``fixed_frame`` or ``imu``.
     imu
         With ``level``: the IMU that measures the up direction, ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame`` is
         used.
@@ -95,7 +95,7 @@ class ScanSpec:
         Filters of beams, which are applied after the projection, in order: ``Shadows`` and ``Speckles`` of
         `pc2scan.pipeline.stages.beams`.
     keep_used
-        A topic for the points of clouds that the scan's beams read; empty: none.
+        A topic for the points that give the scans their ranges; empty: none.
     output_type
         The type of the output: one in the tables of `pc2scan.messages.outputs`. Empty: the first one there,
         LaserScan (PointCloud2 with ``reverse``).
@@ -124,7 +124,7 @@ class ScanSpec:
         if self.keep_used:
             object.__setattr__(self, "keep_used", new_topic(self.keep_used, "`keep_used`"))
         if not self.reverse and self.channels is not None:
-            raise UsageError("`channels` and `range_cutoff` go with `reverse`")
+            raise UsageError("`channels` and `range_cutoff` need `reverse`")
         self._check_stages()
         self._check_levelling()
         self._check_deskewing()
@@ -132,11 +132,11 @@ class ScanSpec:
 
     def _check_stages(self) -> None:
         if self.reverse and self.keep_used:
-            raise UsageError("`keep_used` keeps points of clouds; `reverse` converts scans")
+            raise UsageError("`keep_used` keeps points of clouds, but `reverse` converts scans")
         if self.reverse and self.remove:
-            raise UsageError("`remove` removes beams of scans that are made of clouds; `reverse` makes clouds")
+            raise UsageError("`remove` removes beams of scans that are made of clouds, but `reverse` makes clouds")
         if self.reverse and self.filters:
-            raise UsageError("filters select points of clouds; `reverse` converts scans")
+            raise UsageError("filters select points of clouds, but `reverse` converts scans")
         taken = PointCounts().as_dict()
         for name in (each.name for each in self.filters):
             if name in taken or not name.isidentifier():
@@ -152,11 +152,11 @@ class ScanSpec:
                 hint="such as `target_frame=odom`",
             )
         if (self.reverse or not self.deskew) and (self.point_time or self.stamp != "header"):
-            raise UsageError("`point_time` and `stamp` go with `deskew` of clouds")
+            raise UsageError("`point_time` and `stamp` need `deskew` of clouds")
         moves = self.deskew or self.level or self.may_combine
         if self.fixed_frame and (self.reverse or not moves):
             raise UsageError(
-                "`fixed_frame` goes with `deskew` or `level` of clouds, `accumulate`, and topics that become one scan"
+                "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan"
             )
         if self.reverse or not self.deskew:
             return
@@ -172,15 +172,15 @@ class ScanSpec:
             PointTime.parse(self.point_time)
         if self.params.time_increment != 0:
             raise UsageError(
-                f"time_increment is {self.params.time_increment}, but a deskewed scan is of one time",
-                hint="leave `time_increment` out",
+                f"time_increment is {self.params.time_increment}, but a deskewed scan has one time",
+                hint="remove `time_increment`",
             )
 
     def _check_levelling(self) -> None:
         if self.level and self.reverse:
-            raise UsageError("`level` makes scans level; `reverse` makes clouds")
+            raise UsageError("`level` makes scans level, but `reverse` makes clouds")
         if self.imu and not self.level:
-            raise UsageError("`imu` goes with `level`")
+            raise UsageError("`imu` needs `level`")
         if self.level and not (self.fixed_frame or self.imu):
             raise UsageError(
                 "`level` needs a source of the up direction",
@@ -194,24 +194,26 @@ class ScanSpec:
     def _check_combining(self) -> None:
         asked = self.combining
         if self.reverse and (asked.accumulates or asked.rebin):
-            raise UsageError("`accumulate`, `every` and `rebin` make scans; `reverse` makes clouds")
+            raise UsageError("`accumulate`, `every` and `rebin` make scans, but `reverse` makes clouds")
         if (asked.lead or asked.window_ns is not None) and not self.may_share:
             raise UsageError(
-                "`lead` and `window` go with several topics that become one scan",
+                "`lead` and `window` need several topics that become one scan",
                 hint="such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
             )
         if asked.window_ns is not None and asked.accumulates:
-            raise UsageError("`window` does not count with `accumulate` and `every`, which take all messages of a time")
+            raise UsageError(
+                "`window` has no effect with `accumulate` and `every`, which use all messages of an interval"
+            )
         if self.may_combine and self.keep_used:
             raise UsageError(
-                "`keep_used` keeps points of single clouds; `accumulate`, `every`, `rebin` and topics that share a "
+                "`keep_used` keeps points of single clouds, but `accumulate`, `every`, `rebin` and topics that share a "
                 "target make scans of several messages",
-                hint="leave `keep_used` out, or make a scan of each topic for it, with `scans`",
+                hint="remove `keep_used`, or make a scan of each topic for it, with `scans`",
             )
         if self.may_combine and self.params.time_increment != 0:
             raise UsageError(
-                f"time_increment is {self.params.time_increment}, but a scan of several messages is of one time",
-                hint="leave `time_increment` out",
+                f"time_increment is {self.params.time_increment}, but a scan of several messages has one time",
+                hint="remove `time_increment`",
             )
 
     @property
@@ -227,12 +229,12 @@ class ScanSpec:
         return self.may_share or self.combining.accumulates or self.combining.rebin
 
     def refuse_combining(self, what: str) -> None:
-        """Raise if scans would be made of several messages, or of scans, for something that makes each of one cloud.
+        """Raise if scans would be made of several messages, or of scans, where each has to be made of one cloud.
 
         Raises
         ------
         UsageError
-            If anything of it is asked for.
+            If any option requests this.
         """
         if self.may_combine:
             raise UsageError(
@@ -284,10 +286,10 @@ class ScanSpec:
 
     @property
     def made_type(self) -> str:
-        """The type that messages become."""
+        """The type of the new messages."""
         return self.output_type or next(iter(self._outputs))
 
     @property
     def output(self) -> OutputType[Any]:
-        """The table's entry for the type that messages become."""
+        """The table's entry for the type of the new messages."""
         return self._outputs[self.made_type]

@@ -96,8 +96,8 @@ class ScanToCloud(Conversion):
             end_ns = scan.stamp_ns + last_beam_ns(len(scan.ranges), scan.time_increment)
             if end_ns < 0:
                 raise DecodeError(
-                    f"its last beam would be at {stamp_text(end_ns)}, before ROS's time begins",
-                    hint="its time_increment is negative and its stamp is 0 or nearly so",
+                    f"its last beam would be at {stamp_text(end_ns)}, which is before 1970",
+                    hint="its time_increment is negative, and its stamp is 0 or close to 0",
                 )
         except DecodeError as err:
             err.stamp_ns = scan.stamp_ns

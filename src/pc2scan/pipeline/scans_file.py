@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 __all__ = ["OUTPUT_KEYS", "OutputKey", "ScansFile", "load_scans", "refuse_beside"]
 
-#: The most levels of nesting.
+#: Maximum number of levels of nesting.
 _MAX_DEPTH = 20
 
 
 class OutputKey(NamedTuple):
     """A key of an output that is not a parameter of the projection.
 
-    ``kind`` is ``text``, ``texts`` (one or a list), ``flag``, ``number`` or ``time`` (seconds, or text); ``words`` are
-    the allowed texts, if not all are; ``help`` is for the JSON schema.
+    ``kind`` is ``text``, ``texts`` (one or a list), ``flag``, ``number`` or ``time`` (seconds, or text). ``words`` are
+    the allowed texts; if it is empty, any text is allowed. ``help`` is for the JSON schema.
     """
 
     kind: Literal["text", "texts", "flag", "number", "time"]
@@ -38,14 +38,14 @@ class OutputKey(NamedTuple):
     words: tuple[str, ...] = ()
 
 
-#: The choices by key. Keys that are attributes of `ScanSpec` are copied; `filters_from` and `_spec` read the others.
+#: The keys. Those that are attributes of `ScanSpec` are copied; `filters_from` and `_spec` read the others.
 OUTPUT_KEYS: Mapping[str, OutputKey] = {
     "sources": OutputKey("texts", "Topic, or topics, that become this output. Default: the only topic with clouds."),
     "preset": OutputKey("text", "A consumer of the scans, for parameters that suit it."),
     "params_file": OutputKey("text", "A ROS parameter file, relative to this file. It overrides the preset."),
     "node": OutputKey("text", "The node whose parameters are read from the parameter file."),
     **{name: OutputKey(option.kind, option.help, option.words) for name, option in FILTER_OPTIONS.items()},
-    "deskew": OutputKey("flag", "Transform each point by the pose at its own time, through fixed_frame."),
+    "deskew": OutputKey("flag", "Transform each point with the pose at its own time, through fixed_frame."),
     "fixed_frame": OutputKey("text", "A frame that does not move, such as odom."),
     "point_time": OutputKey(
         "text", "Field with the times of points, and its unit: t or t:ns; or azimuth, or azimuth:0.1:cw:end."
@@ -64,7 +64,7 @@ OUTPUT_KEYS: Mapping[str, OutputKey] = {
 
 _TOP = ("defaults", "scans")
 
-#: Keys that are copied to attributes of `ScanSpec` as they are.
+#: Keys that are copied to attributes of `ScanSpec`.
 _OWN = ScanSpec.__dataclass_fields__.keys() - {"remove"}
 
 #: The keys of `Combining`.
@@ -82,7 +82,7 @@ class ScansFile:
     files
         All files that were read.
     ignored
-        Places in parameter files that are no parameters of the projection.
+        Places of entries in parameter files that are not parameters of the projection.
     """
 
     specs: tuple[ScanSpec, ...]
@@ -103,11 +103,11 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
     Parameters
     ----------
     asked
-        A YAML or JSON file, or the same as Python's objects: a mapping with ``scans`` and optionally ``defaults``.
+        A YAML or JSON file, or the same as Python objects: a mapping with ``scans`` and optionally ``defaults``.
         ``scans`` is a mapping from topics to outputs, or a list of mappings with a ``topic`` each. A mapping or a list
         without these keys is read as ``scans``.
     overriding
-        Parameters of all outputs, which beat those of the file; the strongest first.
+        Parameters of all outputs, which override those of the file; the highest precedence first.
 
     Returns
     -------
@@ -301,7 +301,7 @@ def _naming_place(entry: _Entry, topic: str, chosen: Mapping[str, _Entry]) -> It
     try:
         yield
     except UsageError as err:
-        # If the error names a key, its line is the place.
+        # If the error names a key, the line of this key is shown.
         named_keys = ((f"`{key}`", f"'{key}'", found) for key, found in chosen.items())
         named = next((found for *names, found in named_keys if any(name in err.message for name in names)), entry)
         if not err.message.startswith(named.place):
@@ -316,7 +316,7 @@ def _scalar(entry: _Entry, key: str) -> Any:
 
 
 def _checked_value(key: str, entry: _Entry) -> Any:
-    """Return the value of a choice, checked to be of its kind."""
+    """Return the value of a key; raise if it is not of the key's kind."""
     kind, _, words = OUTPUT_KEYS[key]
     value = entry.value
     if kind == "texts":
@@ -351,7 +351,7 @@ def _found(entry: _Entry) -> str:
 
 
 def refuse_beside(names: Sequence[str]) -> None:
-    """Raise if arguments are given beside ``scans`` that only the file may have.
+    """Raise if arguments are given together with ``scans`` that only the file may have.
 
     Raises
     ------
@@ -361,6 +361,6 @@ def refuse_beside(names: Sequence[str]) -> None:
     if names:
         given = ", ".join(f"`{name}`" for name in names)
         raise UsageError(
-            f"{given} cannot be given beside `scans`, which has it for each output",
+            f"{given} cannot be combined with `scans`, which has it for each output",
             hint="write it under 'defaults' there, to have it for all; only parameters of the projection may be given",
         )

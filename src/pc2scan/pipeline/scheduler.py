@@ -1,7 +1,7 @@
 """The scheduler: all threads load units and work on their messages; results are returned in order.
 
-A thread that loads a unit also works on its messages, before it returns the unit. So a cloud of 4 MB is still in the
-core's own cache, and a chunk's memory is free again as soon as its scans exist.
+A thread that loads a unit also works on its messages before it returns the unit. So a cloud of 4 MB is still in the
+core's own cache, and the memory of a chunk is released as soon as its scans exist.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ __all__ = ["Later", "cores", "schedule"]
 AHEAD_BYTES = 12 << 20
 LARGEST_AHEAD = 20 << 20
 
-#: How many bytes of messages are given to another thread together: working on fewer takes less time than giving them
-#: away.
+#: How many bytes of messages are passed to another thread together. For fewer bytes, passing them takes longer than the
+#: work.
 _PIECE_BYTES = 1 << 20
 
 
@@ -93,7 +93,7 @@ def schedule(
     try:
         for item in items:
             yield item.work(item.message) if isinstance(item, Later) else item
-            # This frame must not hold an item in memory while the next one is made.
+            # Released here, so that the item is not in memory while the next one is made.
             del item
     finally:
         items.close()
@@ -123,7 +123,7 @@ def _ahead(
 
 
 def _may_wait(unit: Unit, results: InOrder[Loaded[Any]], jobs: int) -> bool:
-    """Whether one more unit may be loaded ahead; of those that take memory already, one for each thread is enough."""
+    """Whether one more unit may be loaded ahead; of units that are already in memory, one per thread is enough."""
     return results.has_room(unit.size) and (len(results) < jobs or not unit.is_in_memory)
 
 

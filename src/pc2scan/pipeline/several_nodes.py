@@ -1,4 +1,4 @@
-"""Makes one conversion of several nodes of a parameter or launch file: each node is an output."""
+"""Makes one conversion from several nodes of a parameter or launch file; each node becomes an output."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["options_of_nodes", "refuse_topics"]
 
 
 def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
-    """Raise if topics are given, because they do not say which node they are for.
+    """Raise if topics are given, because it is not clear which node they are for.
 
     Raises
     ------
@@ -37,14 +37,14 @@ def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
 
 
 def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], file: Path) -> ConvertOptions:
-    """Return one conversion that does what each node would do alone.
+    """Return the options of one conversion with the outputs of all nodes.
 
     Parameters
     ----------
     nodes
         Fully qualified names of the nodes.
     options
-        The options of each node, as if it were the only one.
+        The options of each node on its own.
 
     Returns
     -------

@@ -39,7 +39,7 @@ _PROGRESS_EVERY = 64
 
 
 class _Outcome(NamedTuple):
-    """The results of a message; an error is in the place of a result that could not be made."""
+    """The results of a message; a result that could not be made is replaced by its error."""
 
     route: OpenRoute
     log_time_ns: int
@@ -101,7 +101,7 @@ def stream(
 
         outcomes = with_scans(outcomes, _arrivals, joints, pool)
     steps = 0
-    # In a piece that is not the first one, the first messages say nothing about the whole recording.
+    # Not in later pieces, whose first messages are not those of the whole recording.
     judged = [route.connection for route in routes.values() if route.convert is not None and span.latched]
     unconnected = Unconnected(judged)
     is_connected = not unconnected.is_possible

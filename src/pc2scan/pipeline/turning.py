@@ -28,7 +28,7 @@ def measured_turns(
     start_ns: int | None = None,
     stop_ns: int | None = None,
 ) -> tuple[dict[str, Turn], list[str]]:
-    """Measure how the lidars turn, if the points' times come from azimuths and the time of a turn is not given.
+    """Measure the rotation of the lidars, if points' times come from azimuths and the time of a turn is not given.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def measured_turns(
                 try:
                     clouds.append(look(decoders[message.connection.id](message.data), message.log_time_ns))
                 except MessageError:
-                    # What cannot be decoded is reported when it is converted.
+                    # Messages that cannot be decoded are reported when they are converted.
                     continue
         if clouds:
             turns[topic], note = measured_turn(topic, asked, clouds)

@@ -32,7 +32,7 @@ def compose(text: str, place: str) -> Any:
     from ruamel.yaml import YAML  # noqa: PLC0415 - imported when a file or --param is given
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
-    # ROS 2's parser accepts tabs between tokens, ruamel does not; in indentation both refuse them.
+    # ROS 2's parser accepts tabs between tokens, ruamel does not. Both reject tabs as indentation.
     spaced = re.sub(r"(?m)(?<=[^ \t\n])[ \t]*\t[ \t]*", lambda tabs: " " * len(tabs.group()), text)
     yaml = YAML(typ="safe", pure=True)
     # An anchor that is defined twice is legal, so ruamel's warning is ignored.
@@ -63,17 +63,17 @@ def place_of(node: Any) -> str:
 
 
 def is_mapping(node: Any) -> bool:
-    """Whether it is a mapping."""
+    """Whether a node is a mapping."""
     return bool(node.id == "mapping")
 
 
 def is_scalar(node: Any) -> bool:
-    """Whether it is neither a mapping nor a list."""
+    """Whether a node is neither a mapping nor a list."""
     return bool(node.id == "scalar")
 
 
 def is_empty(node: Any) -> bool:
-    """Whether it is an empty mapping or null."""
+    """Whether a node is an empty mapping or null."""
     return (is_mapping(node) and not node.value) or (is_scalar(node) and not node.style and not node.value)
 
 

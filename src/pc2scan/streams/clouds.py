@@ -180,7 +180,7 @@ class Cloud(Stamped):
         return columns
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # For other processes and files: a view cannot be pickled, its bytes can.
+        # Pickles the bytes, because a view cannot be pickled.
         message = self._message
         described = [getattr(message, each.name) for each in dataclass_fields(message) if each.name[0] != "_"]
         values = [bytes(value) if isinstance(value, memoryview) else value for value in described]

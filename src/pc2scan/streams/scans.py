@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Scan", "Scans"]
 
-#: The attributes that all scans of one table must share: their beams.
+#: The attributes that all scans of one Dataset must share, because they describe the beams.
 _GEOMETRY = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = ("range_min", "range_max", "time_increment", "scan_time")
 
@@ -201,7 +201,7 @@ class Scans(Stream[Scan]):
     def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> Source:
         """Convert clouds as `pc2scan.convert` does."""
         if not options.scan.topics:
-            # The only topic, or an error.
+            # Returns the only topic, or raises.
             self._selection.chosen(reader, options.scan.source_types, _scans_instead)
         plan = make_plan(reader.connections, options)
         span = span_of(reader, options)
@@ -291,7 +291,7 @@ class Scans(Stream[Scan]):
 def _dataset(scans: Sequence[Scan]) -> Any:
     xarray = packages.xarray()
     if not scans:
-        raise UsageError("there is no scan to make a Dataset of", hint="see topic, `start` and `end`")
+        raise UsageError("there is no scan to make a Dataset of", hint="check topic, `start` and `end`")
     first = scans[0]
     for scan in scans:
         if len(scan.ranges) != len(first.ranges) or any(getattr(scan, n) != getattr(first, n) for n in _GEOMETRY):
@@ -351,7 +351,7 @@ def _recorded(message: RawMessage) -> Scan:
 
 
 class _Task(NamedTuple):
-    """What makes a scan of a message, and the topics of it; ``joint`` makes one of this and other messages."""
+    """A conversion, and the topics of its scans; ``joint`` makes a scan of a message and others."""
 
     convert: Callable[[Buffer], Any]
     targets: Sequence[str]
@@ -381,7 +381,7 @@ def _converted(tasks: Sequence[_Task], message: RawMessage) -> Read:
 
 
 def _made(scan: MadeScan) -> Read:
-    """Return a scan of several messages as what became of the one that leads it."""
+    """Return a scan of several messages as the result of the message that leads it."""
     (connection, targets), log_time_ns, _, _, made = scan
     if isinstance(made, MessageError):
         return Read(connection, log_time_ns, 0, error=made, is_joint=True)

@@ -47,7 +47,7 @@ _PROGRESS_EVERY = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Selection:
-    """The request: what is read.
+    """The messages that are requested.
 
     Attributes
     ----------
@@ -126,8 +126,8 @@ class Selection:
 class Read(NamedTuple):
     """The result of a message: its items, or the error; for a conversion, also the counts of its points.
 
-    ``arrived`` is what it has for scans of several messages. ``is_joint`` is whether it is such a scan, of the
-    connection that leads.
+    ``arrived`` is its part of a scan of several messages. ``is_joint`` is whether this is such a scan, whose connection
+    is the one that leads.
     """
 
     connection: Connection
@@ -213,7 +213,7 @@ class Source(NamedTuple):
             parts.insert(0, reader.units(self.latched, None, self.start_ns))
         for units in parts:
             with closing(in_time_order(units, self.read, path=reader.path)) as found:
-                # Whole chunks are yielded only if a rule allows it.
+                # Readers yield whole chunks only if they are given a rule for them, which is not the case here.
                 yield from found  # type: ignore[misc]
 
 
@@ -291,7 +291,7 @@ class Stream(ABC, Generic[Item]):
         with ExitStack() as stack:
             readers = open_recordings(asked.paths, stack, verify=asked.verify, strict=asked.strict)
             source = self._source(stack, as_one(readers))
-            # A topic without messages is an empty loop; a cut outside of the recording is a mistake.
+            # A topic without messages gives an empty loop, but a cut outside of the recording is an error.
             if source.start_ns is not None or source.stop_ns is not None:
                 with suppress(TopicError):
                     refuse_no_messages(source.readers[0], source.connections, source.start_ns, source.stop_ns)
@@ -313,7 +313,7 @@ class Stream(ABC, Generic[Item]):
         Parameters
         ----------
         progress
-            Called now and then with bytes read, bytes in all, and messages read.
+            Called regularly with bytes read, total bytes, and messages read.
 
         Raises
         ------
@@ -335,7 +335,7 @@ class Stream(ABC, Generic[Item]):
                     self.listener(text)
 
     def _taken(self) -> Source:
-        """The recording, open; the caller closes it."""
+        """Return the open recording; the caller closes it."""
         source, self._prepared = self._prepared, None
         if source is None:
             return self._open()
@@ -343,7 +343,7 @@ class Stream(ABC, Generic[Item]):
         return source
 
     def _items(self, source: Source) -> Generator[Item]:
-        """Yield nothing of interest, and then the items."""
+        """Yield the items, after a first None: once the generator has begun, it closes the files in any case."""
         with source.stack:
             yield None  # type: ignore[misc]
             self.skipped, self.skipped_count = [], 0
@@ -416,7 +416,7 @@ def _accounted(source: Source) -> Generator[Read]:
 
 
 def _warn_of_damage(damage: tuple[Damage, ...], warned: int) -> int:
-    """Warn of damage that was not warned of yet; returns how many places there are now."""
+    """Warn of damage that has not been reported yet; return how many places there are now."""
     if len(damage) > warned:
         first = damage[0]
         place = f"{first.path}" + ("" if first.offset is None else f", byte {first.offset}")

@@ -276,14 +276,14 @@ def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     ("options", "what"),
     [
         ({"deskew": True}, "needs a frame that does not move: `fixed_frame`"),
-        ({"fixed_frame": "odom"}, "goes with `deskew` or `level` of clouds"),
-        ({"point_time": "t"}, "go with `deskew` of clouds"),
-        ({"stamp": "middle", "reverse": True}, "go with `deskew` of clouds"),
+        ({"fixed_frame": "odom"}, "needs `deskew` or `level` of clouds"),
+        ({"point_time": "t"}, "need `deskew` of clouds"),
+        ({"stamp": "middle", "reverse": True}, "need `deskew` of clouds"),
         ({"deskew": True, "fixed_frame": "odom", "stamp": "late"}, "must be one of header, start, middle, end"),
         ({"deskew": True, "fixed_frame": "odom", "point_time": ":"}, "must be a field"),
         (
             {"deskew": True, "fixed_frame": "odom", "params": ProjectionParams(time_increment="auto")},
-            "a deskewed scan is of one time",
+            "a deskewed scan has one time",
         ),
     ],
 )

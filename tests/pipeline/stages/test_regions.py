@@ -128,7 +128,7 @@ def test_a_footprint_with_a_notch_in_rows_with_gaps() -> None:
     ("text", "what"),
     [
         ("base 0 0 1 1", "has 2 corners"),
-        ("base 0 0 1 1 2", "has 5 numbers, an odd one"),
+        ("base 0 0 1 1 2", "has 5 numbers, which is odd"),
         ("base 0 0 1 1 0 inf", "a corner in base is not finite"),
         ("base 0 0 0 1 0 2", "has no area"),
         ("", "names no frame"),

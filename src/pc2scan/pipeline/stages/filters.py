@@ -51,9 +51,9 @@ class Filter(Protocol):
         ...
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
-        """Return which points are kept, in the shape of the points' fields.
+        """Return a mask of the points that are kept, in the shape of the points' fields.
 
-        It keeps points that it cannot judge, such as those with NaN coordinates: the projection rejects and counts
+        Points that it cannot judge are kept, such as those with NaN coordinates: the projection rejects and counts
         them. NumPy's floating-point warnings are off.
         """
         ...
@@ -61,7 +61,7 @@ class Filter(Protocol):
 
 def rejection_of(chosen: Filter) -> Rejection:
     """Return the reason of a filter's rejections."""
-    # Few filters have a warning for the case that they reject nothing.
+    # The warning for the case that nothing is rejected is optional.
     return Rejection(chosen.name, chosen.explanation, absent=getattr(chosen, "absent", ""))
 
 

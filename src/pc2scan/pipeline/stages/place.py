@@ -1,4 +1,4 @@
-"""Placing: the frame that a cloud is converted in, the scan's time, and the motion of a deskewed cloud."""
+"""The stage that places clouds: looks up the scan's frame and time, and the motion of a deskewed cloud."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class Place:
         self.deskew = deskew
 
     def of(self, topic: str) -> Place:
-        """Return the same for the clouds of one topic."""
+        """Return the stage for the clouds of one topic."""
         return self if self.deskew is None else Place(self.frames, self.deskew.of(topic))
 
     def __call__(self, points: Points) -> Placed:

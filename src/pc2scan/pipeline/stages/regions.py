@@ -136,7 +136,7 @@ class ExcludePolygon:
         """
         frame, numbers = _frame_and_numbers("exclude_polygon", text.translate(str.maketrans("[]()", "    ")), _POLYGON)
         if len(numbers) % 2:
-            raise UsageError(f"`exclude_polygon`: {text!r} has {len(numbers)} numbers, an odd one", hint=_POLYGON)
+            raise UsageError(f"`exclude_polygon`: {text!r} has {len(numbers)} numbers, which is odd", hint=_POLYGON)
         return cls(frame, tuple(zip(numbers[::2], numbers[1::2], strict=True)))
 
     @property

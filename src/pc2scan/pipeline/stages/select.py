@@ -101,9 +101,9 @@ class Select:
         place
             The frame that it is converted in.
         moving
-            The motion of its sensor, if it is deskewed. Then filters in the target frame come last, and see the points
-            placed at their own times. All others see the cloud as it was recorded, so that parts of the robot are where
-            they belong.
+            The motion of its sensor, if it is deskewed. Then filters in the target frame are applied last, to points
+            that are placed at their own times. All others are applied to the recorded points, so that parts of the
+            robot are at their fixed place.
 
         Raises
         ------

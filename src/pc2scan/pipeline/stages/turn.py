@@ -1,4 +1,4 @@
-"""How a lidar turns whose points have no times: given by the user, or measured in its first clouds."""
+"""The rotation of a lidar whose points have no times: given by the user, or measured in its first clouds."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ AZIMUTH = "azimuth"
 FIRST_CLOUDS = 11
 _FEWEST = 4
 
-#: Seconds that a turn may take.
+#: The longest time of a turn, seconds.
 _LONGEST = 60.0
 
-#: How far an interval between stamps may be from the median or a multiple of it, and the share of those that are not.
+#: How far a regular interval between stamps may be from a multiple of the median, and the minimum share of these.
 _JITTER = 0.1
 _REGULAR = 0.8
 
@@ -44,7 +44,7 @@ _SEEN = 0.5
 _OF_ALL = 0.85
 _DIRECTIONS = 90
 
-#: Turns that a cloud in one row may not have: it has one, or one for each of many rings.
+#: Numbers of turns that an unorganised cloud cannot have: its points go round once, or once for each of many rings.
 _TWO_OR_THREE = (1.5, 3.5)
 
 #: The longest delay from stamp to log time, as a share of the turn, that proves the stamp to be that of the last point:
@@ -75,7 +75,7 @@ class Turn:
 
     @classmethod
     def parse(cls, text: str) -> Turn:
-        """Read ``azimuth``, and ``:PERIOD``, ``:cw`` or ``:ccw``, ``:start`` or ``:end`` behind it.
+        """Read ``azimuth``, which ``:PERIOD``, ``:cw`` or ``:ccw``, ``:start`` or ``:end`` may follow.
 
         Raises
         ------
@@ -140,7 +140,7 @@ class Look(NamedTuple):
     Attributes
     ----------
     stamp_ns, log_time_ns
-        When it was stamped and logged.
+        Its stamp and its log time.
     turns
         How many times its points go round, in their order; positive counter-clockwise; 0 if the order shows no
         direction.
@@ -156,7 +156,7 @@ class Look(NamedTuple):
 
 @np.errstate(all="ignore")
 def look(points: Points, log_time_ns: int) -> Look:
-    """Look at a cloud."""
+    """Return the properties of a cloud."""
     x, y = (points.field(name).astype(np.float64).ravel() for name in "xy")
     angles = np.arctan2(y, x)[np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))]
     near, turns = turned(angles)
@@ -209,7 +209,7 @@ def _period(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[float, str
         raise _error(topic, why, give)
     median_ns = median_interval_ns(stamps) or 0
     intervals = [later - earlier for earlier, later in pairwise(stamps)]
-    # Where a cloud is missing, an interval is twice as long.
+    # If a cloud is missing, an interval is twice as long.
     off = [abs(each / median_ns - max(1, round(each / median_ns))) for each in intervals]
     regular = sum(each <= _JITTER for each in off)
     if regular < _REGULAR * len(intervals):
@@ -221,7 +221,7 @@ def _period(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[float, str
         raise _error(topic, why, give)
     if median_ns > _LONGEST * 1e9:
         raise _error(topic, f"the clouds come every {median_ns / 1e9:.4g} s, a turn takes at most {_LONGEST:g} s", give)
-    # As many digits as are shown: who types what is shown gets the same scans.
+    # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
     found = replace(asked, period=float(f"{median_ns / 1e9:.4g}"))
     give = f"if a turn takes as long as from cloud to cloud: {_typed(found)}"
     covered = statistics.median(cloud.directions.bit_count() for cloud in clouds) / _DIRECTIONS

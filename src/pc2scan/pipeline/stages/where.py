@@ -49,7 +49,7 @@ _TOKEN = re.compile(
 )
 _WORDS = {"and", "or", "not", "in", "abs"}
 
-#: Signs of other languages, and what to write instead.
+#: Operators of other languages, and what to write instead.
 _INSTEAD = {"=": "for equality write ==", "&": "write and", "|": "write or", "!": "write not"}
 
 _COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = {
@@ -75,7 +75,7 @@ class Where:
 
     Fields have their values as the cloud has them, ``x``, ``y`` and ``z`` in the cloud's own frame. Numbers are
     computed and compared as float64; a field of float32 is compared with a number as float32, so that ``== 0.1`` is
-    true for a float32 of 0.1. NaN fulfils no comparison but ``!=``.
+    true for a float32 of 0.1. NaN fulfils no comparison except ``!=``.
 
     Parameters
     ----------
