@@ -17,6 +17,7 @@ from pc2scan.messages.outputs import OF_CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import Conversion, Measured, Result
+from .first_clouds import Candidate
 from .stages.place import Place
 
 if TYPE_CHECKING:
@@ -151,7 +152,7 @@ class CloudToScan(Conversion):
             scan.intensities,
         )
         empty = scan.ranges.tobytes() == beams.no_returns
-        sample = None if firsts is None or firsts.full else firsts.sample(placed.whole, placed.place)
+        sample = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
         used = self._used(placed, beams.project) if self._keeps_used else None

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import LevelTransform
 
     from .combine.rebinned import Rebinned
-    from .first_clouds import Sample
+    from .first_clouds import Candidate, Sample
     from .motion import Motion
 
     #: One step between the decoded message and the result.
@@ -36,16 +36,17 @@ class Result:
     """The result of the stages for one message: the new message as arrays, which the output's encoder serialises.
 
     ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
-    ``sample`` is for `FirstClouds`, as long as that takes samples. ``level`` is the transform of its frame, if that is
-    made level. ``rebinned`` counts how beams of scans became other beams. ``used`` are the points that beams read, if
-    they are written. ``removed`` is how many beams each beam filter removed, and how many had ``returns`` before.
+    ``sample`` is for `FirstClouds`, as long as that takes samples, and a candidate until the message's log time is
+    known. ``level`` is the transform of its frame, if that is made level. ``rebinned`` counts how beams of scans became
+    other beams. ``used`` are the points that beams read, if they are written. ``removed`` is how many beams each beam
+    filter removed, and how many had ``returns`` before.
     """
 
     message: Any
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: Sample | None = None
+    sample: Candidate | Sample | None = None
     level: LevelTransform | None = None
     rebinned: Rebinned | None = None
     used: UsedPoints | None = None
@@ -60,7 +61,7 @@ class Converted:
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: Sample | None = None
+    sample: Candidate | Sample | None = None
     level: LevelTransform | None = None
     rebinned: Rebinned | None = None
     used: bytes | None = None

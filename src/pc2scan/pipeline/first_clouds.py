@@ -1,8 +1,8 @@
 """Checks of the first clouds of a conversion: wrong frames, limits that reject every point, wrong units.
 
-The threads that convert take a sample of each cloud until enough samples have been judged. Samples are judged in the
-order of writing, so the warnings do not depend on the number of threads. A level floor in the first cloud ends the
-check within a millisecond.
+The threads that convert take a sample of each cloud that may be among the first, until enough samples have been judged.
+Samples are judged in the order of writing, so the warnings do not depend on the number of threads. A level floor in the
+first cloud ends the check within a millisecond.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .topic_report import TopicReport
 
-__all__ = ["FirstClouds", "Sample", "TopicClouds"]
+__all__ = ["Candidate", "FirstClouds", "Sample", "TopicClouds"]
 
 #: How many clouds are judged together if the first one is not enough, and how many points of each.
 _CLOUDS = 3
@@ -67,6 +67,19 @@ class Sample(NamedTuple):
     def placed(self) -> NDArray[np.float64]:
         """The points in the scan's frame."""
         return np.asarray(self.points + self.origin)
+
+
+class Candidate(NamedTuple):
+    """A cloud that may be among the first ones, as long as its message is in memory."""
+
+    clouds: TopicClouds
+    points: Points
+    place: Placement
+
+    def sample(self, log_time_ns: int) -> Sample | None:
+        """Return a sample of the cloud's points; None if it is not among the first. On any thread."""
+        clouds = self.clouds
+        return clouds.sample(self.points, self.place) if clouds.may_be_first(log_time_ns) else None
 
 
 class FirstClouds:
@@ -133,7 +146,21 @@ class TopicClouds:
         self._label = f"{spec.name}: " if spec.name else ""
         self._every = every
         self._samples: list[Sample] = []
+        self._earliest: list[int] = []
         self._counts = PointCounts()
+
+    def may_be_first(self, log_time_ns: int) -> bool:
+        """Return whether fewer clouds than are judged were converted from earlier log times; on any thread.
+
+        Threads convert hundreds of small clouds before the first one is written. All clouds that are judged pass,
+        whatever the order in which threads convert them: only earlier ones are written before them. If two threads
+        change the list at once, it lacks one log time, and more clouds pass.
+        """
+        earliest = self._earliest
+        if len(earliest) == _CLOUDS and earliest[-1] < log_time_ns:
+            return False
+        self._earliest = sorted([*earliest, log_time_ns])[:_CLOUDS]
+        return True
 
     def sample(self, points: Points, place: Placement) -> Sample:
         """Return a sample of a cloud's points; on any thread."""

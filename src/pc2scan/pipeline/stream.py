@@ -12,6 +12,7 @@ from pc2scan.model import StoredChunk, own, owned
 
 from .beforehand import Unconnected
 from .conversion import Converted
+from .first_clouds import Candidate, Sample
 from .report import Report, Skipped
 from .scheduler import Later, schedule
 
@@ -171,6 +172,9 @@ def _outcome(route: OpenRoute, message: RawMessage) -> _Outcome:
             passing = own(message.data) if route.encode is None else route.encode(message.data)
         if route.convert is not None:
             converted = route.convert(message.data)
+            for made in converted:
+                if isinstance(made, Converted) and isinstance(made.sample, Candidate):
+                    made.sample = made.sample.sample(message.log_time_ns)
     except MessageError as err:
         error = err
     return _Outcome(route, message.log_time_ns, message.publish_time_ns, message.sequence, converted, passing, error)
@@ -217,7 +221,7 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
         if reason is not None:
             failed.append((reason, output.report))
     for made in converted:
-        if isinstance(made, Converted) and made.sample is not None:
+        if isinstance(made, Converted) and isinstance(made.sample, Sample):
             made.sample.clouds.add(made.sample, made.counts)
     if failed:
         _skip(route.connection.topic, log_time_ns, failed, report, on_error)
@@ -274,7 +278,7 @@ def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, l
         else:
             _account(made, output)
             output.report.messages_out += 1
-            if made.sample is not None:
+            if isinstance(made.sample, Sample):
                 made.sample.clouds.add(made.sample, made.counts)
     if error is None:
         return
