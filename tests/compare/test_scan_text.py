@@ -149,7 +149,7 @@ def test_damage_is_named_with_its_line(old: str, new: str, blamed: str, tmp_path
     (line,) = [n for n, line in enumerate(path.read_text().splitlines(), 1) if blamed in line]
     with pytest.raises(RecordingError, match=rf"line {line} has been changed") as caught:
         open_scan_text(path)
-    assert "--update" in (caught.value.hint or "")
+    assert "`update=True`" in (caught.value.hint or "")
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,7 @@ def test_an_expected_exit_status(folder: Path) -> None:
     (folder / "hall" / "params.yaml").write_text(PARAMS + "    range_min: 90.0\n")
     done = golden(folder, "--update")
     assert done.status == 1
-    assert "ended with 4, expected is 0" in done.stdout
+    assert "ended with exit status 4, expected was 0" in done.stdout
     assert "5 of 5 scans on /scan have no return" in done.stdout
     assert outcomes(settings(folder, "exit_status: 4"), "--update") == {"hall": "updated"}
     assert outcomes(folder) == {"hall": "passed"}
