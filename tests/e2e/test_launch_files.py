@@ -196,7 +196,7 @@ def test_remappings(place: Path, options: tuple[str, ...]) -> None:
     [
         (("-r", "cloud:=/points"), "pointcloud_to_laserscan has no topic 'cloud'"),
         (("-r", "cloud_in=/points"), "'cloud_in=/points' is not a remapping"),
-        (("-r", "cloud_in:=/points", "-t", "/points"), "--topic and --remap say the same in two ways"),
+        (("-r", "cloud_in:=/points", "-t", "/points"), "--topic and --remap both name the topics"),
         (("-t", "/lidar*"), "no PointCloud2 topic matches /lidar*"),
         (("-t", "/points:=/scan_*"), "has more * on the right than on the left"),
         (("--arg", "a:=b"), "--arg needs a launch file, and none is given"),

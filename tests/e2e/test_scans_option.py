@@ -113,7 +113,7 @@ def test_what_else_an_output_has_is_refused_beside_the_file(file: Path, tmp_path
     done = command("convert", HALL, "--scans", file, "--preset", "gmapping", "-t", "/points", "--where", "x > 0")
     assert done.exit_code == 2
     assert "--topic, --preset, --where cannot be combined with --scans" in done.output
-    with pytest.raises(UsageError, match="`preset`, `deskew` cannot be given"):
+    with pytest.raises(UsageError, match="`preset`, `deskew` cannot be combined with"):
         pc2scan.convert(HALL, tmp_path / "a.mcap", scans=file, preset="gmapping", deskew=True)
 
 
