@@ -266,6 +266,16 @@ def test_what_was_probably_not_meant_draws_a_warning(tmp_path: Path, options: tu
     assert said in " ".join(done.stderr.split())
 
 
+@pytest.mark.parametrize("name", ["every", "accumulate"])
+def test_milliseconds_as_seconds_are_noticed_in_long_recordings(tmp_path: Path, name: str) -> None:
+    source = write_world(tmp_path / "w.mcap", [Lidar("/front", "front", columns=20, elevations=(0.0,))], seconds=40)
+    options = ("--topic", "/front", *MOVED, "--min-height", "0.1")
+    said = " ".join(converted(source, f"--{name}", "35", *options).stderr.split())
+    assert f"--{name} is 35 s, but messages of /front come every 0.1 s: 350 in a scan; if millisec" in said
+    assert f"--{name} 35ms" in said
+    assert "milliseconds" not in converted(source, f"--{name}", "20", *options).stderr
+
+
 def test_what_is_right_draws_none_of_these_warnings(tmp_path: Path) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.5)
     for options in (

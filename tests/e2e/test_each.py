@@ -235,3 +235,10 @@ def test_an_interruption_says_what_was_written(drives: Path, monkeypatch: pytest
     assert "a_scan.bag" in last
     assert "b_scan.mcap" not in last
     assert names(drives) == {"a.bag", "b.mcap", "c", "a_scan.bag"}
+
+
+def test_urls_are_refused_with_the_command_that_takes_them(tmp_path: Path) -> None:
+    done = run("convert", "--each", "s3://bucket/a.bag", "s3://bucket/b.bag", "-o", f"{tmp_path}/out/")
+    assert done.status == 2
+    assert "--each takes local paths, not URLs" in done.stderr
+    assert "pc2scan batch URL -o FOLDER/" in done.stderr

@@ -116,7 +116,7 @@ def run_each(
     if not sources:
         raise UsageError("no source given")
     if any(map(is_url, (*sources, output.folder, output.report))):
-        raise UsageError("`each` takes local paths, not URLs", hint="convert each URL on its own")
+        raise UsageError("`each` takes local paths, not URLs", hint="`pc2scan batch URL -o FOLDER/` takes URLs")
     result = Each(list(_with_destinations(sources, output)))
     _refuse_collisions(result.outcomes)
     inputs = [InputPath(outcome.source) for outcome in result.outcomes]

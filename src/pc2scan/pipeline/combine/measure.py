@@ -48,6 +48,10 @@ _SURELY_ANOTHER_NS = 2_000_000_000
 #: A window of more periods was probably meant in milliseconds.
 _MOST_PERIODS = 5
 
+#: So are seconds in one scan, if they are this long and of more messages of a topic.
+_LONG_NS = 10_000_000_000
+_MOST_MESSAGES = 300
+
 #: The fields that the beams of a LaserScan have.
 _BEAM_FIELDS = ("x", "y", "z", "intensity", "index")
 
@@ -124,7 +128,12 @@ def measured(
     flat = [topic for topic in topics if len(clouds[topic]) < len(own[topic])]
     if flat:
         _require_fields(flat, combination)
-    wanted = len(topics) > 1 or asked.every_ns or (flat and "auto" in (params.scan_time, params.beams))
+    wanted = (
+        len(topics) > 1
+        or asked.every_ns
+        or asked.span_ns >= _LONG_NS
+        or (flat and "auto" in (params.scan_time, params.beams))
+    )
     firsts = _first_messages(reader, own, start_ns, stop_ns) if wanted else {}
     lead = firsts.get(topics[0])
     found = timing.get(topics[0]) or _of_scans(combination, lead, notes)
@@ -168,6 +177,10 @@ def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: M
             periods = [firsts[topic].period_ns or value_ns for topic in topics if topic in firsts]
             if periods and value_ns > _MOST_PERIODS * max(periods):
                 why = f"messages of {topics[0]} come every {periods[0] / 1e9:.3g} s"
+        elif value_ns == asked.span_ns >= _LONG_NS:
+            period_ns = firsts[topics[0]].period_ns if topics[0] in firsts else None
+            if period_ns and value_ns > _MOST_MESSAGES * period_ns:
+                why = f"messages of {topics[0]} come every {period_ns / 1e9:.3g} s: {value_ns // period_ns:,} in a scan"
         if why:
             found.append(f"`{name}` is {seconds:g} s, but {why}; if milliseconds were meant: `{name}={seconds:g}ms`")
     return found
