@@ -167,6 +167,22 @@ def test_globs_single_files_and_lists(s3: Any, drives: Path, tmp_path: Path) -> 
         keys(f"{source}/none.bag")
 
 
+def test_keys_with_the_signs_of_queries_and_fragments(s3: Any, drives: Path, tmp_path: Path) -> None:
+    """In a bucket they are parts of the name; `?` is also a pattern, which matches itself."""
+    for name in ("drive#1.bag", "drive#2.bag", "drive?3.bag"):
+        s3.put_file(str(drives / "a.bag"), f"{s3.bucket}/signs/{name}")
+    single = [f"s3://{s3.bucket}/signs/drive{sign}.bag" for sign in ("#1", "#2", "?3")]
+    pc2scan.batch(single, tmp_path / "out", **KEYWORDS)
+    expected = {f"drive{sign}_scan.bag" for sign in ("#1", "#2", "?3")}
+    assert {path.name for path in (tmp_path / "out").glob("*.bag")} == expected
+    pc2scan.batch(f"s3://{s3.bucket}/signs", tmp_path / "folder", **KEYWORDS)
+    assert {path.name for path in (tmp_path / "folder").glob("*.bag")} == expected
+    pc2scan.convert(single[0], f"s3://{s3.bucket}/made #1?.bag", min_height=-0.3)
+    assert pc2scan.info(f"s3://{s3.bucket}/made #1?.bag").topics
+    with pytest.raises(MissingError, match=r"signs/drive#9\.bag: does not exist"):
+        pc2scan.info(f"s3://{s3.bucket}/signs/drive#9.bag")
+
+
 def test_the_results_of_a_run_are_no_sources(s3: Any, drives: Path) -> None:
     source = upload(s3, drives, "in")
     for expected in (0, 4):

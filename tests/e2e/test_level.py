@@ -241,7 +241,7 @@ def test_filters_see_the_level_frame(tmp_path: Path, world: Path) -> None:
     [
         (
             ("--level",),
-            "--level needs a source of the up direction",
+            "--level needs a source of the direction of up",
             "--fixed-frame odom; or an IMU: --imu /imu/data",
         ),
         (("--imu", "/imu"), "--imu needs --level", ""),

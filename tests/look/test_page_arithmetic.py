@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -113,7 +114,7 @@ def test_every_parameter_means_the_same(tmp_path: Path) -> None:
             rigid = None if mount is None else Rigid.from_rpy(mount[3], mount[4], mount[5], mount[:3]).as_float32()
             x, y, z = cloud.T
             expected.append(Projector(params)(x, y, z, rigid, lit))
-            shown = {name: getattr(params, name) for name in ProjectionParams.__dataclass_fields__}
+            shown = {field.name: getattr(params, field.name) for field in fields(ProjectionParams)}
             cases.append({"params": shown, "mount": mount, "points": POINTS, "lit": lit is not None})
             for column in (*cloud.T, np.zeros(POINTS, np.float32) if lit is None else lit):
                 file.write(column.tobytes())

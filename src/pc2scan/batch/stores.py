@@ -16,7 +16,6 @@ from pathlib import Path
 from secrets import token_hex
 from threading import Event, Thread
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
 
 from pc2scan.errors import DestinationError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.source import on_demand
@@ -160,10 +159,12 @@ class Stores:
 
     def _path_of(self, place: RemotePath, url: str) -> Path:
         """Return the path in the tree for a URL, and note the URL."""
-        parts = urlsplit(place.shown)
-        root = self.folder() / "tree" / parts.scheme / (parts.netloc or "_")
-        self.names.add(root, f"{parts.scheme}://{parts.netloc}")
-        path = Path(os.path.normpath(root / parts.path.strip("/")))
+        # Not by urllib: a key in a store may have ? and # in it.
+        scheme, _, rest = place.shown.partition("://")
+        host, _, name = rest.partition("/")
+        root = self.folder() / "tree" / scheme / (host or "_")
+        self.names.add(root, f"{scheme}://{host}")
+        path = Path(os.path.normpath(root / name.strip("/")))
         self._urls[path] = url
         return path
 

@@ -85,8 +85,8 @@ class ScanSpec:
     level
         Whether scans of clouds are in a frame without roll and pitch, which come from ``fixed_frame`` or ``imu``.
     imu
-        With ``level``: the IMU that measures the up direction, ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame`` is
-        used.
+        With ``level``: the IMU that measures the direction of up, ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame``
+        is used.
     combining
         Which messages become one scan.
     filters
@@ -183,7 +183,7 @@ class ScanSpec:
             raise UsageError("`imu` needs `level`")
         if self.level and not (self.fixed_frame or self.imu):
             raise UsageError(
-                "`level` needs a source of the up direction",
+                "`level` needs a source of the direction of up",
                 hint="give a frame that does not move, whose z is up: `fixed_frame=odom`; or an IMU: `imu=/imu/data`",
             )
         if self.imu:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,13 +52,18 @@ def url_of(path: Path) -> str:
 
 
 def shown_url(url: str) -> str:
-    """Return a URL without its parts that may be secret: user, password, query and fragment.
+    """Return a URL without its parts that may be secret: user and password, and over HTTP query and fragment.
 
-    >>> shown_url("https://me:secret@example.org/drive.mcap?signature=1")
-    'https://example.org/drive.mcap'
+    In the other schemes ``?`` and ``#`` are characters of a name.
+
+    >>> shown_url("https://me:secret@example.org/drive.mcap?signature=1"), shown_url("s3://bucket/drive #1?.mcap")
+    ('https://example.org/drive.mcap', 's3://bucket/drive #1?.mcap')
     """
-    parts = urlsplit(url)
-    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
+    scheme, _, rest = url.partition("://")
+    if scheme in ("http", "https"):
+        rest = rest.partition("#")[0].partition("?")[0]
+    host, slash, path = rest.partition("/")
+    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
 
 
 def shown_path(path: Path) -> str:
