@@ -197,7 +197,8 @@ def convert(
         ``"speckles filter_window=3"``; or several of these.
     keep_used
         A topic to which the points that the scans' beams read are written: PointCloud2 with all of their fields and the
-        beam's index.
+        beam's index. For a scan of several messages: where they were projected, with the fields that all messages have,
+        and the index of the source topic.
     reverse
         Convert LaserScan to PointCloud2.
     deskew, fixed_frame, point_time, stamp

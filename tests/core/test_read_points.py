@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from pc2scan.core.params import CHOICES, ProjectionParams
-from pc2scan.core.project import Projector
+from pc2scan.core.plain import transformed
+from pc2scan.core.project import Part, Projector, packed
 from pc2scan.core.rigid import Rigid
 
 pytestmark = pytest.mark.usefixtures("loops")
@@ -73,6 +74,25 @@ def test_the_points_that_beams_read_give_the_same_scan(
     unread = np.ones(len(scan.ranges), bool)
     unread[beams] = False
     assert np.full(unread.sum(), params.empty_range, np.float32).tobytes() == scan.ranges[unread].tobytes()
+
+
+@given(st.lists(st.tuples(POINTS, st.booleans()), min_size=1, max_size=4), st.one_of(PARAMS, KTH))
+def test_points_of_several_messages_are_read_as_those_of_one(
+    clouds: list[tuple[Any, bool]], params: ProjectionParams
+) -> None:
+    project = Projector(params)
+    parts, placed, begins = [], [], [0]
+    for points, moved in clouds:
+        x, y, z = points.T
+        parts.append(Part(x, y, z, MOUNT if moved else None))
+        placed.append(np.stack(transformed(x, y, z, packed(MOUNT)) if moved else (x, y, z)))
+        begins.append(begins[-1] + len(points))
+    x, y, z = np.concatenate(placed, axis=1)
+    numbers, beams = project.read(x, y, z)
+    found = project.read_together(parts)
+    together = [number + begin for (own, _), begin in zip(found, begins, strict=False) for number in own]
+    assert together == numbers.tolist()
+    assert [beam for _, own in found for beam in own] == beams.tolist()
 
 
 def read(points: Any, **params: Any) -> tuple[list[int], list[int]]:

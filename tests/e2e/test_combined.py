@@ -330,7 +330,6 @@ def test_a_silent_lidar_is_reported(tmp_path: Path) -> None:
         (("--every", "-1"), "it must be more than 0"),
         (("--accumulate", "1", "--time-increment", "auto"), "a scan of several messages has one time"),
         ((*two_topics(), "--target-frame", "base_link", "--lead", "/points"), "no topic /points"),
-        (("--accumulate", "1", "--keep-used", "/used"), "--keep-used keeps points of single clouds"),
         (("--rebin", "--reverse"), "make scans, but --reverse makes clouds"),
         (("--rebin", "--topic", "/front"), "topic /front is sensor_msgs/msg/PointCloud2"),
         (("--fixed-frame", "odom"), "--fixed-frame needs --deskew or --level of clouds, --accumulate, or topics"),

@@ -1,4 +1,4 @@
-"""``--keep-used``: the points that beams read, as they were recorded, with the beam's number."""
+"""``--keep-used``: the points that beams read, as recorded or, in scans of several messages, as projected."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import pytest
 from typer.testing import CliRunner
 
 import pc2scan
+from moving_world import Lidar, write_world
 from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.app import application
 from pc2scan.core.points import Points
+from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TopicError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.definitions import definition
@@ -211,9 +213,72 @@ def test_a_topic_of_its_own(tmp_path: Path) -> None:
         pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used="/used", reverse=True)
 
 
+FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)), columns=360)
+REAR = Lidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, 3.0, (-0.4, 0.1, 0.6)), phase=0.037, columns=360)
+FLAT = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, -1.2, (0.1, -0.3, 0.4)), kind="flat", phase=0.061, columns=720)
+TWO: dict[str, Any] = {"topics": ["/front:=/scan", "/rear:=/scan"], "target_frame": "base_link"}
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_world(tmp_path_factory.mktemp("world") / "w.mcap", [FRONT, REAR, FLAT], seconds=0.8)
+
+
 @pytest.mark.parametrize(
-    "options", [{"accumulate": 0.2}, {"topics": ["/points:=/scan"], "accumulate": "2clouds"}], ids=str
+    "options",
+    [
+        TWO,
+        TWO | {"fixed_frame": "odom", "deskew": True},
+        TWO | {"fixed_frame": "odom", "reduce": "mean", "exclude_box": "base_link 0 2 -9 9 -1 3"},
+        TWO | {"topics": ["/front:=/scan", "/rear:=/scan", "/flat:=/scan"], "fixed_frame": "odom", "deskew": True},
+        {"topics": "/front", "target_frame": "base_link", "fixed_frame": "odom", "accumulate": "3clouds"},
+        {"topics": "/rear:=/scan", "target_frame": "base_link", "fixed_frame": "odom", "every": 0.2, "deskew": True},
+        {"topics": "/flat:=/scan", "rebin": True, "target_frame": "base_link"},
+        TWO | {"remove": "speckles", "reduce": "kth", "kth": 2},
+        TWO | {"fixed_frame": "odom", "level": True, "deskew": True},
+    ],
+    ids=str,
 )
-def test_scans_of_several_clouds_keep_no_points(options: dict[str, Any], tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="`keep_used` keeps points of single clouds"):
-        pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used="/used", fixed_frame="odom", **options)
+def test_points_of_scans_of_several_messages_give_the_same_scans(
+    options: dict[str, Any], world: Path, tmp_path: Path
+) -> None:
+    """They are where they were projected, so nothing of frames or times is needed again."""
+    common: dict[str, Any] = {"min_height": 0.1, "beams": 720}
+    kept, again = tmp_path / "kept.mcap", tmp_path / "again.mcap"
+    keeping = pc2scan.convert(world, kept, keep_used="/used", **common, **options)
+    target = "/front/scan" if options["topics"] == "/front" else "/scan"
+    target = target if messages(kept, target) else "/scan"
+    projection = {name: options[name] for name in ("reduce", "kth", "remove") if name in options}
+    pc2scan.convert(kept, again, topics="/used:=/scan2", **common, **projection)
+    scans, points = messages(kept, target), messages(kept, "/used")
+    assert len(scans) >= 3
+    assert [log_time for log_time, _, _ in points] == [log_time for log_time, _, _ in scans]
+    first, second = (
+        [decode_laserscan(data, serialization) for _, serialization, data in found]
+        for found in (scans, messages(again, "/scan2"))
+    )
+    for scan, same, used in zip(first, second, clouds(kept, "/used"), strict=True):
+        assert (scan.stamp_ns, scan.frame_id) == (same.stamp_ns, same.frame_id) == (used.stamp_ns, used.frame_id)
+        assert np.array_equal(scan.ranges, same.ranges)
+        names = [field.name for field in used.fields]
+        assert names[:3] == ["x", "y", "z"]
+        assert names[-2:] == ["source", "beam"]
+        assert "t" in names or "/flat" in str(options)
+        beams = used.field("beam").reshape(-1)
+        read = set(np.flatnonzero(np.isfinite(scan.ranges)).tolist())
+        assert set(beams.tolist()) >= read if "remove" in options else set(beams.tolist()) == read
+        if "topics" in options and isinstance(options["topics"], list) and "exclude_box" not in options:
+            sources = used.field("source").reshape(-1)
+            assert set(sources.tolist()) <= set(range(len(options["topics"])))
+    if isinstance(options["topics"], list):
+        # Not of one lidar alone.
+        assert any(len(set(used.field("source").reshape(-1).tolist())) > 1 for used in clouds(kept, "/used"))
+    one = tmp_path / "one.mcap"
+    pc2scan.convert(world, one, keep_used="/used", jobs=1, **common, **options)
+    assert one.read_bytes() == kept.read_bytes()
+    # The scans are those of a conversion that keeps no points.
+    plain = pc2scan.convert(world, one, overwrite=True, **common, **options)
+    assert messages(one, target) == scans
+    assert [entry.points for entry in keeping.topics if entry.target == target] == [
+        entry.points for entry in plain.topics if entry.target == target
+    ]

@@ -184,12 +184,17 @@ class Projector:
 
     def bins(self, part: Part) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return the beams that the points of a part fall into, and the numbers of these points, in their order."""
+        bins, _, numbers = self._gathered(part)
+        return bins, numbers
+
+    def _gathered(self, part: Part) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
+        """Return the beam, the range and the number of each point that is not rejected, in their order."""
         count = part.x.size
         bins, returns, numbers = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.int64)
         arrays, transform = self._checked(part)
         rejected = kernel.gather(*arrays, self._rule_for(part), transform, self._beams, bins, returns, numbers)
         used = count - sum(rejected)
-        return bins[:used], numbers[:used]
+        return bins[:used], returns[:used], numbers[:used]
 
     def _rule_for(self, part: Part) -> NDArray[np.float64]:
         return self._rule_of_any_height if part.any_height else self._rule
@@ -292,17 +297,27 @@ class Projector:
         (K,) int64, (K,) int32
             The numbers of points, increasing, and the beam of each. See `pc2scan.core.reduce.read`.
         """
+        return self.read_together((Part(x, y, z, transform),))[0]
+
+    def read_together(self, parts: Sequence[Part]) -> list[tuple[NDArray[np.int64], NDArray[np.int32]]]:
+        """Return which points of several messages the beams of their scan read; see `together`.
+
+        Returns
+        -------
+        list of ((K,) int64, (K,) int32)
+            For each part, the numbers of its points, increasing, and the beam of each.
+        """
         from .reduce import read  # noqa: PLC0415  # few conversions need the points behind the ranges
 
-        x, y, z = _coordinates(x, y, z, None)
-        rows = transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
-        bins, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
-        rejected = kernel.gather(x, y, z, self._rule, rows, self._beams, bins, returns, numbers)
-        count = x.size - sum(rejected)
-        bins, returns, numbers = bins[:count], returns[:count], numbers[:count]
+        bins, returns, numbers = zip(*map(self._gathered, parts), strict=True)
+        ends = np.cumsum([each.size for each in bins])
         with np.errstate(all="ignore"):
-            chosen = read(bins, returns, self._beams, self.params)
-        return numbers[chosen], bins[chosen]
+            chosen = read(np.concatenate(bins), np.concatenate(returns), self._beams, self.params)
+        found = []
+        for k, own in enumerate(np.split(chosen, np.searchsorted(chosen, ends[:-1]))):
+            places = own - (ends[k] - bins[k].size)
+            found.append((numbers[k][places], bins[k][places]))
+        return found
 
     def _reduced(
         self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None

@@ -12,6 +12,7 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
+from pc2scan.shown import counted
 from pc2scan.tf.mounting import mounting
 
 from .spread import Spread, finite, spread_of, spread_table
@@ -97,7 +98,7 @@ class CloudInfo:
 
     def shown(self) -> Iterator[str | Table]:
         """Yield the text of `Info` about the clouds."""
-        yield f"{self.topic}: {self.sampled} clouds sampled"
+        yield f"{self.topic}: {counted(self.sampled, 'cloud')} sampled"
         yield from (f"  cannot be decoded: {problem}" for problem in self.problems)
         if not self.fields:
             return

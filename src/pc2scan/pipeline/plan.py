@@ -274,11 +274,6 @@ def _refuse_used(task: Task, routes: Sequence[Route]) -> None:
     topic = task.spec.keep_used
     if not topic:
         return
-    if task.combination is not None:
-        raise TopicError(
-            f"`keep_used={topic}` keeps points of single clouds, but {', '.join(task.targets)} is made of several",
-            hint="remove `keep_used`, or convert the clouds one by one",
-        )
     if any(topic in route.targets for route in routes):
         raise TopicError(f"{topic} is the topic of a scan, `keep_used` needs a different topic")
 

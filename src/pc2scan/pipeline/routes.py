@@ -57,7 +57,7 @@ class Output:
     ``handle`` is the writer's; -1 if another topic leads the scans. ``place`` is the index of its messages in the
     result of ``convert``. ``used`` is whether its messages are the points that give scans their ranges. ``sample`` is
     the first message; all others have the same geometry. ``joint`` makes one scan of several messages; None if each
-    message is one scan.
+    message is one scan. ``points`` is the output of the points behind the scans that ``joint`` makes.
     """
 
     handle: int
@@ -66,6 +66,7 @@ class Output:
     used: bool = False
     sample: bytes = b""
     joint: Joint | None = None
+    points: Output | None = None
 
 
 @dataclass(slots=True)
@@ -154,11 +155,13 @@ def open_routes(
                 made.outputs.append(Output(handle, shared(entry), place, joint=joint))
                 if joint is not None and task.combination is not None:
                     joint.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
-            if name := task.spec.keep_used:
+            if (name := task.spec.keep_used) and leads:
                 handle = declared.add(_published_as(connection, name, POINTCLOUD2, definition, target))
                 note = f"the points that the beams of {', '.join(task.targets)} read"
                 entry = TopicReport(topic, msgtype, name, "added", note)
-                made.outputs.append(Output(handle, shared(entry), place, used=True))
+                points = Output(handle, shared(entry), place, used=True, joint=joint)
+                made.outputs[-1].points = points
+                made.outputs.append(points)
     report.topics += entries.values()
     return opened
 

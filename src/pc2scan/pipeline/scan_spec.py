@@ -204,12 +204,6 @@ class ScanSpec:
             raise UsageError(
                 "`window` has no effect with `accumulate` and `every`, which use all messages of an interval"
             )
-        if self.may_combine and self.keep_used:
-            raise UsageError(
-                "`keep_used` keeps points of single clouds, but `accumulate`, `every`, `rebin` and topics that share a "
-                "target make scans of several messages",
-                hint="remove `keep_used`, or make a scan of each topic for it, with `scans`",
-            )
         if self.may_combine and self.params.time_increment != 0:
             raise UsageError(
                 f"time_increment is {self.params.time_increment}, but a scan of several messages has one time",

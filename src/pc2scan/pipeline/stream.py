@@ -257,7 +257,7 @@ def _arrivals(outcome: _Outcome | StoredChunk | MadeScan) -> tuple[int, int, lis
     assert isinstance(outcome, _Outcome)
     found = []
     for output in outcome.route.outputs:
-        if output.joint is not None and outcome.error is None:
+        if output.joint is not None and not output.used and outcome.error is None:
             made: Any = outcome.converted[output.place]
             if not isinstance(made, MessageError):
                 found.append(Arrived(output.joint, output, made, outcome.sequence))
@@ -273,6 +273,9 @@ def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, l
             if levels is not None and made.level is not None:
                 levels.write(made.level, log_time_ns, log_time_ns, writer)
             writer.write(output.handle, log_time_ns, made.data, log_time_ns, sequence)
+            if output.points is not None and made.used is not None:
+                writer.write(output.points.handle, log_time_ns, made.used, log_time_ns, sequence)
+                output.points.report.messages_out += 1
         except UnwritableError as err:
             error = err
         else:

@@ -17,7 +17,7 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
-from pc2scan.core.project import Part, ProjectedScan, Projector, compact
+from pc2scan.core.project import Part, ProjectedScan, Projector, compact, packed
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
 from pc2scan.files.borrowed import Memory, keep
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
     from pc2scan.files.borrowed import Kept
+    from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Converted, Measured, Step
     from pc2scan.pipeline.first_clouds import Sample, TopicClouds
@@ -192,6 +193,7 @@ class CombineToScan(Conversion):
             early = tuple(each for each in spec.filters if each not in late)
             self._early = Select(early, frames) if early else None
             self._late = Select(late, frames) if late else None
+        self._keeps_used = bool(spec.keep_used)
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
         self._remove: Callable[[Result], Result] | None = None
         if spec.remove:
@@ -288,7 +290,7 @@ class CombineToScan(Conversion):
             0,
             None,
         )
-        if flat or self._intensity or not self._projector.reads_nearest:
+        if flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
             return self._held(prepared)
         if self._rigid or (self._once and number == 0):
             if number == 0 and not self._rigid:
@@ -337,7 +339,12 @@ class CombineToScan(Conversion):
             # A missing field is an error of this message, not of the scan.
             points.field(self._intensity)
         names = {*self._kept, *(("index",) if prepared.flat else ()), *(() if track is None else (track.time_field,))}
+        if self._keeps_used:
+            names.update(points.fields)
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
+        if self._keeps_used:
+            # Fields with several values a point are not written.
+            views = {name: each for name, each in views.items() if each.shape == views["x"].shape}
         size = _OVERHEAD + sum(each.nbytes for each in views.values())
         memory = None
         if self.grouper is not None:
@@ -371,6 +378,7 @@ class CombineToScan(Conversion):
         known: list[ProjectedScan] = []
         motions: list[Motion] = []
         beams: list[tuple[Part, NDArray[np.int32]]] = []
+        sources: list[tuple[int, Points]] = []
         for member in members:
             if member.nearest is not None and _fits(member, lead):
                 known.append(member.nearest)
@@ -386,6 +394,8 @@ class CombineToScan(Conversion):
             parts.append(Part(*points.xyz(), _rounded(transform), values, any_height=not by_height))
             if member.flat:
                 beams.append((parts[-1], points.field("index")))
+            if self._keeps_used:
+                sources.append((member.source, _transformed(points, transform, lead.frame_id)))
         if known:
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
@@ -409,7 +419,8 @@ class CombineToScan(Conversion):
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
         shared = self._rebinned(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
-        result = Result(message, sum(others, scan.counts), empty, largest, lead.sample, level, shared)
+        used = self._used(message, parts, sources) if self._keeps_used else None
+        result = Result(message, sum(others, scan.counts), empty, largest, lead.sample, level, shared, used)
         return result if self._remove is None else self._remove(result)
 
     def _placed(
@@ -432,11 +443,23 @@ class CombineToScan(Conversion):
         elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
             transform = lead.target_from_fixed.product(member.fixed_from_source)
             motion = _moved(transform, mount)
+        if self._late is None and self._keeps_used and moving is not None:
+            # The points are written as they are projected.
+            points, placed, lost = moving.place(member.points)
+            points = points if placed is None else points.select(placed)
+            return points, None, {**member.rejected, **lost}, motion
         if self._late is None:
             return member.points, transform if moving is None else moving.transform, member.rejected, motion
         selected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
         rejected = {**member.rejected, **selected.rejected}
         return selected.points, selected.motion or selected.target_from_source, rejected, motion
+
+    def _used(self, scan: LaserScan, parts: Sequence[Part], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
+        """Return the points that the beams of a scan read."""
+        from pc2scan.messages.used_points import gathered  # noqa: PLC0415  # only where they are kept
+
+        read = self._projector.read_together(parts)
+        return gathered(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
     def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinned:
         from .rebinned import rebinned  # noqa: PLC0415  # most sources are clouds
@@ -458,6 +481,11 @@ def _fits(member: Prepared, lead: Prepared) -> bool:
 
 def _as_it_is(prepared: Prepared) -> Prepared:
     return prepared
+
+
+def _transformed(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
+    """Return points as they are projected; those of a moving sensor are transformed already."""
+    return points.transform(packed(transform.as_float32()), frame_id) if isinstance(transform, Rigid) else points
 
 
 def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
