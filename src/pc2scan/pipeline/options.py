@@ -129,8 +129,10 @@ class TimeBound(NamedTuple):
         """Read NumPy's times without importing NumPy."""
         kind = type(value).__name__
         nanoseconds = value.astype(f"{kind}[ns]")
+        if str(value) == "NaT":
+            raise UsageError(f"{value!r} is not a time")
         # Beyond 64 bits NumPy's nanoseconds wrap around without an error.
-        if str(value) == "NaT" or nanoseconds.astype(value.dtype) != value:
+        if nanoseconds.astype(value.dtype) != value:
             raise UsageError(f"{value!r} does not fit into nanoseconds of 64 bits")
         whole = int(nanoseconds.astype("int64"))
         return cls(whole, absolute=True) if kind == "datetime64" else cls(_not_negative(value, whole))
