@@ -216,7 +216,12 @@ export class Controls {
     this.rows = new Map();
     const heading = document.createElement("h2");
     heading.textContent = "Parameters";
-    this.presets = new ChoiceRow("preset", ["", ...given.presets], "Parameters that suit a consumer of the scans.", on.preset);
+    this.presets = new ChoiceRow(
+      "preset",
+      ["", ...given.presets],
+      "Parameters that suit a consumer of the scans.",
+      on.preset,
+    );
     panel.append(heading, this.presets.element);
     for (const { title, rows } of GROUPS) {
       const group = fieldset(title);
@@ -236,8 +241,10 @@ export class Controls {
     }
     const mount = fieldset("Mount: the sensor in the target frame");
     for (const key of MOUNT_KEYS) {
-      const made = new NumberRow(MOUNT_SPECS[key], "Pose of the sensor in the target frame; see --static-tf.", (value) =>
-        on.mount(key, value),
+      const made = new NumberRow(
+        MOUNT_SPECS[key],
+        "Pose of the sensor in the target frame; see --static-tf.",
+        (value) => on.mount(key, value),
       );
       made.number.id = `mount-${key}`;
       made.element.querySelector("label")?.setAttribute("for", made.number.id);
