@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from contextlib import closing
 from itertools import product
 from pathlib import Path
@@ -24,6 +25,7 @@ from bags.rosbag2_files import (
     STORE,
     STRING,
     compress_file,
+    listed,
     names,
     read,
     text,
@@ -318,3 +320,27 @@ def test_declared_times_of_a_split_recording_are_not_relied_on(bag: Path) -> Non
     with closing(Rosbag2Reader(bag)) as reader:
         assert len(list(reader.messages())) == 8
         assert reader.damage == ()
+
+
+def test_a_part_in_which_a_topic_has_no_serialization(bag: Path) -> None:
+    for number in range(2):
+        write_storage(bag / f"bag_{number}.db3", [("/a", 10 * number + time_ns) for time_ns in range(4)])
+    write_metadata(bag, 8, ["bag_0.db3", "bag_1.db3"], message_count=8)
+    with closing(sqlite3.connect(bag / "bag_1.db3")) as database, database:
+        database.execute("UPDATE topics SET serialization_format = ''")
+    with closing(Rosbag2Reader(bag)) as reader:
+        # One publisher, as in the sound recording.
+        assert [c.message_count for c in reader.connections if c.topic == "/a"] == [8]
+        (damage,) = reader.damage
+    assert damage.what == "topic /a has no serialization_format, its messages are read as cdr"
+    assert (damage.path, damage.messages_lost) == (bag / "bag_1.db3", 0)
+
+
+@pytest.mark.parametrize("entry", ["type", "serialization_format"])
+def test_a_topic_that_metadata_lists_without_a_text(entry: str, bag: Path) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", 0)])
+    topic = listed("/a", 8)
+    topic["topic_metadata"][entry] = ""
+    write_metadata(bag, 8, ["bag_0.db3"], message_count=1, topics_with_message_count=[topic])
+    with closing(Rosbag2Reader(bag)) as reader:
+        assert any("metadata.yaml lists /a as" in damage.what for damage in reader.damage)

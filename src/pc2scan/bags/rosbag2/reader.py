@@ -223,7 +223,7 @@ class Rosbag2Reader(MergedReader):
         for connection in self.connections:
             stored = connection.ros_type, connection.serialization
             kinds = listed.get(connection.topic, [])
-            if kinds and not any(_may_be_same(kind, stored) for kind in kinds):
+            if kinds and not any(_agree(kind, stored) for kind in kinds):
                 declared, found = (f"{msgtype!r:.80} in {form!r:.40}" for msgtype, form in (kinds[0], stored))
                 problem = f"{METADATA_NAME} lists {connection.topic} as {declared}, its files have {found}"
                 self._log.note(
@@ -250,9 +250,9 @@ def _refuse_others(file: Path, storage: Format) -> None:
         raise DamageError(f"is no {storage.name} file: it {found}", path=file, hint=RECOVER)
 
 
-def _may_be_same(kind: tuple[str, str], other: tuple[str, str]) -> bool:
-    """Whether two topics have the same type and serialization, as far as both have them."""
-    return all(a == b or not (a and b) for a, b in zip(kind, other, strict=True))
+def _agree(listed: tuple[str, str], stored: tuple[str, str]) -> bool:
+    """Whether a topic has the type and serialization that metadata.yaml lists; channels in MCAP may lack either."""
+    return all(own in ("", text) for text, own in zip(listed, stored, strict=True))
 
 
 def _completed(

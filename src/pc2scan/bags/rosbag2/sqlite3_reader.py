@@ -508,12 +508,13 @@ class Sqlite3Reader(Reader):
             if count:
                 starts.append(first_ns)
                 ends.append(last_ns)
+            self._note_missing_texts(topic_id, topic, type=msgtype, serialization_format=serialization)
             connections.append(
                 Connection(
                     id=topic_id,
                     topic=topic,
                     msgtype=msgtype,
-                    serialization=serialization,
+                    serialization=serialization or "cdr",
                     definition=definitions.get((msgtype, digest)) or definitions.get((msgtype, None), Definition()),
                     digest=digest,
                     latching=latches(qos),
@@ -535,6 +536,13 @@ class Sqlite3Reader(Reader):
                     last_ns=last_ns if timed else None,
                 )
         return tuple(connections), min(starts, default=None), max(ends, default=None)
+
+    def _note_missing_texts(self, topic_id: int, topic: str, **texts: str) -> None:
+        """Note what the row of a topic lacks; rosbag2 always writes it, and CDR is its only serialization."""
+        if missing := [column for column, text in {"name": topic, **texts}.items() if not text]:
+            problem = f"topic {topic or topic_id} has no {' and no '.join(missing)}"
+            read_as = "" if texts["serialization_format"] else ", its messages are read as cdr"
+            self._log.note(self._damage(problem + read_as), key=("texts", topic_id), messages_lost=0)
 
     def _read_definitions(self) -> dict[tuple[str, str | None], Definition]:
         """Return definitions by type and hash; without a hash, the first of a type."""
