@@ -18,7 +18,7 @@ from pc2scan.bags.units import Unit
 from pc2scan.batch.file_options import FILE_OPTIONS
 from pc2scan.batch.results import first_part, whole
 from pc2scan.cli.app import application
-from pc2scan.cli.options import Compression, Storage, To
+from pc2scan.cli.options.output import Compression, Storage, To
 from pc2scan.errors import DestinationError, RecordingError
 from pc2scan.model import Connection, Definition, RawMessage, Summary
 from support import ROOT

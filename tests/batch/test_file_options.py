@@ -21,7 +21,8 @@ from pc2scan.batch.file_options import FILE_OPTIONS, schema
 from pc2scan.batch.request import all_keywords, request_of
 from pc2scan.cli.app import application
 from pc2scan.cli.batch import ExportGroup
-from pc2scan.cli.options import ConversionGroup, OutputGroup, typed_words
+from pc2scan.cli.options.conversion import ConversionGroup, typed_words
+from pc2scan.cli.options.output import OutputGroup
 from pc2scan.errors import UsageError
 from pc2scan.export.formats import FORMATS
 from pc2scan.export.poses import PoseOptions

@@ -8,9 +8,9 @@ import typer
 from typer.testing import CliRunner
 
 import pc2scan
-from pc2scan.cli import options as shared
 from pc2scan.cli.convert import convert
 from pc2scan.cli.groups import Group, flat
+from pc2scan.cli.options.parameters import ParameterOptions
 from pc2scan.core.params import ProjectionParams
 from pc2scan.pipeline.parameters import PARAMETERS
 
@@ -91,18 +91,18 @@ def test_the_command_and_the_library_take_the_same() -> None:
 @pytest.mark.parametrize(("typed", "value"), [("--use-inf", True), ("--no-use-inf", False)])
 def test_a_setting_has_the_spelling_that_was_typed(typed: str, value: bool) -> None:
     values: dict[str, Any] = dict.fromkeys(PARAMETERS)
-    given = shared.ParameterOptions.gathered({**values, "use_inf": value})
+    given = ParameterOptions.gathered({**values, "use_inf": value})
     assert [(s.name, s.value, s.origin) for s in given.settings] == [("use_inf", value, typed)]
 
 
 def test_a_word_or_a_number_of_an_option_is_what_it_looks_like() -> None:
     values: dict[str, Any] = dict.fromkeys(PARAMETERS)
-    given = shared.ParameterOptions.gathered({**values, "scan_time": "0.1", "time_increment": "auto"})
+    given = ParameterOptions.gathered({**values, "scan_time": "0.1", "time_increment": "auto"})
     assert [(s.name, s.value) for s in given.settings] == [("scan_time", 0.1), ("time_increment", "auto")]
 
 
 @pytest.mark.parametrize(("text", "value"), [("030", 30.0), ("1e2", 100.0), (".inf", float("inf")), ("x", "x")])
 def test_a_number_is_read_as_python_does_or_else_as_ros_does(text: str, value: object) -> None:
     values: dict[str, Any] = dict.fromkeys(PARAMETERS)
-    given = shared.ParameterOptions.gathered({**values, "angle_max": text, "target_frame": "010"})
+    given = ParameterOptions.gathered({**values, "angle_max": text, "target_frame": "010"})
     assert [(s.name, s.value) for s in given.settings] == [("target_frame", "010"), ("angle_max", value)]

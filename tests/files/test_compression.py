@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 import zstandard
 
-from pc2scan.cli.options import Compression
+from pc2scan.cli.options.output import Compression
 from pc2scan.files import compression as codecs
 from pc2scan.files.compression import (
     LZ4_MAGIC,

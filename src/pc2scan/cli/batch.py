@@ -15,7 +15,8 @@ import typer
 from pc2scan.shown import counted
 
 from .groups import Group
-from .options import ConversionGroup, OutputGroup, ScratchGroup, typed_words
+from .options.conversion import ConversionGroup, typed_words
+from .options.output import OutputGroup, ScratchGroup
 from .render import message, printable, show_parts, size, warn
 
 if TYPE_CHECKING:

@@ -11,7 +11,9 @@ from pc2scan.text_enum import TextEnum
 
 from . import completion
 from .damage import show_damage
-from .options import Json, JUnitGroup, TfSources, frame_option
+from .options.frames import TfSources, frame_option
+from .options.junit import JUnitGroup
+from .options.single import Json
 from .render import message, print_json, warn
 
 __all__ = ["check"]

@@ -1,4 +1,4 @@
-"""Converts options of the library to the command line: the inverse of `pc2scan.cli.options`."""
+"""Converts options of the library to the command line: the inverse of `pc2scan.cli.options.conversion`."""
 
 from __future__ import annotations
 

@@ -10,7 +10,9 @@ import typer
 
 from pc2scan.errors import DestinationError, Pc2ScanError
 
-from .options import ConversionGroup, Destination, OutputGroup, ReportGroup, ScratchGroup, ros_arguments
+from .options.conversion import ConversionGroup
+from .options.output import Destination, OutputGroup, ReportGroup, ScratchGroup
+from .options.parameters import ros_arguments
 from .outcome import conclude, show, show_each, show_next, show_outcome
 from .progress import progress_bar
 from .render import warn

@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from . import completion
-from .options import Json, JUnitGroup
+from .options.junit import JUnitGroup
+from .options.single import Json
 from .render import message, print_json
 
 __all__ = ["diff"]

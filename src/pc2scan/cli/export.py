@@ -10,7 +10,9 @@ from typer.models import TyperPath
 
 from . import completion
 from .damage import show_damage
-from .options import ConversionGroup, Json, frame_option
+from .options.conversion import ConversionGroup
+from .options.frames import frame_option
+from .options.single import Json
 from .progress import progress_bar
 from .render import message, print_json, show_parts, warn
 

@@ -11,7 +11,8 @@ from pc2scan.errors import UsageError
 from pc2scan.shown import counted
 
 from . import completion
-from .options import Json, JUnitGroup
+from .options.junit import JUnitGroup
+from .options.single import Json
 from .render import message, print_json, printable, warn
 
 if TYPE_CHECKING:

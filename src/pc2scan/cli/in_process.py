@@ -60,7 +60,7 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:
     """Raise if any of these options decides something else than what is converted."""
     from .app import application
-    from .options import ConversionGroup
+    from .options.conversion import ConversionGroup
 
     group = get_command(application(name))
     assert isinstance(group, TyperGroup)

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .damage import show_damage
-from .options import Json, StaticTf, TfSources
+from .options.frames import StaticTf, TfSources
+from .options.single import Json
 from .render import print_json, printable, show_parts, warn
 
 if TYPE_CHECKING:

@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 from .damage import show_damage
-from .options import ConversionGroup, Json, frame_option, length
+from .options.conversion import ConversionGroup, length
+from .options.frames import frame_option
+from .options.single import Json
 from .progress import progress_bar
 from .render import message, print_json, printable, warn
 

@@ -9,7 +9,8 @@ import typer
 
 from .damage import DAMAGED, show_damage
 from .fonts import fonts_noted_elsewhere
-from .options import ConversionGroup, Moments
+from .options.conversion import ConversionGroup
+from .options.single import Moments
 from .render import warn
 
 __all__ = ["plot"]

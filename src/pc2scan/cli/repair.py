@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Compression, Destination, Storage
+from .options.output import Compression, Destination, Storage
 from .outcome import conclude, show, show_next
 from .render import print_json
 

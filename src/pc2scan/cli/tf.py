@@ -11,7 +11,8 @@ from pc2scan.errors import TransformError, UsageError, stamp_text
 
 from . import completion
 from .damage import show_damage
-from .options import Json, StaticTf, TfTopics
+from .options.frames import StaticTf, TfTopics
+from .options.single import Json
 from .render import print_json, printable, show_parts, warn
 
 if TYPE_CHECKING:

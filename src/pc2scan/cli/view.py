@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .damage import DAMAGED, show_damage
-from .options import ConversionGroup, Moments
+from .options.conversion import ConversionGroup
+from .options.single import Moments
 from .render import printable, size, warn
 
 if TYPE_CHECKING:
