@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from typing import Any
 
     from .arguments import PathText
-    from .batch.run import BatchProgress
     from .batch.summary import BatchReport
+    from .batch.watch import BatchProgress
     from .compare.result import Difference
     from .core.params import ProjectionParams
     from .core.unproject import UnprojectParams
@@ -397,7 +397,9 @@ def batch(
     >>> result.counts  # doctest: +SKIP
     {'failed': 2, 'converted': 998}
     """
-    from .batch.run import BatchOptions, Watch, run_batch  # noqa: PLC0415
+    from .batch.options import BatchOptions  # noqa: PLC0415
+    from .batch.run import run_batch  # noqa: PLC0415
+    from .batch.watch import Watch  # noqa: PLC0415
     from .pipeline.run import scratch_bytes  # noqa: PLC0415
 
     options = BatchOptions(

@@ -34,7 +34,8 @@ from builders import write_mcap
 from drives import drive_recording
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
-from pc2scan.batch.run import BatchOptions, run_batch
+from pc2scan.batch.options import BatchOptions
+from pc2scan.batch.run import run_batch
 from pc2scan.batch.workers import execute
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector

@@ -418,7 +418,7 @@ def test_fail_fast_ends_at_the_first_failure(drives: Path, tmp_path: Path) -> No
 
 
 def test_from_python(drives: Path, tmp_path: Path) -> None:
-    seen: list[pc2scan.batch.run.BatchProgress] = []  # type: ignore[name-defined, unused-ignore]
+    seen: list[pc2scan.batch.watch.BatchProgress] = []  # type: ignore[name-defined, unused-ignore]
     report = pc2scan.batch(drives, tmp_path / "out", min_height=-2, max_height=2, jobs=1, progress=seen.append)
     assert report.exit_status == 0
     assert report.counts == {"converted": 3}

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     from pc2scan.batch.manifest import Record
     from pc2scan.batch.plan import Plan
-    from pc2scan.batch.run import BatchProgress
     from pc2scan.batch.summary import BatchReport
+    from pc2scan.batch.watch import BatchProgress
 
 __all__ = ["batch"]
 
@@ -212,7 +212,9 @@ def batch(
     If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
     failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command again.
     """
-    from pc2scan.batch.run import BatchOptions, Watch, run_batch
+    from pc2scan.batch.options import BatchOptions
+    from pc2scan.batch.run import run_batch
+    from pc2scan.batch.watch import Watch
     from pc2scan.pipeline.run import scratch_bytes
 
     words, origins = typed_words(exporting, conversion, output)

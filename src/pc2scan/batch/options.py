@@ -1,0 +1,75 @@
+"""How a batch runs; none of these options affects the outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import UsageError
+from pc2scan.remote.urls import is_url
+
+from .summary import BEGINNINGS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["BatchOptions"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchOptions:
+    """How a batch runs. None of these options affects the outputs.
+
+    Attributes
+    ----------
+    dataset
+        The dataset file; None for none.
+    jobs
+        How many recordings are converted at a time; 0: one for each core, as far as the memory is enough.
+    retries
+        How often a recording is tried again if its process died.
+    checksum
+        Whether sources are compared by SHA-256 instead of their times of modification.
+    force
+        Whether recordings are converted again whose results are up to date.
+    fail_fast
+        Whether the run ends when the first recording fails.
+    dry_run
+        Whether nothing is written; the report then says what would be.
+    dask
+        The address of a Dask scheduler whose workers convert; True: a Dask cluster is started on this machine.
+    report
+        A file for the report: ``.json``, ``.csv`` or ``.md``; None for none.
+    scratch, scratch_size
+        The folder for local copies of recordings at URLs, and how many bytes they may take; None: the system's
+        temporary folder, and its free space.
+    """
+
+    dataset: Path | None = None
+    jobs: int = 0
+    retries: int = 1
+    checksum: bool = False
+    force: bool = False
+    fail_fast: bool = False
+    dry_run: bool = False
+    dask: bool | str = False
+    report: Path | None = None
+    scratch: Path | None = None
+    scratch_size: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("jobs", "retries"):
+            if getattr(self, name) < 0:
+                raise UsageError(f"`{name}` is {getattr(self, name)}, it must not be negative")
+        if isinstance(self.dask, str) and "://" not in self.dask:
+            raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
+        if isinstance(self.dask, str) and self.jobs:
+            raise UsageError(f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="give only one of them")
+        if is_url(self.report):
+            raise UsageError("`report` must be a local file", hint="such as `report=report.csv`")
+        if is_url(self.dataset):
+            raise UsageError("`dataset` must be a local file", hint="the recordings that it matches may be at URLs")
+        if self.report is not None and self.report.suffix.lower() not in BEGINNINGS:
+            raise UsageError(
+                f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"
+            )
