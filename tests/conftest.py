@@ -11,6 +11,9 @@ from hypothesis import settings
 settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("pc2scan")
 
+# With it each of the thousands of commands that tests start would compile the whole package anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 
 def pytest_runtest_setup() -> None:
     """Make interrupts reach the commands that tests start, which inherit what this process ignores.

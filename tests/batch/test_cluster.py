@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -264,6 +265,7 @@ def test_a_scheduler_that_does_not_answer_is_an_error_within_seconds(
 
 KILLER = """
 import os
+import shutil
 import signal
 import time
 from dataclasses import dataclass
@@ -320,8 +322,11 @@ def test_what_kills_every_worker_is_reported_and_the_rest_goes_on(
 
 @pytest.mark.parametrize("seconds", [0.5, 1.2, 1.6, 2.5])
 def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    command = [*COMMAND, "batch", "--dask", str(drives), "-o", str(out), "--jobs", "2", *HEIGHTS]
+    out, many = tmp_path / "out", tmp_path / "many"
+    # So many that they take longer than the latest interruption, even on a fast machine.
+    for number in range(40):
+        shutil.copytree(drives, many / str(number))
+    command = [*COMMAND, "batch", "--dask", str(many), "-o", str(out), "--jobs", "2", *HEIGHTS]
     process = subprocess.Popen(
         command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment(), start_new_session=True
     )
