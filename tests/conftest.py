@@ -15,6 +15,11 @@ settings.load_profile("pc2scan")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """Return one worker more than there are processors: many tests wait for clusters, stores and pages."""
+    return (os.cpu_count() or 1) + 1
+
+
 def pytest_runtest_setup() -> None:
     """Make interrupts reach the commands that tests start, which inherit what this process ignores.
 
