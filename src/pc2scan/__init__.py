@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from .inspect.check import Check as Check
     from .inspect.info import Info as Info
     from .inspect.tf import FrameTree as FrameTree
-    from .look.map import Map as Map
+    from .look.map_result import Map as Map
     from .look.view import Page as Page
     from .pipeline.report import Report as Report
     from .pipeline.stages.height_slope import MinHeightSlope as MinHeightSlope
@@ -93,7 +93,7 @@ _HOMES = {
     "FrameTree": "inspect.tf",
     "GoldenReport": "golden.result",
     "Info": "inspect.info",
-    "Map": "look.map",
+    "Map": "look.map_result",
     "MinHeightSlope": "pipeline.stages.height_slope",
     "Page": "look.view",
     "Pc2ScanError": "errors",

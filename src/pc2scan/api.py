@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from .inspect.check import Check
     from .inspect.info import Info
     from .inspect.tf import FrameTree
-    from .look.map import Map
+    from .look.map_result import Map
     from .look.view import Page
     from .pipeline.combine.asked import Duration
     from .pipeline.options import Time
@@ -709,7 +709,8 @@ def map(  # noqa: A001  # the command's name
     options = conversion_of(keywords_among(locals())).options
     import math  # noqa: PLC0415
 
-    from .look.map import MapOptions, map_of  # noqa: PLC0415
+    from .look.map import map_of  # noqa: PLC0415
+    from .look.map_options import MapOptions  # noqa: PLC0415
 
     asked = MapOptions(
         odom_frame=odom_frame,

@@ -84,7 +84,8 @@ def map(  # noqa: A001  # the function of a command has its name
 
     import math
 
-    from pc2scan.look.map import MapOptions, write_map
+    from pc2scan.look.map import write_map
+    from pc2scan.look.map_options import MapOptions
 
     asked = MapOptions(
         odom_frame=odom_frame,
