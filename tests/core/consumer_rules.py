@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.core.consumers import Scan, ScanTransforms
+    from pc2scan.core.verdicts import Scan, ScanTransforms
 
 f = np.float32
 

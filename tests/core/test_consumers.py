@@ -9,17 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.consumer_rules import RULES, number_of_range_readings
-from pc2scan.core.consumers import (
-    CONSUMERS,
-    OUTCOMES,
-    Scan,
-    ScanTransforms,
-    Verdict,
-    expected_by_karto,
-    judge,
-    last_beam,
-)
+from pc2scan.core.consumers import CONSUMERS, expected_by_karto, judge, last_beam
 from pc2scan.core.params import ProjectionParams, beam_count
+from pc2scan.core.verdicts import OUTCOMES, Scan, ScanTransforms, Verdict
 
 #: Degrees: 20 fields of view by 15 increments.
 FIELDS = (30, 45, 60, 90, 100, 120, 135, 150, 180, 190, 200, 220, 240, 250, 270, 300, 330, 350, 359, 360)

@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.consumer_rules import RULES
-from pc2scan.core.consumers import CONSUMERS, Scan, ScanTransforms, judge
+from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import project
+from pc2scan.core.verdicts import Scan, ScanTransforms
 from pc2scan.errors import ParameterError
 
 #: Degrees: 20 fields of view by 15 increments; coarse ones too, where Karto's rule for circles is at its narrowest.

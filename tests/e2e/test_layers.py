@@ -249,7 +249,7 @@ LOADED_BY_CONVERT = {
         "render screen spelling usage"
     ),
     "pc2scan.cli.options": "conversion frames moving output parameters selection",
-    "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule",
+    "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
     "pc2scan.files": (
         "borrowed compression crc32 limits overlap places run_lock source staging system temporary write_ahead"
     ),

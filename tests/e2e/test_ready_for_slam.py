@@ -12,8 +12,8 @@ import pytest
 from core.consumer_rules import RULES
 from e2e.command import run
 from e2e.outputs import opened
-from pc2scan.core.consumers import Scan, ScanTransforms
 from pc2scan.core.presets import PRESETS
+from pc2scan.core.verdicts import Scan, ScanTransforms
 from support import ROOT
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
-from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome
+from pc2scan.core.consumers import CONSUMERS
+from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, stamp_text
 from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.core.consumers import Scan, Verdict
+    from pc2scan.core.verdicts import Scan, Verdict
     from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
 

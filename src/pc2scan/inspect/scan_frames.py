@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from pc2scan.core.consumers import ScanTransforms
 from pc2scan.core.rigid import Rigid
+from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
 from pc2scan.shown import counted
 

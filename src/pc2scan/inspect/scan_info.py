@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, judge
+from pc2scan.core.consumers import CONSUMERS, judge
+from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.consumers import Scan
+    from pc2scan.core.verdicts import Scan
     from pc2scan.model import RawMessage
     from pc2scan.shown import Table
 

@@ -7,8 +7,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
-from pc2scan.core.consumers import CONSUMERS, OUTCOMES, Outcome, Scan, ScanTransforms, Verdict, judge
+from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.layout import TURN
+from pc2scan.core.verdicts import OUTCOMES, Outcome, Scan, ScanTransforms, Verdict
 from pc2scan.errors import stamp_text
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.shown import agreeing, counted

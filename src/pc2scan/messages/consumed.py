@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.core.consumers import Scan
+from pc2scan.core.verdicts import Scan
 
 if TYPE_CHECKING:
     from .laserscan import LaserScan

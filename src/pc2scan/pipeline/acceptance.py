@@ -10,8 +10,8 @@ from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
 
 if TYPE_CHECKING:
-    from pc2scan.core.consumers import Outcome, Verdict
     from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.verdicts import Outcome, Verdict
     from pc2scan.model import Buffer
 
 __all__ = ["ghosts", "refusal"]
