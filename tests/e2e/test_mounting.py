@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+import pc2scan
 from e2e.command import run
 from e2e.outputs import opened
 from mounted_worlds import PLACES, cloud, mounted, write_clouds
@@ -265,7 +266,72 @@ def test_limits_that_do_not_suit_the_clouds(args: Sequence[str], told: str, tmp_
 @pytest.mark.parametrize("limit", ["100", "1000", "999"])
 def test_no_limit_is_no_mistaken_unit(limit: str, tmp_path: Path) -> None:
     args = ("--min-height", f"-{limit}", "--max-height", limit)
-    assert run("convert", recorded(tmp_path / "a.mcap"), "-o", tmp_path / "b.mcap", *args).stderr == ""
+    assert "metres" not in run("convert", recorded(tmp_path / "a.mcap"), "-o", tmp_path / "b.mcap", *args).stderr
+
+
+@pytest.mark.parametrize(
+    ("args", "warning"),
+    [
+        (("--min-height", "-1"), "the floor is within the heights: it is at z = -0.60 m in 'lidar', and min_height"),
+        (("--target-frame", "base_link"), "it is at z = 0.00 m in 'base_link', and min_height is above 0 m; 53% of"),
+        (("--min-height", "-1", "--ground", "remove"), ""),
+        (("--min-height", "-0.5"), ""),
+        (("--min-height", "-1", "--max-height", "-0.7"), ""),
+    ],
+)
+def test_a_floor_within_the_heights(args: Sequence[str], warning: str, tmp_path: Path) -> None:
+    done = run("convert", HALL, "-o", tmp_path / "a.mcap", *args)
+    assert done.status in {0, 4}
+    assert warning in done.stderr
+    assert ("the floor is within the heights" in done.stderr) is bool(warning)
+    if warning:
+        words = shlex.split(done.stderr.rsplit("; without it: ", 1)[1])
+        assert run("convert", HALL, "-o", tmp_path / "b.mcap", *args, *words).stderr == ""
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_the_advised_heights_draw_no_warning_of_a_floor(place: str, tmp_path: Path) -> None:
+    for height in PLACES[place].heights:
+        source = recorded(tmp_path / f"{height}.mcap", place=place, height=height)
+        (found,) = pc2scan.info(source).clouds
+        if found.mounting is None or found.mounting.fault or found.mounting.heights is None:
+            continue
+        low, high = found.mounting.heights[:2]
+        report = pc2scan.convert(source, tmp_path / f"{height}_scan.mcap", min_height=low, max_height=high)
+        assert not [text for text in report.warnings if "the floor" in text]
+
+
+def test_scans_of_a_frame_that_the_robot_moves_in(tmp_path: Path) -> None:
+    args = ("--min-height", "0.1", "--target-frame")
+    done = run("convert", HALL, "-o", tmp_path / "a.mcap", *args, "odom")
+    assert "warning: --target-frame is odom, in which base_link moves (by 0.32 m): the scans are meas" in done.stderr
+    words = shlex.split(done.stderr.rsplit("expect; ", 1)[1])
+    assert words == ["--target-frame", "base_link"]
+    assert run("convert", HALL, "-o", tmp_path / "b.mcap", *args[:2], *words).stderr == ""
+    done = run("convert", HALL, "-o", tmp_path / "c.mcap", *args, "odom", "--deskew", "--fixed-frame", "odom")
+    assert "warning: --target-frame is odom" in done.stderr
+    assert "no transform that moves" not in done.stderr
+
+
+@pytest.mark.parametrize("tf", [(), (("base_link", "lidar", (0, 0, 90), (0.3, 0.1, 0.6)),)], ids=["own", "moved"])
+def test_points_at_the_sensor(tf: Sequence[Any], tmp_path: Path) -> None:
+    """Drivers write (0, 0, 0) for no return: without a word it would be an obstacle."""
+    points = cloud(PLACES["hall"], "32 rings", mounted(0, 0), 0.6)
+    points[::50] = 0
+    source = write_clouds(tmp_path / "a.mcap", [points], tf=[transform(*each) for each in tf])
+    args = ("--target-frame", "base_link", "--min-height", "0.2") if tf else ("--min-height", "-0.4")
+    done = run("convert", source, "-o", tmp_path / "b.mcap", *args)
+    number = len(points[::50])
+    at = "0.32 m in 'base_link'" if tf else "0.00 m in 'lidar'"
+    assert f"/points: {number:,} of {len(points):,} points of a cloud are at (0, 0, 0), as drivers" in done.stderr
+    assert f"at a range of {at}; " in done.stderr
+    words = shlex.split(done.stderr.split(f"{at}; ")[1].split(" excludes them")[0])
+    again = run("convert", source, "-o", tmp_path / "c.mcap", *args, *words)
+    assert (again.status, again.stderr) == (0, "")
+    # The command that `info` proposes excludes them, too, and counts them in any frame.
+    shown = run("info", source, *args[: 2 if tf else 0]).stdout
+    assert "(0, 0, 0) 2.0%" in shown
+    assert shown.endswith(f"{shlex.join(words)}\n")
 
 
 def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:

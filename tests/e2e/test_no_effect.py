@@ -34,6 +34,11 @@ MOUNT = "base_link lidar 0 0 0.5 0 0 0"
         (["--kth", "2"], "kth is 2, which needs reduce kth", ""),
         (["--intensity-field", "reflectivity"], "intensity_field is 'reflectivity', which the clouds", "their fields"),
         (["--write-static-tf"], "there is no added transform to write", ""),
+        (
+            ["--static-tf", "lidar base_link 0 0 0.5 0 0 0", "--target-frame", "base_link"],
+            "--static-tf makes lidar the parent of base_link, which is above lidar already: lidar in base_link",
+            "the parent comes first; --static-tf 'base_link lidar 0 0 0.5 0 0 0' replaces the recorded transform",
+        ),
         (["--range-cutoff", "3"], "need --reverse", ""),
         (["--only-scans", "--keep", "/tf"], "--only-scans contradicts --keep", ""),
     ],
@@ -62,6 +67,21 @@ def test_refused(options: list[str], error: str, hint: str, tmp_path: Path) -> N
         (
             ["--source-frame", "base_link", "--target-frame", "base_link"],
             "--source-frame and --target-frame are both base_link: nothing is transformed",
+        ),
+        (["--source-frame", "lidar"], "--source-frame has no effect: the clouds are in lidar already"),
+        (["--source-frame", "Lidar"], "(the clouds are in lidar); did you mean lidar?"),
+        (
+            ["--static-tf", MOUNT.replace("lidar", "lidar2"), "--target-frame", "base_link"],
+            "--static-tf from base_link to lidar2 has no effect: the clouds are in lidar; did you mean lidar?",
+        ),
+        (
+            ["--static-tf", "base_link lidar 200 0 600 0 0 0", "--target-frame", "base_link"],
+            "is 632 m long, and translations are metres; if these are millimetres, "
+            "--static-tf 'base_link lidar 0.2 0 0.6 0 0 0'",
+        ),
+        (
+            ["--static-tf", "odom base_link 0 0 0 0 0 0", "--target-frame", "base_link"],
+            "--static-tf replaces the transforms of base_link in odom, which move",
         ),
         (["--inf-epsilon", "2"], "--inf-epsilon has no effect: it is used only with --no-return range-max-plus"),
         (["--no-use-inf"], "beams without a return are inf anyway: range_max is infinite"),
@@ -96,7 +116,7 @@ def test_what_has_an_effect_draws_no_warning(tmp_path: Path) -> None:
         str(params),
         "--preset",
         "nav2",
-        "--min-height=-1",
+        "--min-height=-0.3",
     ]
     assert run("convert", HALL, "-o", tmp_path / "a.bag", *options).stderr == ""
     options = ["--static-tf", MOUNT, "--target-frame", "base_link", "--preset", "gmapping", "--inf-epsilon=2"]

@@ -75,11 +75,21 @@ COMMANDS: dict[str, list[str | Path]] = {
 def test_everything_fits(name: str, columns: int, tmp_path: Path) -> None:
     arguments = [tmp_path / "o.bag" if word == "o.bag" else word for word in COMMANDS[name]]
     text = shown(*arguments, columns=columns, NO_COLOR="1")
-    lines = [line for line in text.split("\n") if "\x1b" not in line and "\r" not in line]
+    # What is visible of a line is what was written after the bar was erased.
+    visible = [line.rpartition("\r")[2].removeprefix("\x1b[2K") for line in text.split("\n")]
+    lines = [line for line in visible if "\x1b" not in line]
     lines += shown(*arguments, columns=200, COLUMNS=str(columns), NO_COLOR="1", TERM="dumb").split("\n")
     assert len(lines) > 2
     # A path or another word longer than the screen cannot be broken.
     assert [line for line in lines if len(line) > columns and " " in line.removesuffix(" \\").strip()] == []
+
+
+def test_warnings_replace_the_progress_bar(tmp_path: Path) -> None:
+    text = shown("convert", HALL, "-o", tmp_path / "o.bag", "--min-height=-1", columns=80)
+    before, found, warning = text.partition("\x1b[1m\x1b[33mwarning:\x1b[0m /points: the floor is within the heights")
+    assert found
+    assert before.endswith("\r\x1b[2K")
+    assert warning.startswith(": it is at z = -0.60 m in\n  'lidar'")
 
 
 def test_pipes_get_every_line_as_it_is(tmp_path: Path) -> None:

@@ -99,6 +99,8 @@ def _show_findings(result: Info, given: Sequence[str]) -> None:
 
 def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str]) -> list[str]:
     """Return a command that converts a topic's clouds, with heights that suit it, in a level frame."""
+    from pc2scan.tf.mounting import without_sensor
+
     heights = mounting.heights
     assert heights is not None  # called only if they are known
     target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
@@ -111,4 +113,8 @@ def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str])
     words += ["--static-tf", mounting.static_tf] if mounting.static_tf else []
     words += ["--target-frame", target] if target else []
     # Negative numbers need no "=" between option and value, because no option begins with a digit.
-    return [*words, "--min-height", f"{heights.low:g}", "--max-height", f"{heights.high:g}"]
+    words += ["--min-height", f"{heights.low:g}", "--max-height", f"{heights.high:g}"]
+    if next(cloud.zero_share for cloud in result.clouds if cloud.topic == topic):
+        option, value = without_sensor(mounting.frame, target)
+        words += [f"--{option.replace('_', '-')}", value]
+    return words

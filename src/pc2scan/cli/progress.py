@@ -39,6 +39,9 @@ def progress_bar(*, enabled: bool) -> Iterator[Callable[[int, int, int], None] |
         TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
+        # `Screen` writes warnings above the bar, fitted to the terminal; rich would write them as they are.
+        redirect_stdout=False,
+        redirect_stderr=False,
     ) as bar:
         task = bar.add_task("convert", total=None, messages=0)
 

@@ -17,6 +17,9 @@ _NARROWEST = 40
 
 _RED, _YELLOW, _GREEN, _BOLD, _PLAIN = "\x1b[31m", "\x1b[33m", "\x1b[32m", "\x1b[1m", "\x1b[0m"
 
+#: Moves the cursor to the beginning of the line, and erases the line.
+_ERASED = "\r\x1b[2K"
+
 #: Patterns of the beginnings of lines, and their colours. They are compiled at their first use, because most output is
 #: not coloured.
 _COLOURS = (
@@ -72,6 +75,8 @@ class Screen:
         self._guarded = guarded
         self._width = width_of(stream)
         self._colours = _has_colours(stream)
+        # Whether the cursor is at the end of a progress bar.
+        self._at_bar = False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
@@ -82,9 +87,17 @@ class Screen:
         return self._width
 
     def write(self, text: str) -> int:
-        """Write text with its lines fitted. Text that moves the cursor (a progress bar) is written unchanged."""
-        if (self._width or self._colours) and text.endswith("\n") and not ("\x1b" in text or "\r" in text):
-            text = "".join(f"{self._shown(line)}\n" for line in text[:-1].split("\n"))
+        """Write text with its lines fitted. Text that moves the cursor (a progress bar) is written unchanged.
+
+        Lines that follow a progress bar replace it, because it is drawn again below them.
+        """
+        if "\x1b" in text or "\r" in text:
+            self._at_bar = not text.endswith("\n")
+        elif text.endswith("\n"):
+            if self._width or self._colours:
+                text = "".join(f"{self._shown(line)}\n" for line in text[:-1].split("\n"))
+            if self._at_bar:
+                text, self._at_bar = f"{_ERASED}{text}", False
         return self.write_as_it_is(text)
 
     def write_as_it_is(self, text: str) -> int:

@@ -144,6 +144,7 @@ class CloudLook:
         self._frames: dict[str, None] = {}
         self._problems: dict[str, None] = {}
         self._sizes: list[int] = []
+        self._zeros = 0
 
     def add(self, message: RawMessage) -> None:
         """Add a cloud."""
@@ -155,6 +156,9 @@ class CloudLook:
             step = -(-count // self._most) or 1
             with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
                 points = np.stack([_as_floats(_thinned(c, step)) for c in coordinates])
+                # Points at the sensor are no returns, wherever the sensor is in the target frame.
+                zero = (points == 0).all(axis=0)
+            points = points[:, ~zero]
             moved = self._places.place(cloud.frame_id, cloud.stamp_ns).target_from_source
             sample = thinned(*coordinates)
             if moved is not None:
@@ -172,6 +176,7 @@ class CloudLook:
         self._frames[cloud.frame_id] = None
         self._sizes.append(count)
         self._parts.append(points)
+        self._zeros += int(zero.sum())
 
     def described(self, buffer: TransformBuffer | None) -> CloudInfo:
         """Return the properties, and release the points."""
@@ -183,7 +188,7 @@ class CloudLook:
             # A signalling NaN is treated as any other NaN.
             with np.errstate(invalid="ignore"):
                 points = np.concatenate(parts, axis=1, dtype=np.float64)
-            _measure(result, points)
+            _measure(result, points, self._zeros)
             places, samples = self._places, self._samples
             frame = places.source_frame or next(iter(self._frames))
             result.mounting = mounting(
@@ -228,17 +233,16 @@ def _describe(result: CloudInfo, points: Points, message: RawMessage) -> None:
     )
 
 
-def _measure(result: CloudInfo, points: NDArray[np.float64]) -> None:
-    total = points.shape[1]
+def _measure(result: CloudInfo, points: NDArray[np.float64], zeros: int) -> None:
+    """Describe the points, and that there are so many more at (0, 0, 0)."""
+    total = points.shape[1] + zeros
     if not total:
         return
     x, y, z = points
     invalid = np.isnan(points).any(axis=0)
-    zero = (points == 0).all(axis=0)
-    result.nan_share = float(invalid.mean())
-    result.zero_share = float(zero.mean())
-    # Points at the origin are no returns.
-    valid = ~(invalid | zero)
+    result.nan_share = float(invalid.sum()) / total
+    result.zero_share = zeros / total
+    valid = ~invalid
     result.above_zero_share = float((z[valid] > 0).mean()) if valid.any() else 0.0
     result.x, result.y, result.z = (spread_of(axis[valid]) for axis in (x, y, z))
     with np.errstate(over="ignore"):

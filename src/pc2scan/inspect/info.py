@@ -180,15 +180,15 @@ class Info(Shown):
     def _shown(self) -> Iterator[str | Table]:
         yield from self.overview()
         yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
-        mountings = [(cloud.topic, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None]
+        mountings = [(cloud, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None]
         if any(mounting.heights for _, mounting in mountings):
             yield ""
-            yield from (f"{topic}: {ground_text(mounting)}" for topic, mounting in mountings)
+            yield from (f"{cloud.topic}: {ground_text(mounting)}" for cloud, mounting in mountings)
             yield ""
             yield "ready to convert:"
-            for topic, mounting in mountings:
+            for cloud, mounting in mountings:
                 if mounting.heights is not None:
-                    yield f"  pc2scan.convert(..., {', '.join(_keywords(topic, mounting))})"
+                    yield f"  pc2scan.convert(..., {', '.join(_keywords(cloud, mounting))})"
         yield from (f"warning: {warning}" for warning in self.warnings)
         yield from (f"warning: {mounting.warning}" for _, mounting in mountings if mounting.warning)
 
@@ -215,18 +215,23 @@ def ground_text(mounting: Mounting) -> str:
     return f"floor at z = {floor:.2f} m in frame {frame!r}{ceiling}{sensor}"
 
 
-def _keywords(topic: str, mounting: Mounting) -> Iterator[str]:
+def _keywords(cloud: CloudInfo, mounting: Mounting) -> Iterator[str]:
     """Yield the arguments of a conversion that suits a topic's clouds."""
+    from pc2scan.tf.mounting import without_sensor  # noqa: PLC0415  # only for this text
+
     heights = mounting.heights
     assert heights is not None  # called only if they are known
     target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
-    yield f"topics={topic!r}"
+    yield f"topics={cloud.topic!r}"
     if mounting.static_tf:
         yield f"static_tf={mounting.static_tf!r}"
     if target:
         yield f"target_frame={target!r}"
     yield f"min_height={heights.low:g}"
     yield f"max_height={heights.high:g}"
+    if cloud.zero_share:
+        option, value = without_sensor(mounting.frame, target)
+        yield f"{option}={value if option == 'range_min' else repr(value)}"
 
 
 def info(

@@ -8,14 +8,16 @@ first cloud ends the check within a millisecond.
 from __future__ import annotations
 
 import math
+import shlex
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from pc2scan.core.counts import PointCounts
-from pc2scan.core.level import cells_of, level_floor, thinned
+from pc2scan.core.level import cells_of, level_floor, thinned, tolerances
 from pc2scan.core.params import ProjectionParams
-from pc2scan.shown import counted
+from pc2scan.shown import agreeing, counted
 
 from .parameters import from_preset
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.core.level import Floor
     from pc2scan.core.points import Points
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
@@ -49,6 +52,17 @@ _NEARLY_EMPTY = 0.02
 #: If the default min_height rejects this share of the points, a warning suggests heights.
 _NOTABLE_SHARE = 0.25
 
+#: From this share of beams that end on the floor, a warning gives heights above it.
+_MOST_FLOOR = 0.3
+_FEWEST_BEAMS = 20
+
+#: Half of a floor this far below the lower limit of z, metres, is above it, because ranges are noisy.
+_NOISE = 0.02
+
+#: Filters that may remove the floor, and filters that may remove points at the sensor.
+_FLOOR_FILTERS = {"ground", "min_height_slope", "where"}
+_PLACE_FILTERS = {"exclude_box", "exclude_polygon", "where"}
+
 #: A height limit from here on, metres, is taken for millimetres if the clouds are ten times lower.
 _TALL = 50.0
 
@@ -62,6 +76,7 @@ class Sample(NamedTuple):
     stamp_ns: int
     points: NDArray[np.float64]
     origin: tuple[float, float, float]
+    zeros: int
 
     @property
     def placed(self) -> NDArray[np.float64]:
@@ -148,6 +163,7 @@ class TopicClouds:
         self._samples: list[Sample] = []
         self._earliest: list[int] = []
         self._counts = PointCounts()
+        self._zeros_reported = False
 
     def may_be_first(self, log_time_ns: int) -> bool:
         """Return whether fewer clouds than are judged were converted from earlier log times; on any thread.
@@ -164,11 +180,14 @@ class TopicClouds:
 
     def sample(self, points: Points, place: Placement) -> Sample:
         """Return a sample of a cloud's points; on any thread."""
-        taken, moved = thinned(*points.xyz(), _POINTS), place.target_from_source
+        x, y, z = points.xyz()
+        taken, moved = thinned(x, y, z, _POINTS), place.target_from_source
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+            zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
         origin = (0.0, 0.0, 0.0)
         if moved is not None:
             taken, origin = moved.rotation.apply(taken), tuple(moved.translation.tolist())
-        return Sample(self, points.frame_id, place.frame_id, points.stamp_ns, taken, origin)
+        return Sample(self, points.frame_id, place.frame_id, points.stamp_ns, taken, origin, zeros)
 
     def add(self, sample: Sample, counts: PointCounts) -> None:
         """Add the next cloud, in the order of writing."""
@@ -176,10 +195,44 @@ class TopicClouds:
             return
         self._samples.append(sample)
         self._counts += counts
+        if len(self._samples) == 1:
+            self._check_target(sample)
+        if sample.zeros and not self._zeros_reported:
+            self._check_zeros(sample, counts)
         if len(self._samples) == 1 and self._is_fine():
             self.full = True
         elif len(self._samples) == _CLOUDS:
             self.finish()
+
+    def _check_target(self, sample: Sample) -> None:
+        """Warn if the robot moves in the target frame: the scans are then measured from where the robot is not."""
+        target, buffer = self._spec.params.target_frame, self._every.buffer
+        source = self._every.report.source_frame or sample.frame_id
+        if not target or buffer is None or buffer.is_rigid(target, source):
+            return
+        from pc2scan.tf.worlds import moving_below  # noqa: PLC0415  # a lidar is usually rigid on its robot
+
+        moving = moving_below(buffer, target, source)
+        if moving is not None:
+            self._every.warn(
+                f"{self._label}`target_frame` is {target}, in which {moving.body} moves (by {moving.metres:.2f} m): "
+                f"the scans are measured from the origin of {target} instead of from the robot, as SLAM and "
+                f"navigation expect; `target_frame={shlex.quote(moving.body)}`"
+            )
+
+    def _check_zeros(self, sample: Sample, counts: PointCounts) -> None:
+        """Warn if points at (0, 0, 0), which many drivers write for no return, become returns of the scan."""
+        params, (x, y, z) = self._spec.params, sample.origin
+        if not (params.min_height <= z <= params.max_height and self._keeps_sensor):
+            return
+        self._zeros_reported = True
+        source = self._every.report.source_frame or sample.frame_id
+        self._every.warn(
+            f"{self._label}{self._topic}: {sample.zeros:,} of {counted(counts.total, 'point')} of a cloud "
+            f"{agreeing(sample.zeros, 'are')} at (0, 0, 0), as drivers write for no return, and become returns at the "
+            f"sensor itself, at a range of {math.hypot(x, y):.2f} m in {sample.scan_frame!r}; "
+            f"{_without_sensor(source, sample.scan_frame)} excludes them"
+        )
 
     def finish(self) -> None:
         """Judge the clouds added so far."""
@@ -194,19 +247,54 @@ class TopicClouds:
         """Whether scans have points, heights need no advice, and the first cloud is level or too small to be judged."""
         if self._is_nearly_empty() or self._needs_heights() or self._mistaken_units():
             return False
-        return len(self._samples[0].points) < _FEWEST_POINTS or self._is_level()
+        if len(self._samples[0].points) < _FEWEST_POINTS:
+            return True
+        return self._level_floor is not None and self._floor_share < _MOST_FLOOR
 
-    def _is_level(self) -> bool:
-        """Whether the first cloud has a level floor."""
+    @cached_property
+    def _level_floor(self) -> Floor | None:
+        """The level floor in the first cloud; None if there is none."""
         points = self._samples[0].points
-        return len(points) >= _FEWEST_POINTS and level_floor(cells_of(points)) is not None
+        return level_floor(cells_of(points)) if len(points) >= _FEWEST_POINTS else None
+
+    @cached_property
+    def _floor_share(self) -> float:
+        """The share of beams, of those with a return of the first cloud, whose closest return is the floor.
+
+        0 if the floor is outside the heights, or if a filter may remove it.
+        """
+        floor, params = self._level_floor, self._spec.params
+        if floor is None or any(each.name in _FLOOR_FILTERS for each in self._spec.filters):
+            return 0.0
+        sample = self._samples[0]
+        distances = sample.points @ np.array(floor.up) + floor.height
+        placed = sample.placed
+        ranges, angles = np.hypot(placed[:, 0], placed[:, 1]), np.arctan2(placed[:, 1], placed[:, 0])
+        used = (
+            (placed[:, 2] >= params.min_height)
+            & (placed[:, 2] <= params.max_height)
+            & (ranges >= params.range_min)
+            & (ranges <= params.range_max)
+            & (angles >= params.angle_min)
+            & (angles <= params.angle_max)
+        )
+        # The floor at the place of each point.
+        height = placed[:, 2] - distances / floor.up[2]
+        on_floor = (
+            (np.abs(distances) < tolerances(sample.points))
+            & (height > params.min_height - _NOISE)
+            & (height < params.max_height + _NOISE)
+        )
+        nearest = np.flatnonzero(used)[np.argsort(ranges[used])]
+        _, first = np.unique(np.degrees(angles[nearest]).astype(int), return_index=True)
+        return float(on_floor[nearest[first]].mean()) if len(first) >= _FEWEST_BEAMS else 0.0
 
     def _judge(self) -> None:
         from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
 
         every, first = self._every, self._samples[0]
         # A level first cloud is enough for the mounting and for the heights.
-        points = [sample.points for sample in self._samples[: 1 if self._is_level() else None]]
+        points = [sample.points for sample in self._samples[: 1 if self._level_floor else None]]
         source = every.report.source_frame or first.frame_id
         judged_in = first.scan_frame if first.scan_frame != source else ""
 
@@ -226,6 +314,8 @@ class TopicClouds:
         advice = self._advice(found)
         if self._is_nearly_empty() and (emptiness := self._emptiness(advice)):
             every.warn(self._label + emptiness)
+        elif not units and self._floor_share >= _MOST_FLOOR:
+            every.warn(self._label + self._floor_text(advice))
         for entry in self._entries():
             entry.advice = advice
         if self._without_heights() and any(map(from_preset, self._spec.origins.values())) and advice:
@@ -257,14 +347,25 @@ class TopicClouds:
         presets = any(map(from_preset, self._spec.origins.values()))
         return (self._is_default("min_height") and cut) or (self._without_heights() and presets)
 
-    @staticmethod
-    def _advice(found: Mounting) -> str:
+    def _advice(self, found: Mounting) -> str:
         """Return the options that suit the clouds; empty if there was no point."""
         if found.heights is None:
             return ""
         # The heights apply in the frame that these options make, which may differ from the frame of the scans.
-        return " ".join(
-            filter(None, (found.options, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"))
+        options = [found.options, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"]
+        if self._samples[0].zeros and not self._zeros_reported and self._keeps_sensor:
+            target = found.target_frame or self._samples[0].scan_frame
+            options.append(_without_sensor(found.frame, target))
+        return " ".join(filter(None, options))
+
+    @property
+    def _keeps_sensor(self) -> bool:
+        """Whether nothing but heights removes points at the sensor itself."""
+        params, (x, y, _) = self._spec.params, self._samples[0].origin
+        return (
+            params.range_min <= math.hypot(x, y) <= params.range_max
+            and params.angle_min <= math.atan2(y, x) <= params.angle_max
+            and not any(each.name in _PLACE_FILTERS for each in self._spec.filters)
         )
 
     def _emptiness(self, advice: str) -> str:
@@ -291,6 +392,17 @@ class TopicClouds:
             # The reason is a filter, or NaN: the report has it at the end.
             return ""
         return f"{self._topic}: {share}; {'; '.join(parts)}"
+
+    def _floor_text(self, advice: str) -> str:
+        """Return the warning about a floor between the heights, with its own height."""
+        sample, floor, params = self._samples[0], self._level_floor, self._spec.params
+        assert floor is not None  # it has a share
+        below = f"min_height is {_limit(params.min_height, 'm')}"
+        return (
+            f"{self._topic}: the floor is within the heights: it is at z = {sample.origin[2] - floor.height:.2f} m in "
+            f"{sample.scan_frame!r}, and {below}; {self._floor_share:.0%} of the beams with a return end on it"
+            + (f"; without it: {advice}" if advice else "")
+        )
 
     def _mistaken_units(self) -> str:
         """Return a warning if heights seem to be millimetres, with the clouds' own heights; empty otherwise."""
@@ -321,6 +433,13 @@ class TopicClouds:
 
 def _clouds(count: int) -> str:
     return "cloud" if count == 1 else counted(count, "cloud")
+
+
+def _without_sensor(frame: str, target: str) -> str:
+    from pc2scan.tf.mounting import without_sensor  # noqa: PLC0415  # only where there is a warning
+
+    option, value = without_sensor(frame, target)
+    return f"`{option}={shlex.quote(value)}`"
 
 
 def _limit(value: float, unit: str) -> str:

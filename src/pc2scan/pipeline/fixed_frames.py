@@ -9,6 +9,7 @@ from pc2scan.errors import MessageError, ParameterError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.names import did_you_mean
+from pc2scan.tf.worlds import WORLDS, moving_below
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,12 +21,9 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .stream import Span
 
-__all__ = ["check_fixed_frame"]
+__all__ = ["check_fixed_frame", "first_frame"]
 
 _MOST_NAMES = 20
-
-#: Frames in which robots move, by REP 105; the first one that exists is suggested first.
-_USUAL = ("odom", "map", "world", "earth")
 
 
 def check_fixed_frame(
@@ -56,10 +54,12 @@ def check_fixed_frame(
             f"`fixed_frame` is {fixed!r}, which is in no transform; {there_are}",
             hint=f"{near}{'' if near.endswith('?') or not near else ';'} {advice}".strip(),
         )
-    frame = spec.params.target_frame or source_frame or _first_frame(reader, sources, span)
+    frame = spec.params.target_frame or source_frame or first_frame(reader, sources, span)
     frame = frame.removeprefix("/")
     if not frame or not buffer.is_rigid(fixed, frame):
         return []
+    if fixed == frame and moving_below(buffer, fixed, source_frame or first_frame(reader, sources, span)):
+        return []  # the target frame itself is wrong, which another warning says
     which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
     offered = _offered(buffer, fixed)
     advice = offered or "the recording has no transform that moves; `tf_from` adds the odometry of another one"
@@ -69,14 +69,14 @@ def check_fixed_frame(
 def _offered(buffer: TransformBuffer, fixed: str) -> str:
     """Return a hint that suggests a frame in which something moves; empty if there is none."""
     roots = [root for tree in buffer.trees if not fixed or fixed in tree.frames for root in tree.roots]
-    names = dict.fromkeys((*(name for name in _USUAL if name in buffer.frames), *roots))
+    names = dict.fromkeys((*(name for name in WORLDS if name in buffer.frames), *roots))
     moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}
     found = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
     found = [name for name in found if not fixed or not buffer.is_rigid(name, fixed)]
     return f"`fixed_frame={found[0]}` is a frame that does not move" if found else ""
 
 
-def _first_frame(reader: Reader, sources: Sequence[Connection], span: Span) -> str:
+def first_frame(reader: Reader, sources: Sequence[Connection], span: Span) -> str:
     """Return the frame of the first message; empty if there is none."""
     with suppress(MessageError), closing(reader.messages(sources, span.start_ns, span.stop_ns)) as messages:
         for message in messages:

@@ -62,6 +62,11 @@ def prepared(
         report.warnings += warnings
         if firsts is not None:
             firsts.buffer = buffer
+    if asked.static or asked.source_frame:
+        from .given_frames import check_given_frames  # noqa: PLC0415  # few conversions add frames
+
+        transforms_of = None if firsts is None else firsts.transforms
+        report.warnings += check_given_frames(reader, plan, asked, buffer, transforms_of, span)
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
         from .levelling import Ups  # noqa: PLC0415  # only where scans are level

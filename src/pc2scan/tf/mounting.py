@@ -18,6 +18,8 @@ from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 
+from .worlds import BODIES, WORLDS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -25,13 +27,7 @@ if TYPE_CHECKING:
 
     from .buffer import TransformBuffer
 
-__all__ = ["Heights", "Mounting", "heights_for", "mounting"]
-
-#: Usual names of a robot's frame, whose z is up; the first that exists is used.
-_BODIES = ("base_link", "base_footprint")
-
-#: Frames that a robot moves in; the frames below them move with the robot.
-_WORLDS = {"odom", "map", "world", "earth"}
+__all__ = ["Heights", "Mounting", "heights_for", "mounting", "without_sensor"]
 
 #: Transforms that tilt a sensor by more than this, radians, are reported even if no ground is visible.
 _NOTABLE_TILT = math.radians(10.0)
@@ -182,7 +178,7 @@ class _Seen(NamedTuple):
 def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
     """Return what the transforms say about the frame; None if they neither help nor contradict."""
     ground = seen.ground
-    body = next(((name, moved) for name in _BODIES if (moved := _above(buffer, name, seen.frame, stamp_ns))), None)
+    body = next(((name, moved) for name in BODIES if (moved := _above(buffer, name, seen.frame, stamp_ns))), None)
     if body is None:
         # No frame is known to be level, so a new frame that makes the clouds level is used.
         for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
@@ -245,7 +241,7 @@ def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple
             break
         name = buffer.frames[int(history.parents[-1])]
         moved = _lookup(buffer, name, frame, stamp_ns)
-        if moved is None or name in _WORLDS or name in {other for other, _ in found}:
+        if moved is None or name in WORLDS or name in {other for other, _ in found}:
             break
         found.append((name, moved))
     return found
@@ -337,6 +333,21 @@ def heights_for(
         # There is no object on the ground, or the sensor is above all of them.
         high = max(high, *percentiles(z, 99.5))
     return Heights(_floored(low + 0.005), _floored(high + 0.005), floor, ceiling)
+
+
+def without_sensor(frame: str, target: str) -> tuple[str, str]:
+    """Return the option that excludes points at the sensor itself, and its value.
+
+    Parameters
+    ----------
+    frame
+        The frame of the clouds.
+    target
+        The frame of the scans, if it is another one: `range_min` is measured from its origin.
+    """
+    if target.removeprefix("/") in {"", frame.removeprefix("/")}:
+        return "range_min", "0.1"
+    return "exclude_box", f"{frame} -0.05 0.05 -0.05 0.05 -0.05 0.05"
 
 
 def _along(up: tuple[float, float, float], distance: float, moved: Rigid) -> float:

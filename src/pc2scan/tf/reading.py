@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.core.rigid import Rigid
+    from pc2scan.core.rigid import Rigid, TransformRow
     from pc2scan.model import Connection
 
     from .buffer import TransformBuffer
@@ -37,6 +38,9 @@ __all__ = [
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
 _SOME_MESSAGES = 1_000
+
+#: A frame moves if its translations differ by this much, metres.
+_MOVES = 0.05
 
 
 def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()) -> list[Connection]:
@@ -123,6 +127,7 @@ def collect_transforms(
     if not connections:
         return
     overridden = {static.child.removeprefix("/") for static in options.static}
+    first: dict[str, TransformRow] = {}
     for message in reader.messages(connections, start_ns, stop_ns):
         connection = message.connection
         try:
@@ -132,12 +137,21 @@ def collect_transforms(
             warnings[text] = warnings.get(text, 0) + 1
             continue
         if overridden:
+            for row in rows:
+                parent, child, *_ = row
+                if child.removeprefix("/") in overridden and _differs(row, first.setdefault(child, row)):
+                    warnings[f"`static_tf` replaces the transforms of {child} in {parent}, which move"] = 1
             rows = [row for row in rows if row[1].removeprefix("/") not in overridden]
         try:
             builder.add(rows, static=is_static(connection.topic))
         except RecordingError as err:
             err.path, err.topic = reader.path, connection.topic
             raise
+
+
+def _differs(row: TransformRow, first: TransformRow) -> bool:
+    """Whether the translations of two transforms with the same parent differ by more than measuring a mount does."""
+    return row[0] == first[0] and math.dist(row[3:6], first[3:6]) > _MOVES
 
 
 def built(builder: TransformBuilder, warnings: Mapping[str, int]) -> tuple[TransformBuffer, list[str]]:

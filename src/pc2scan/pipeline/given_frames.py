@@ -1,0 +1,140 @@
+"""Checks transforms and frames that options add against those of the recording, before the first message."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import UsageError, name_list
+from pc2scan.names import did_you_mean
+from pc2scan.tf.worlds import BODIES, WORLDS
+
+from .fixed_frames import first_frame
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.options import FrameOptions, StaticTransform
+
+    from .plan import Plan
+    from .scan_spec import ScanSpec
+    from .stream import Span
+
+__all__ = ["check_given_frames"]
+
+#: No sensor is this far from its robot, metres; in millimetres all but the nearest are.
+_FAR = 20.0
+
+_MOST_NAMES = 5
+
+
+def check_given_frames(
+    reader: Reader,
+    plan: Plan,
+    asked: FrameOptions,
+    buffer: TransformBuffer | None,
+    transforms: Callable[[], TransformBuffer | None] | None,
+    span: Span,
+) -> Iterator[str]:
+    """Yield a warning for each added transform, and for a source frame, that is probably a mistake.
+
+    Parameters
+    ----------
+    buffer
+        All transforms; None if nothing is transformed.
+    transforms
+        Reads the transforms between the robot's frames, if nothing is transformed; None if they are not available.
+
+    Raises
+    ------
+    UsageError
+        If an added transform and the recorded ones form a loop.
+    """
+    own = list(dict.fromkeys(first_frame(reader, [route.connection], span) for route in plan.routes if route.tasks))
+    frames = [frame.removeprefix("/") for frame in own if frame]
+    if asked.source_frame:
+        known = buffer if buffer is not None or transforms is None else transforms()
+        yield from _source_doubts(asked.source_frame.removeprefix("/"), frames, known)
+        frames = [asked.source_frame.removeprefix("/")]
+    if buffer is None:
+        return
+    for static in asked.static:
+        _refuse_loop(static, buffer)
+    targets = {spec.params.target_frame.removeprefix("/") for spec in plan.specs} - {""}
+    named = {name.removeprefix("/") for spec in plan.specs for name in _further_frames(spec)} - {""}
+    used = {name for frame in (*frames, *targets, *named) for name in _upwards(buffer, frame)}
+    for static in asked.static:
+        child = static.child.removeprefix("/")
+        if child not in used and frames and not (asked.write_static or any(spec.imu for spec in plan.specs)):
+            near = did_you_mean(child, frames)
+            yield (
+                f"`static_tf` from {static.parent} to {static.child} has no effect: the clouds are in "
+                f"{name_list(frames, _MOST_NAMES)}" + (f"; {near}" if near else "")
+            )
+        elif child in used:
+            yield from _far_doubts(static, targets)
+
+
+def _source_doubts(source: str, frames: Sequence[str], buffer: TransformBuffer | None) -> Iterator[str]:
+    if source in frames:
+        if len(frames) == 1:
+            yield f"`source_frame` has no effect: the clouds are in {source} already"
+        return
+    known = dict.fromkeys((*(() if buffer is None else buffer.frames), *frames))
+    if source in known:
+        return
+    near = did_you_mean(source, known)
+    if near:
+        there = name_list(frames, _MOST_NAMES)
+        yield (
+            f"`source_frame` is {source!r}, which neither a cloud nor a transform of the recording has "
+            f"({'the clouds are in ' + there if there else 'the clouds have no frame'}); {near}"
+        )
+
+
+def _further_frames(spec: ScanSpec) -> Iterable[str]:
+    """Return the fixed frame of an output, and those of its filters."""
+    return (spec.fixed_frame, *(each.frame for each in spec.filters if isinstance(each.frame, str)))
+
+
+def _upwards(buffer: TransformBuffer, frame: str) -> list[str]:
+    """Return a frame and those above it; none twice."""
+    found: dict[str, None] = {}
+    while frame and frame not in found:
+        found[frame] = None
+        history = buffer.history(frame)
+        frame = "" if history is None else buffer.frames[int(history.parents[-1])]
+    return list(found)
+
+
+def _refuse_loop(static: StaticTransform, buffer: TransformBuffer) -> None:
+    parent, child = static.parent.removeprefix("/"), static.child.removeprefix("/")
+    above = _upwards(buffer, parent)
+    if child not in above:
+        return
+    way = above[: above.index(child) + 1]
+    raise UsageError(
+        f"`static_tf` makes {parent} the parent of {child}, which is above {parent} already: {' in '.join(way)}",
+        hint=f"the parent comes first; `static_tf='{_text(child, parent, static)}'` replaces the recorded transform",
+    )
+
+
+def _far_doubts(static: StaticTransform, targets: set[str]) -> Iterator[str]:
+    parent, child = static.parent.removeprefix("/"), static.child.removeprefix("/")
+    translation = [float(x) for x in static.parent_from_child.translation]
+    length = math.hypot(*translation)
+    if length < _FAR or {parent, child} & set(WORLDS) or not (targets | {parent}) & set(BODIES):
+        return
+    yield (
+        f"`static_tf` from {parent} to {child} is {length:,.0f} m long, and translations are metres; if these "
+        f"are millimetres, `static_tf='{_text(parent, child, static, 0.001)}'`"
+    )
+
+
+def _text(parent: str, child: str, static: StaticTransform, factor: float = 1.0) -> str:
+    """Return the option's text with other names or in another unit."""
+    rigid = static.parent_from_child
+    numbers = (*(factor * float(x) for x in rigid.translation), *rigid.rpy)
+    return " ".join((parent, child, *(f"{number + 0.0:.6g}" for number in numbers)))
