@@ -76,8 +76,7 @@ def test_refused(options: list[str], error: str, hint: str, tmp_path: Path) -> N
         ),
         (
             ["--static-tf", "base_link lidar 200 0 600 0 0 0", "--target-frame", "base_link"],
-            "is 632 m long, and translations are metres; if these are millimetres, "
-            "--static-tf 'base_link lidar 0.2 0 0.6 0 0 0'",
+            "is 632 m long, and translations are metres; if these are millimetres, --static-tf 'base_link lidar 0.2 0",
         ),
         (
             ["--static-tf", "odom base_link 0 0 0 0 0 0", "--target-frame", "base_link"],
