@@ -118,11 +118,12 @@ def test_topic_filter_does_not_lose_the_time_index(tmp_path: Path) -> None:
         database.commit()
     with closing(Sqlite3Reader(tmp_path / "x.db3")) as reader:
         seen: list[str] = []
-        assert reader._database is not None
-        reader._database.set_trace_callback(seen.append)
+        opened = reader._database._connection
+        assert opened is not None
+        opened.set_trace_callback(seen.append)
         assert len(list(reader.messages([reader.connections[0]]))) == 3
-        reader._database.set_trace_callback(None)
-        (plan,) = reader._database.execute(f"EXPLAIN QUERY PLAN {seen[-1]}").fetchall()
+        opened.set_trace_callback(None)
+        (plan,) = opened.execute(f"EXPLAIN QUERY PLAN {seen[-1]}").fetchall()
         assert "timestamp_idx" in plan[3]
 
 
@@ -164,7 +165,7 @@ def test_a_hot_write_ahead_log_counts_and_nothing_is_touched(tmp_path: Path) -> 
     with closing(Sqlite3Reader(folder / "x.db3")) as reader:
         assert reader.summary.message_count == 5
         assert [m.log_time_ns for m in reader.messages()][-1] == 30
-        copy = reader._copy
+        copy = reader._database._copy
         assert copy is not None
     assert {entry.name: entry.read_bytes() for entry in folder.iterdir()} == before
     assert not Path(copy.name).exists()

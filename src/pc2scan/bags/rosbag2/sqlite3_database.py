@@ -1,0 +1,248 @@
+"""A database of an untrusted recording: opened without writing, within limits, and rebuilt from its pages if damaged.
+
+SQLite opens only complete databases, and as immutable ones: it reads no log, and locks and writes nothing. A database
+with a log beside it is merged with the log into a temporary copy by `pc2scan.bags.rosbag2.sqlite3_logs`.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.bags.damage import RECOVER
+from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files.temporary import making_copy, private_folder, sqlite_is_full
+
+from .sqlite3_codes import CORRUPT, ERROR, FULL, IOERR_SHORT_READ, NOTADB, code_of
+from .sqlite3_logs import missing_bytes, side_logs, write_merged
+from .sqlite3_pages import PageFile, declared_size, rebuilt
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from tempfile import TemporaryDirectory
+
+    from pc2scan.bags.damage import DamageLog
+
+    from .sqlite3_page_log import PageLog
+
+__all__ = ["SQLITE_ERRORS", "Database"]
+
+#: Allowed defaults of columns, neither long nor computed: a default is the value of every row that does not store one.
+_SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")
+
+#: SQLite's codes for a damaged database; ERROR is that of a damaged schema.
+_DAMAGE_CODES = (CORRUPT, NOTADB, ERROR, IOERR_SHORT_READ)
+
+#: If a name in the schema is not UTF-8, Python cannot decode the error message; if a length is wrong, SQLite may run
+#: out of memory.
+SQLITE_ERRORS = (sqlite3.Error, UnicodeDecodeError, MemoryError)
+
+
+class Database:
+    """A database and the logs beside it. `open` opens it; `recover` replaces it by one of the rows in its pages.
+
+    Parameters
+    ----------
+    path
+        The file. No file is written.
+    damage
+        Where damage is noted.
+
+    Attributes
+    ----------
+    path, size
+        The file, and its size in bytes.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read.
+    DamageError
+        If a log is damaged, and damage is an error.
+    """
+
+    def __init__(self, path: Path, damage: DamageLog) -> None:
+        self.path = path
+        self._noted = damage
+        self._logs: list[PageLog] = []
+        self._copy: TemporaryDirectory[str] | None = None
+        self._connection: sqlite3.Connection | None = None
+        self._pages: PageFile | None = None
+        try:
+            self.size = path.stat().st_size
+            self._logs = side_logs(path)
+            #: Limit of the size of all values together, bytes.
+            self._most = 1_000_000 + self.size + sum(log.file.size for log in self._logs)
+            self._note_logs()
+        except OSError as err:
+            self.close()
+            raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def is_rebuilt(self) -> bool:
+        """Whether it was rebuilt from pages. Its tables are trusted then."""
+        return self._pages is not None
+
+    def open(self) -> None:
+        """Open as immutable: the database is neither locked nor recovered.
+
+        Raises
+        ------
+        DamageError
+            If pages are missing.
+        """
+        self._refuse_incomplete()
+        path = self.path
+        if any(log.page_count is not None for log in self._logs):
+            path = self._merged_copy()
+        # Other threads use the reader, one at a time.
+        database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False)
+        self._connection = database
+        # A topic's name may have bytes that are not UTF-8.
+        database.text_factory = lambda raw: raw.decode("utf-8", "replace")
+        if sys.version_info >= (3, 11):
+            # No value is longer than the file, or than SQLite's limit.
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(self._most, 2**31 - 1))
+            # No statement of an untrusted recording may open another file, or call functions with effects.
+            database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
+        database.execute("PRAGMA trusted_schema = OFF")
+
+    def recover(self, err: Exception) -> None:
+        """Continue with the rows that can be found without SQLite's trees.
+
+        Parameters
+        ----------
+        err
+            Why. It is raised if it is no damage, or damage is an error, or the database was rebuilt before.
+        """
+        problem = err if isinstance(err, RecordingError) else self._error(err)
+        if not isinstance(problem, DamageError) or self.is_rebuilt or self._noted.strict:
+            raise problem
+        if self._connection is not None:
+            self._connection.close()
+        self._pages = PageFile(self.path, self._logs)
+        try:
+            self._connection, last_ns = rebuilt(self._pages)
+        except sqlite3.Error as error:
+            raise self._error(error) from error
+        if last_ns is None and not self._connection.execute("SELECT 1 FROM topics").fetchone():
+            raise self.damage(f"nothing of it can be recovered: {problem.message}")
+        if any(log.broken for log in self._logs):
+            # The missing bytes are noted for the log.
+            self._noted.note(problem)
+        else:
+            self._noted.note(problem, bytes_lost=self._missing_bytes(), first_ns=last_ns)
+
+    def close(self) -> None:
+        """Close the database and remove the copy, if there is one."""
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+        if self._pages is not None:
+            self._pages.close()
+            self._pages = None
+        for log in self._logs:
+            log.file.close()
+        if self._copy is not None:
+            self._copy.cleanup()
+            self._copy = None
+
+    def query(self, sql: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+        """Execute a statement; raises one of `SQLITE_ERRORS` or `RecordingError`."""
+        if self._connection is None:
+            raise RecordingError("is closed", path=self.path)
+        try:
+            return self._connection.execute(sql, values)
+        except UnicodeDecodeError as err:
+            # The message quotes a damaged name, which Python cannot decode.
+            raise self.damage("SQLite cannot read it, and names what is not text") from err
+
+    @contextmanager
+    def ending(self) -> Iterator[None]:
+        """Interrupt SQLite if it takes more steps than a file of this size can need."""
+        millions = iter(range(5 + self.size // 100_000))
+        assert self._connection is not None
+        self._connection.set_progress_handler(lambda: next(millions, None) is None, 1_000_000)
+        try:
+            yield
+        finally:
+            self._connection.set_progress_handler(None, 0)
+
+    def stored(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+        """Yield rows as they are, up to the size of the file: rows that share pages may have any number of values."""
+        left = self._most
+        for row in rows:
+            left -= sum(len(value) for value in row if isinstance(value, str | bytes))
+            if left < 0:
+                raise RecordingError("has more values than the bytes of its file can hold", path=self.path)
+            yield row
+
+    def columns(self, table: str) -> set[str]:
+        """Return the names of a table's columns; none if there is no such table."""
+        found = set()
+        for _, name, _, _, default, _ in self.query(f"PRAGMA table_info({table})"):
+            if default is not None and not _SHORT_DEFAULT.fullmatch(default):
+                raise RecordingError(
+                    f"table {table} has a column {name!r:.40} with a default value, rosbag2's have none",
+                    path=self.path,
+                )
+            found.add(name)
+        return found
+
+    def damage(self, message: str, topic: str | None = None) -> DamageError:
+        """Return an error that the database is damaged."""
+        return DamageError(message, path=self.path, topic=topic, hint=RECOVER)
+
+    def _error(self, err: Exception) -> RecordingError:
+        if isinstance(err, sqlite3.Error) and code_of(err) == FULL:
+            return sqlite_is_full(self.path)
+        message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
+        # Failing disks and a lack of memory are not damage.
+        if not isinstance(err, sqlite3.Error) or code_of(err) in _DAMAGE_CODES:
+            return self.damage(message)
+        return RecordingError(message, path=self.path)
+
+    def _note_logs(self) -> None:
+        """Note the problems of the logs."""
+        for log in self._logs:
+            for problem in log.problems:
+                error = DamageError(problem.what, path=log.file.path, hint=RECOVER)
+                self._noted.note(error, offset=problem.offset, bytes_lost=problem.bytes_lost)
+
+    def _missing_bytes(self) -> int:
+        """Return how many bytes the database lacks by its own header or a log; SQLite checks only what it reads."""
+        missing = missing_bytes(self._logs)
+        return max(0, self._declared_size() - self.size) if missing is None else missing
+
+    def _declared_size(self) -> int:
+        """Return the size of the database by its own header, or of the file if the header has none."""
+        with self.path.open("rb") as file:
+            return declared_size(file.read(100)) or self.size
+
+    def _refuse_incomplete(self) -> None:
+        """Raise if pages are missing, in the file itself or in its logs."""
+        for log in self._logs:
+            if log.broken:
+                raise self.damage(f"its pages do not fit together, because {log.file.path.name} is damaged")
+        if missing := self._missing_bytes():
+            raise self.damage(f"is cut off: it has {self.size} of {self.size + missing} bytes")
+        declared = self._declared_size()
+        if self.size > declared and missing_bytes(self._logs) is None:
+            # Appended bytes are harmless; inserted ones shift the pages after them.
+            error = self.damage(f"has {self.size} bytes, {self.size - declared} more than its header declares")
+            self._noted.note(error, key="size", messages_lost=0)
+
+    def _merged_copy(self) -> Path:
+        """Copy the database with the pages of its logs; the copy is at most as large as both."""
+        self._copy = private_folder(self.path)
+        target = Path(self._copy.name, "merged.db3")
+        with making_copy(self.path, target.parent):
+            write_merged(self.path, self._logs, target)
+        return target

@@ -1,0 +1,245 @@
+"""What a rosbag2 database has: its topics with their definitions, the times of its messages, and their compression.
+
+The versions of the layout differ only in tables and columns, so these are checked instead of the version:
+
+========  ====================================================================
+version   what it added
+========  ====================================================================
+1         tables ``topics`` and ``messages``
+2         ``topics.offered_qos_profiles``
+3         tables ``schema`` and ``metadata``
+4         ``topics.type_description_hash``, table ``message_definitions``
+========  ====================================================================
+
+Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pc2scan.bags.qos import latches
+from pc2scan.errors import RecordingError
+from pc2scan.files.compression import ZSTD_MAGIC
+from pc2scan.files.limits import MAX_CONNECTIONS
+from pc2scan.model import Connection, Definition
+from pc2scan.shown import counted
+
+from .sqlite3_checks import TIMES_SUM, index_trouble, table_trouble
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from pc2scan.bags.damage import DamageLog
+
+    from .sqlite3_database import Database
+
+__all__ = ["Tables", "read_tables"]
+
+#: Messages among which one in CDR is searched, to detect whether they are compressed one by one.
+_LOOKED_AT = 1000
+
+
+class Tables(NamedTuple):
+    """What the tables of a database have, without the messages.
+
+    Attributes
+    ----------
+    connections
+        A connection for each row of ``topics``.
+    start_ns, end_ns
+        Log times of the first and the last message; None without messages.
+    time_index
+        The quoted name of an index by time of all messages; None if there is none.
+    packed
+        The topics whose messages are compressed one by one.
+    """
+
+    connections: tuple[Connection, ...]
+    start_ns: int | None
+    end_ns: int | None
+    time_index: str | None
+    packed: frozenset[int]
+
+
+def read_tables(database: Database, noted: DamageLog, *, message_compression: str) -> Tables:
+    """Check and read the tables.
+
+    Parameters
+    ----------
+    database
+        The database.
+    noted
+        Where damage is noted.
+    message_compression
+        ``zstd`` if it is declared that every message is compressed by itself.
+    """
+    _check_tables(database)
+    index = _timestamp_index(database)
+    with database.ending():
+        _check_small_tables(database, noted)
+        connections, start_ns, end_ns = _read_connections(database, noted, index)
+    packed = _find_packed(database, connections, declared=message_compression == "zstd")
+    return Tables(connections, start_ns, end_ns, index, packed)
+
+
+def _check_tables(database: Database) -> None:
+    """Raise if the tables are not rosbag2's."""
+    needed = {
+        "topics": {"id", "name", "type", "serialization_format"},
+        "messages": {"id", "topic_id", "timestamp", "data"},
+    }
+    for table, columns in needed.items():
+        if missing := columns - database.columns(table):
+            raise RecordingError(
+                f"is an SQLite database, but not one of rosbag2: table {table} lacks {', '.join(sorted(missing))}",
+                path=database.path,
+            )
+    # A database rebuilt from the pages is trusted.
+    for table in (*needed, "message_definitions") if not database.is_rebuilt else ():
+        # A view or a virtual table can have an endless number of rows.
+        stored = "SELECT min(type = 'table' AND rootpage > 0) FROM sqlite_master WHERE lower(name) = ?"
+        if database.query(stored, (table,)).fetchone()[0] == 0:
+            raise RecordingError(f"{table} is not a plain table, as rosbag2 makes it", path=database.path)
+
+
+def _check_small_tables(database: Database, noted: DamageLog) -> None:
+    """Check the tables that describe the messages, unless they are rebuilt from pages."""
+    # The first one lists all others; if it is damaged, it may list fewer.
+    for table in ("sqlite_master", "topics", "message_definitions") if not database.is_rebuilt else ():
+        if database.columns(table) and (trouble := table_trouble(database.query, table)):
+            error = database.damage(trouble.what)
+            if trouble.unreachable:
+                raise error
+            noted.note(error, key=("table", table), messages_lost=0)
+
+
+def _timestamp_index(database: Database) -> str | None:
+    """Return the quoted name of an index by time of all messages."""
+    for row in database.query("PRAGMA index_list(messages)"):
+        name = '"' + str(row[1]).replace('"', '""') + '"'
+        columns = [column[2] for column in database.query(f"PRAGMA index_info({name})")]
+        # An index with a WHERE clause (the fifth column) does not have every row.
+        if columns == ["timestamp"] and not row[4]:
+            return name
+    return None
+
+
+def _read_connections(
+    database: Database, noted: DamageLog, index: str | None
+) -> tuple[tuple[Connection, ...], int | None, int | None]:
+    """Return the connections, and the times of the first and the last message."""
+    available = database.columns("topics")
+    names = ["name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"]
+    columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
+    definitions = _read_definitions(database)
+    counts = {
+        topic_id: numbers
+        for topic_id, *numbers in database.query(
+            f"SELECT topic_id, count(*), min(timestamp), max(timestamp), {TIMES_SUM} FROM messages "  # noqa: S608
+            "GROUP BY topic_id LIMIT ?",
+            (MAX_CONNECTIONS,),
+        )
+    }
+    total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
+    if index is not None and (trouble := index_trouble(database.query, index, total, times_sum)):
+        raise database.damage(trouble)
+    connections: list[Connection] = []
+    starts, ends = [], []
+    for topic_id, topic, msgtype, serialization, qos, digest in database.stored(
+        database.query(f"SELECT id, {columns} FROM topics ORDER BY id")  # noqa: S608 - constants
+    ):
+        count, first_ns, last_ns, _ = counts.get(topic_id, (0, None, None, 0))
+        if len(connections) == MAX_CONNECTIONS or not isinstance(topic_id, int):
+            raise RecordingError(
+                f"has more than {MAX_CONNECTIONS} topics, or one whose id is no number", path=database.path
+            )
+        if count and not (isinstance(first_ns, int) and isinstance(last_ns, int)):
+            raise RecordingError("has timestamps that are no numbers", path=database.path, topic=topic)
+        if count:
+            starts.append(first_ns)
+            ends.append(last_ns)
+        if problem := _missing_texts(topic_id, topic, type=msgtype, serialization_format=serialization):
+            noted.note(database.damage(problem), key=("texts", topic_id), messages_lost=0)
+        connections.append(
+            Connection(
+                id=topic_id,
+                topic=topic,
+                msgtype=msgtype,
+                serialization=serialization or "cdr",
+                definition=definitions.get((msgtype, digest)) or definitions.get((msgtype, None), Definition()),
+                digest=digest,
+                latching=latches(qos),
+                qos=qos,
+                message_count=count,
+            )
+        )
+    _note_undescribed(database, noted, counts, {connection.id for connection in connections})
+    return tuple(connections), min(starts, default=None), max(ends, default=None)
+
+
+def _note_undescribed(
+    database: Database, noted: DamageLog, counts: Mapping[Any, Sequence[Any]], described: set[int]
+) -> None:
+    """Note messages of topics without a row."""
+    for topic_id, (count, first_ns, last_ns, _) in counts.items():
+        if topic_id not in described:
+            timed = isinstance(first_ns, int) and isinstance(last_ns, int)
+            noted.note(
+                database.damage(
+                    f"{counted(count, 'message', 'are')} of topic {topic_id!r:.40}, which is not described"
+                ),
+                key=("topic", topic_id),
+                messages_lost=count,
+                first_ns=first_ns if timed else None,
+                last_ns=last_ns if timed else None,
+            )
+
+
+def _missing_texts(topic_id: int, topic: str, **texts: str) -> str:
+    """Describe what the row of a topic lacks: rosbag2 always writes it, and CDR is its only serialization."""
+    missing = [column for column, text in {"name": topic, **texts}.items() if not text]
+    read_as = "" if texts["serialization_format"] else ", its messages are read as cdr"
+    return f"topic {topic or topic_id} has no {' and no '.join(missing)}{read_as}" if missing else ""
+
+
+def _read_definitions(database: Database) -> dict[tuple[str, str | None], Definition]:
+    """Return definitions by type and hash; without a hash, the first of a type."""
+    found: dict[tuple[str, str | None], Definition] = {}
+    columns = database.columns("message_definitions")
+    if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
+        return found
+    digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "''"
+    rows = database.query(
+        f"SELECT {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608 - constants
+        f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
+        (MAX_CONNECTIONS,),
+    )
+    for msgtype, encoding, data, own_digest in database.stored(rows):
+        # rosbag2 writes "unknown" if it did not find the definition.
+        if data and encoding not in {"", "unknown"}:
+            definition = Definition(encoding, data)
+            found.setdefault((msgtype, own_digest), definition)
+            found.setdefault((msgtype, None), definition)
+    return found
+
+
+def _find_packed(database: Database, connections: Sequence[Connection], *, declared: bool) -> frozenset[int]:
+    """Return the topics whose messages are compressed one by one.
+
+    Without a declaration the first CDR message decides: CDR begins with a zero byte, and never looks like a zstd
+    frame. Messages in other serialisations may begin with any bytes, and stay as they are.
+    """
+    if declared:
+        return frozenset(connection.id for connection in connections)
+    cdr = frozenset(connection.id for connection in connections if connection.serialization == "cdr")
+    rows = database.query("SELECT topic_id, substr(data, 1, 4) FROM messages LIMIT ?", (_LOOKED_AT,))
+    for topic_id, head in rows:
+        if topic_id in cdr:
+            return cdr if head == ZSTD_MAGIC else frozenset()
+    return frozenset()
+
+
+def _column_as_text(column: str) -> str:
+    """Return a column as text: SQLite allows any value in any column."""
+    return f"coalesce(CAST({column} AS TEXT), '')"
