@@ -64,7 +64,7 @@ def tasks(layout: str, heights: str) -> tuple[Callable[[], Any], Callable[[], An
     def deskewed() -> Any:
         moving = deskew(points)
         assert moving is not None
-        return project.moving(*points.xyz(), moving.transform)
+        return project(*points.xyz(), moving.transform)
 
     return plain, deskewed
 

@@ -281,7 +281,7 @@ def test_nothing_behind_the_last_point_is_read(step: int) -> None:
         assert kernel.span(x, times)[2] == count
         for timed in (False, True):
             motion = MovingTransform(times, 0.0, 1e-9, np.array([0.0, 1.0]), np.tile(_STILL, (3, 1)), timed)
-            assert project.moving(x, y, z, motion).counts.height == len(z[::3])
+            assert project(x, y, z, motion).counts.height == len(z[::3])
 
 
 def test_arrays_that_do_not_fit_together_are_refused() -> None:

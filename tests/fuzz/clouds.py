@@ -104,15 +104,15 @@ def project_moving(data: bytes) -> None:
     outs = np.zeros((2, xyz[0].size, 3), np.float32)
     with np.errstate(all="ignore"):
         with _plain():
-            expected = project.moving(*xyz, motion, lit)
+            expected = project(*xyz, motion, lit)
         lost, span = plain.deskew(*xyz, motion, outs[1]), plain.span(xyz[0], times)
         for _ in _widths():
-            _compare(project.moving(*xyz, motion, lit), expected)
+            _compare(project(*xyz, motion, lit), expected)
             assert kernel.deskew(*xyz, motion, outs[0]) == lost
             np.testing.assert_array_equal(*outs)
             np.testing.assert_array_equal(kernel.span(xyz[0], times), span)
             if lost == (0, 0):
-                _compare(project.moving(*xyz, motion._replace(timed=True), lit), expected)
+                _compare(project(*xyz, motion._replace(timed=True), lit), expected)
 
 
 def _read(data: bytes) -> tuple[Projector, int, PointCloud2]:

@@ -203,15 +203,14 @@ class Projector:
         self, part: Part
     ) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[np.float32] | MovingTransform | None]:
         """Return the coordinates of a part and its transform, as the loops over points need them."""
-        arrays, transform = _coordinates(part.x, part.y, part.z, part.intensities), part.target_from_source
-        return arrays, transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
+        return _coordinates(part.x, part.y, part.z, part.intensities), _for_loops(part.target_from_source)
 
     def __call__(
         self,
         x: NDArray[Any],
         y: NDArray[Any],
         z: NDArray[Any],
-        target_from_source: Transform | None = None,
+        target_from_source: Transform | MovingTransform | None = None,
         intensities: NDArray[Any] | None = None,
     ) -> ProjectedScan:
         """Project a cloud.
@@ -223,7 +222,8 @@ class Projector:
             alignment and strides. They are rounded to float32.
         target_from_source
             A transform to apply to the rounded coordinates, in float32: every product and every sum is rounded,
-            from left to right, as tf2_sensor_msgs does. See `Rigid.as_float32`.
+            from left to right, as tf2_sensor_msgs does. See `Rigid.as_float32`. Or the transforms of points that move,
+            each at its own time; the counts then also have ``no_time`` and ``no_transform``.
         intensities
             A value for every point, of the same shape and any real type; None: the scan has no intensities.
 
@@ -237,31 +237,8 @@ class Projector:
         ValueError
             If the shapes differ, or have not one or two dimensions.
         """
-        return self._projected(x, y, z, None if target_from_source is None else packed(target_from_source), intensities)
-
-    def moving(
-        self,
-        x: NDArray[Any],
-        y: NDArray[Any],
-        z: NDArray[Any],
-        motion: MovingTransform,
-        intensities: NDArray[Any] | None = None,
-    ) -> ProjectedScan:
-        """Project a cloud whose points are transformed at their own times.
-
-        Only the transform differs from a cloud without a motion. The counts also have ``no_time`` and ``no_transform``.
-        """
-        return self._projected(x, y, z, motion, intensities)
-
-    def _projected(
-        self,
-        x: NDArray[Any],
-        y: NDArray[Any],
-        z: NDArray[Any],
-        transform: NDArray[np.float32] | MovingTransform | None,
-        intensities: NDArray[Any] | None,
-    ) -> ProjectedScan:
         x, y, z = _coordinates(x, y, z, intensities)
+        transform = _for_loops(target_from_source)
         params = self.params
         beams = self._beams
         if params.reduce == "min" and params.min_points == 1 and intensities is None:
@@ -281,23 +258,21 @@ class Projector:
         x: NDArray[Any],
         y: NDArray[Any],
         z: NDArray[Any],
-        transform: Transform | MovingTransform | None = None,
+        target_from_source: Transform | MovingTransform | None = None,
     ) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         """Return which points the beams read: a cloud of only these points gives the same scan, to the bit.
 
         Parameters
         ----------
-        x, y, z
+        x, y, z, target_from_source
             As for `__call__`.
-        transform
-            As for `__call__`, or as for `moving`.
 
         Returns
         -------
         (K,) int64, (K,) int32
             The numbers of points, increasing, and the beam of each. See `pc2scan.core.reduce.read`.
         """
-        return self.read_together((Part(x, y, z, transform),))[0]
+        return self.read_together((Part(x, y, z, target_from_source),))[0]
 
     def read_together(self, parts: Sequence[Part]) -> list[tuple[NDArray[np.int64], NDArray[np.int32]]]:
         """Return which points of several messages the beams of their scan read; see `together`.
@@ -393,6 +368,11 @@ class _PackedPoints:
         row = {"typestr": "|V12", "descr": [("", "|V12")], "shape": interface["shape"], "version": 3}
         self.__array_interface__ = row | {"data": interface["data"], "strides": interface["strides"]}
         self._owners = owners
+
+
+def _for_loops(transform: Transform | MovingTransform | None) -> NDArray[np.float32] | MovingTransform | None:
+    """Return a transform, or those of points that move, as the loops over points need them."""
+    return transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
 
 
 def packed(transform: Transform) -> NDArray[np.float32]:

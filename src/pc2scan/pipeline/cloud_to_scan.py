@@ -23,9 +23,10 @@ from .stages.place import Place
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from pc2scan.core.moving import MovingTransform
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
-    from pc2scan.core.project import ProjectedScan
+    from pc2scan.core.project import ProjectedScan, Transform
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Frames
@@ -162,23 +163,23 @@ class CloudToScan(Conversion):
         """Return which of the decoded points the beams read."""
         from pc2scan.messages.used_points import UsedPoints  # noqa: PLC0415  # only where they are kept
 
-        points, transform = placed.points, placed.target_from_source
-        moved = None if transform is None else transform.as_float32()
-        numbers, beams = project.read(*points.xyz(), moved if placed.motion is None else placed.motion)
+        points = placed.points
+        numbers, beams = project.read(*points.xyz(), _transform(placed))
         if self._select is not None:
             numbers = points.field(NUMBER).reshape(-1)[numbers]
         return UsedPoints(placed.whole, numbers, beams)
 
     def _projected(self, placed: Placed, project: Projector) -> ProjectedScan:
         """Project the points; a transform that is not applied yet is applied in the same loop."""
-        points, transform = placed.points, placed.target_from_source
-        name = self.params.intensity_field
-        intensities = points.field(name) if name else None
-        if placed.motion is not None:
-            scan = project.moving(*points.xyz(), placed.motion, intensities)
-        else:
-            scan = project(*points.xyz(), None if transform is None else transform.as_float32(), intensities)
+        points, name = placed.points, self.params.intensity_field
+        scan = project(*points.xyz(), _transform(placed), points.field(name) if name else None)
         if placed.rejected:
             filtered = PointCounts(sum(placed.rejected.values()), **placed.rejected)
             return dataclasses.replace(scan, counts=scan.counts + filtered)
         return scan
+
+
+def _transform(placed: Placed) -> Transform | MovingTransform | None:
+    """Return the transform that is not applied to the points yet."""
+    transform = placed.target_from_source
+    return placed.motion if transform is None else transform.as_float32()
