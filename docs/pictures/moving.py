@@ -60,9 +60,9 @@ ROBOTS = (
     Robot(
         Drive(speed=0.5, turn=0.0, tilt=float(np.radians(3.0))),
         (Lidar(),),
-        DESKEW,
+        (),
         ("--level", *DESKEW),
-        ("one that tilts by 3 degrees", "--level --fixed-frame odom"),
+        ("one that tilts by 3 degrees", "--deskew --level --fixed-frame odom"),
     ),
     Robot(
         Drive(speed=1.5, turn=1.0),
@@ -70,9 +70,9 @@ ROBOTS = (
             Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.3, 0.0, 0.5)), kind="rosette"),
             Lidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, np.pi, (-0.3, 0.0, 0.5)), kind="rosette", phase=0.03),
         ),
-        ("--topic", "/front:=/scan", *DESKEW),
+        ("--topic", "/front:=/scan"),
         ("--topic", "/front:=/scan", "--topic", "/rear:=/scan", *DESKEW),
-        ("one of two lidars", "--topic /front:=/scan --topic /rear:=/scan"),
+        ("one of two lidars", "--topic /front:=/scan --topic /rear:=/scan\n--deskew --fixed-frame odom"),
     ),
 )
 
