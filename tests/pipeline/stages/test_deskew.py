@@ -172,6 +172,18 @@ def test_points_without_a_transform_or_a_time_are_counted() -> None:
     assert np.isnan(placed.field("x")[~kept]).all()
 
 
+def test_the_first_and_the_last_points_are_not_lost_by_rounding() -> None:
+    """Seconds computed by multiplying with 1e-9 may lie one bit outside those computed by dividing by 1e9."""
+    known = frames()
+    for nanoseconds in (99_944_444, 99_944_451, 90_000_007, 33_333_333):
+        for times in ([0, 5, nanoseconds], [-nanoseconds, -5, 0], [T0 + 1, T0 + nanoseconds, T0 + 9]):
+            moving = moving_of(Deskew(known, "odom", PointTime()), points(np.ones((3, 3)), times))
+            _, kept, rejected = moving.place(moving.points)
+            assert kept is None
+            assert rejected == {"no_time": 0, "no_transform": 0}
+            assert moving.transform.timed
+
+
 def test_a_gap_of_the_odometry_is_reported() -> None:
     builder = TransformBuilder()
     for seconds in (-1.0, -0.02, 0.0, 0.7, 0.72):

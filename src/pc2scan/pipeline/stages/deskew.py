@@ -383,6 +383,8 @@ class Deskew:
             if np.isnan(rows[2 * nodes[0] : 2 * nodes[-1] + 1]).all():
                 _raise_why(buffer, self._fixed, source, measured_ns[0])
         times = (stamps_ns - stamp_ns) / 1e9
+        # A product and a quotient may differ in the last bit: without this, the first and the last points are outside.
+        times[0], times[-1] = min(times[0], low), max(times[-1], high)
         timed = points if given else points.replace(_Times(points, name, offset, unit), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
