@@ -161,6 +161,9 @@ def test_a_misspelt_keyword_is_told_what_is_meant(call: Any, args: list[Any], ke
         ("jobs", True, "a whole number"),
         ("progress", True, "a function, or None"),
         ("params", {"min_height": 1}, "ProjectionParams"),
+        ("preset", ["nav2"], "a str"),
+        ("filters", "ring < 8", "a filter, such as .*; a condition as text is the argument `where`"),
+        ("filters", [pc2scan.Where], "a filter"),
         ("frames", "base_link", "FrameOptions"),
         ("topics", 5, "a str or several"),
         ("keep", b"/tf", "a str or several"),
@@ -175,6 +178,15 @@ def test_a_wrong_type_is_told_before_anything_is_done(keyword: str, value: Any, 
     with pytest.raises(TypeError, match=rf"^{keyword} .*{expected}"):
         pc2scan.convert(HALL, wanted, **{keyword: value})
     assert wanted.read_bytes() == b"kept"
+
+
+def test_wrong_types_of_parameters() -> None:
+    wrong: Any = {"min_height": -1}
+    with pytest.raises(TypeError, match="params is dict, it must be ProjectionParams"):
+        pc2scan.project([[1.0, 0.0, 0.0]], wrong)
+    several: Any = ["nav2"]
+    with pytest.raises(TypeError, match=r"preset is .'nav2'. .list., it must be a str"):
+        pc2scan.ProjectionParams.preset(several)
 
 
 @pytest.mark.parametrize("wrong", ["1e-5", {"ranges": "1e-5"}, True])

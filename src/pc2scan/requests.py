@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from os import PathLike
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from .arguments import names_in, path_of, path_text, paths_in, refuse_unknown
+from .arguments import names_in, path_of, path_text, paths_in, refuse_unknown, shown
 from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
 from .names import did_you_mean
@@ -123,7 +123,10 @@ def conversion_of(
     UsageError
         If a keyword has a wrong value, or contradicts another one.
     """
-    keywords = {**keywords, "filters": tuple(keywords.get("filters", ()))}
+    keywords = {**keywords, "filters": _filters_in(keywords.get("filters", ()))}
+    preset = keywords.get("preset")
+    if not (preset is None or isinstance(preset, str)):
+        raise TypeError(f"preset is {shown(preset)}, it must be a str")
     settings = [
         Setting(name, _python_value(value), (origins or {}).get(name, CALL))
         for name, value in keywords.items()
@@ -377,6 +380,17 @@ def _point_filters(keywords: Mapping[str, Any], resolved: ResolvedSources) -> tu
     from .pipeline.stages.filter_options import filters_from  # noqa: PLC0415  # few conversions have filters
 
     return (*filters_from(given, resolved.params.min_height), *further)
+
+
+def _filters_in(values: object) -> tuple[Filter, ...]:
+    """Return the filters of an argument that takes one or several."""
+    several = isinstance(values, Iterable) and not isinstance(values, str | bytes)
+    found = tuple(cast("Iterable[Any]", values if several else (values,)))
+    for value in found:
+        if isinstance(value, type) or not (callable(value) and hasattr(value, "name")):
+            text = "; a condition as text is the argument `where`" if isinstance(value, str) else ""
+            raise TypeError(f"filters has {shown(value)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}")
+    return found
 
 
 def _beam_filters(remove: object) -> tuple[BeamFilter, ...]:

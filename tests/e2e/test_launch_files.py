@@ -181,6 +181,7 @@ def test_a_file_in_the_launch_file_is_never_written_over(place: Path) -> None:
         ("-r", "scan:=/front/flat"),
         ("cloud_in:=/points", "scan:=front/flat", "__name:=scanner"),
         ("-t", "/p*:=/front/flat"),
+        ("--ros-args", "-r", "scan:=/front/flat", "--log-level", "scanner:=debug", "--disable-rosout-logs"),
     ],
     ids=" ".join,
 )

@@ -82,6 +82,9 @@ def test_refused(options: list[str], error: str, hint: str, tmp_path: Path) -> N
             ["--static-tf", "odom base_link 0 0 0 0 0 0", "--target-frame", "base_link"],
             "--static-tf replaces the transforms of base_link in odom, which move",
         ),
+        (["--start", "@1700000000100"], "if it was given in milliseconds: --start @1700000000.1"),
+        (["--start", "2023-11-13"], "the cut has no effect: --start is 1699833600.000000000 (2023-11-13 00:00:00 UTC)"),
+        (["--scan-time", "100"], "scan_time is 100 s, and a lidar takes less than a second for a scan"),
         (["--inf-epsilon", "2"], "--inf-epsilon has no effect: it is used only with --no-return range-max-plus"),
         (["--no-use-inf"], "beams without a return are inf anyway: range_max is infinite"),
         (

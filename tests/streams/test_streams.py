@@ -12,7 +12,9 @@ import tracemalloc
 import warnings
 from contextlib import closing, suppress
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,6 +122,7 @@ def test_scans_are_those_of_the_messages(suffix: str, tmp_path: Path) -> None:
     ids=" ".join,
 )
 @pytest.mark.parametrize("container", CONTAINERS)
+@pytest.mark.filterwarnings("ignore::pc2scan.RecordingWarning")
 def test_clouds_that_are_converted_on_the_way_are_those_that_convert_writes(
     container: str, how: dict[str, object], tmp_path: Path
 ) -> None:
@@ -241,8 +244,46 @@ def test_scans_of_surprising_heights_are_warned_of_as_in_convert() -> None:
     with pytest.warns(pc2scan.RecordingWarning, match="/scan: .*`min_height") as warned:
         assert len(list(stream)) == 5
     assert [w.filename for w in warned] == [__file__]
-    with pytest.warns(pc2scan.RecordingWarning, match="5 of 5 scans on /scan have no return at all"):
+    with pytest.warns(pc2scan.RecordingWarning) as warned:
         list(pc2scan.scans(HALL, min_height=50.0))
+    assert [str(w.message).split(":")[0] for w in warned] == [
+        "min_height is 50 m, but z on /points is -0.60 to 1.33 m (5 and 95 %; median 0.04)",
+        "/points",
+        "5 of 5 scans on /scan have no return at all",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("how", "told"),
+    [
+        ({"min_height": -1}, "/points: the floor is within the heights: it is at z = -0.60 m in 'lidar'"),
+        ({"min_height": -1, "accumulate": "2clouds", "fixed_frame": "odom"}, "without it: `target_frame=base_link`"),
+        ({"min_height": 0.1, "target_frame": "odom"}, "`target_frame` is odom, in which base_link moves (by 0.32 m)"),
+        ({"min_height": -0.3, "source_frame": "lidr"}, "did you mean lidar?"),
+        ({"min_height": -0.3, "scan_time": 100}, "milliseconds are written `scan_time=100ms`"),
+        ({"min_height": -0.3, "static_tf": "base_link lidar 0 0 1 0 0 0"}, "`static_tf` has no effect without"),
+        (
+            {"min_height": -0.3, "start": 1_700_000_000_100},
+            "to 1700000000.405000000 (2023-11-14 22:13:20 UTC); if it was given in milliseconds: `start=@1700000000.1`",
+        ),
+    ],
+    ids=str,
+)
+def test_doubtful_requests_draw_the_warning_of_convert(how: dict[str, Any], told: str, tmp_path: Path) -> None:
+    """A loop that ends early is warned, too."""
+    report = pc2scan.convert(HALL, tmp_path / "a.mcap", **how)
+    assert any(told in text for text in report.warnings)
+    with pytest.warns(pc2scan.RecordingWarning) as warned:
+        assert len(list(islice(pc2scan.scans(HALL, **how), 4))) == 4
+    assert [w.filename for w in warned if told in str(w.message)] == [__file__]
+
+
+def test_streams_are_copied_and_pickled() -> None:
+    for stream in (pc2scan.scans(HALL, min_height=-0.3), pc2scan.clouds(HALL)):
+        expected = [item.stamp_ns for item in stream]
+        for other in (pickle.loads(pickle.dumps(stream)), copy.copy(stream)):
+            assert type(other) is type(stream)
+            assert [item.stamp_ns for item in other] == expected
 
 
 def test_a_cut_outside_of_the_recording_is_an_error_and_an_empty_one_an_empty_loop() -> None:
@@ -340,6 +381,7 @@ def test_nothing_there_is_an_error_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", FORMS)
+@pytest.mark.filterwarnings("ignore::pc2scan.RecordingWarning")
 def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
     source = write_recording(tmp_path, FORMS[form], 60_000_000)
     tracemalloc.start()

@@ -36,6 +36,13 @@ EPILOG = (
 _INTERRUPTED = 128 + signal.SIGINT
 
 
+#: Options after ``--ros-args`` that set what a ROS node logs: with a value, and without.
+_ROS_LOGGING = ("--log-level", "--log-config-file")
+_ROS_LOGS = tuple(
+    f"--{verb}-{log}-logs" for verb in ("enable", "disable") for log in ("rosout", "stdout", "external-lib")
+)
+
+
 class _Command(TyperCommand):
     """A command whose help is plain text in sections; Typer's own sections need rich, whose import is slow."""
 
@@ -47,6 +54,8 @@ class _Command(TyperCommand):
                 "--dask=local" if word == "--dask" and "://" not in after else word
                 for word, after in zip(args, following, strict=True)
             ]
+        if "--ros-args" in args:
+            args = _without_logging(args)
         if sum(word.startswith(("-o", "--output")) for word in args) > 1:
             self._refuse_second_output(ctx, args)
         return super().parse_args(ctx, args)
@@ -83,6 +92,18 @@ class _Command(TyperCommand):
         for title, records in sections.items():
             with formatter.section(title):
                 formatter.write_dl(records)
+
+
+def _without_logging(args: Sequence[str]) -> list[str]:
+    """Return the words without the options after ``--ros-args`` that set what a node logs."""
+    begin = args.index("--ros-args") + 1
+    kept, words = list(args[:begin]), iter(args[begin:])
+    for word in words:
+        if word in _ROS_LOGGING:
+            next(words, None)
+        elif word not in _ROS_LOGS:
+            kept.append(word)
+    return kept
 
 
 class _Group(TyperGroup):

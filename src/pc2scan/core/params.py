@@ -191,8 +191,10 @@ class ProjectionParams:
         >>> ProjectionParams.preset("slam_toolbox", min_height=-0.5).length
         360
         """
+        if not isinstance(consumer, str):
+            raise TypeError(f"preset is {consumer!r} ({type(consumer).__name__}), it must be a str")
         if consumer not in PRESETS:
-            near = did_you_mean(str(consumer), PRESETS)
+            near = did_you_mean(consumer, PRESETS)
             hint = f"{near} the presets are {', '.join(PRESETS)}".strip()
             raise ParameterError(f"there is no preset {consumer!r}", name="preset", hint=hint)
         refuse_unknown(f"{cls.__name__}.preset", changes, (field.name for field in fields(cls)))

@@ -413,7 +413,7 @@ def project(
     ValueError
         If ``points`` or ``intensities`` have another shape, or x, y or z is missing.
     TypeError
-        If ``points`` or ``intensities`` are not real numbers.
+        If ``points`` or ``intensities`` are not real numbers, or ``params`` are something else.
 
     Examples
     --------
@@ -422,6 +422,8 @@ def project(
     >>> float(scan.ranges.min()), scan.counts.used, scan.counts.height
     (2.0024983882904053, 1, 1)
     """
+    if not (params is None or isinstance(params, ProjectionParams)):
+        raise TypeError(f"params is {type(params).__name__}, it must be ProjectionParams")
     x, y, z = coordinates_of(points)
     values = None if intensities is None else values_of(intensities)
     return Projector(params or ProjectionParams())(x, y, z, intensities=values)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import TopicError, UnconnectedError, UsageError, name_list, stamp_text
+from pc2scan.errors import TopicError, UnconnectedError, UsageError, name_list
+from pc2scan.shown import stamp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -14,7 +15,9 @@ if TYPE_CHECKING:
     from pc2scan.errors import MessageError
     from pc2scan.model import Connection
 
-__all__ = ["Unconnected", "refuse_no_messages"]
+    from .options import TimeBound
+
+__all__ = ["Unconnected", "idle_cut", "refuse_no_messages"]
 
 #: How many of the first messages of each connection must fail before the conversion stops.
 _LOOKED_AT = 10
@@ -67,12 +70,51 @@ def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> Usage
         return None
     name, time_ns = ("start", start_ns) if late else ("end", stop_ns)
     seconds = (last_ns - first_ns) / 1e9
+    meant = _meant(name, time_ns or 0, first_ns, last_ns)
     return UsageError(
-        f"the cut is outside of the recording: `{name}` is {stamp_text(time_ns or 0)}, the recording is from "
-        f"{stamp_text(first_ns)} to {stamp_text(last_ns)}",
+        f"the cut is outside of the recording: `{name}` is {stamp(time_ns or 0)}, the recording is from "
+        f"{stamp(first_ns)} to {stamp(last_ns)}",
         path=reader.path,
-        hint=f"its {seconds:.3f} s are `start=0` to `end={seconds + 0.001:.3f}`",
+        hint=(f"{meant}; " if meant else "") + f"its {seconds:.3f} s are `start=0` to `end={seconds + 0.001:.3f}`",
     )
+
+
+def idle_cut(reader: Reader, start: TimeBound | None, end: TimeBound | None) -> list[str]:
+    """Return a warning if times of day are given as a cut, and the whole recording is within it.
+
+    Times that count from the beginning draw none: the same cut may be used for recordings of many lengths.
+    """
+    first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
+    if first_ns is None or last_ns is None or not reader.summary.message_count:
+        return []
+    bounds = {
+        name: bound.resolve(first_ns)
+        for name, bound in (("start", start), ("end", end))
+        if bound is not None and (bound.absolute or bound.nanoseconds)
+    }
+    absolute = [name for name, bound in (("start", start), ("end", end)) if bound is not None and bound.absolute]
+    if not absolute or bounds.get("start", first_ns) > first_ns or bounds.get("end", last_ns + 1) <= last_ns:
+        return []
+    # The first message may be at the start itself.
+    if bounds.get("start") == first_ns or bounds.get("end") == last_ns + 1:
+        return []
+    shown = " and ".join(f"`{name}` is {stamp(bounds[name])}" for name in absolute)
+    meant = next(filter(None, (_meant(name, bounds[name], first_ns, last_ns) for name in absolute)), "")
+    return [
+        f"the cut has no effect: {shown}, the recording is from {stamp(first_ns)} to {stamp(last_ns)}"
+        + (f"; {meant}" if meant else "")
+    ]
+
+
+def _meant(name: str, time_ns: int, first_ns: int, last_ns: int) -> str:
+    """Return which option a time in another unit would be; empty if none is inside of the recording."""
+    for unit, factor in (("milliseconds", 1_000_000), ("microseconds", 1_000)):
+        # Text and floats count seconds since 1970, large integers nanoseconds.
+        for meant_ns in (time_ns * factor, time_ns * factor // 1_000_000_000):
+            if first_ns <= meant_ns <= last_ns:
+                seconds = f"{meant_ns // 1_000_000_000}.{meant_ns % 1_000_000_000:09d}".rstrip("0").rstrip(".")
+                return f"if it was given in {unit}: `{name}=@{seconds}`"
+    return ""
 
 
 class Unconnected:

@@ -21,6 +21,9 @@ __all__ = ["doubts", "refuse_unusable"]
 #: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
 _COARSE = 0.2
 
+#: A tolerance of this many seconds or more, or a scan that takes so long, is nearly always meant in milliseconds.
+_LONG = 5.0
+
 
 def refuse_unusable(options: ConvertOptions) -> None:
     """Raise if an option cannot be used, even if this conversion would not need it.
@@ -61,6 +64,7 @@ def doubts(options: ConvertOptions) -> list[str]:
             *_frame_doubts(options, spec, given),
             *_combining_doubts(spec),
             *_return_doubts(spec, given),
+            *_time_doubts(spec, given),
             *_angle_doubts(spec),
         )
         found += (label + each for each in doubtful)
@@ -122,6 +126,25 @@ def _return_doubts(spec: ScanSpec, given: set[str]) -> list[str]:
     elif is_sum and {"use_inf", "inf_epsilon"} & given and math.isinf(params.empty_range):
         found.append("beams without a return are inf anyway: range_max is infinite; give a `range_max`")
     return found
+
+
+def _time_doubts(spec: ScanSpec, given: set[str]) -> list[str]:
+    """Return a warning for each time that is so long that milliseconds were probably meant."""
+    params = spec.params
+    turn = params.time_increment * params.length if isinstance(params.time_increment, float) else 0.0
+    times = (
+        ("transform_tolerance", params.transform_tolerance, "a transform of that age is used as if it were current"),
+        ("scan_time", params.scan_time, "a lidar takes less than a second for a scan"),
+        ("time_increment", params.time_increment, f"{params.length} beams take {abs(turn):,.0f} s"),
+    )
+    return [
+        f"{name} is {value:g} s, and {why}; milliseconds are written `{name}={value:g}ms`"
+        for name, value, why in times
+        if name in given
+        and not isinstance(value, str)
+        and abs(turn if name == "time_increment" else value) >= _LONG
+        and not (spec.reverse and name != "transform_tolerance")
+    ]
 
 
 def _angle_doubts(spec: ScanSpec) -> list[str]:

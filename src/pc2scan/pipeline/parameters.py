@@ -507,8 +507,8 @@ def preset_of(origin: str) -> str:
 
 
 def from_option(origin: str) -> bool:
-    """Whether the origin of a parameter is an option or ``--param``, not a file or a preset."""
-    return origin.startswith("--") and not from_preset(origin)
+    """Whether the origin of a parameter is an option, ``--param`` or a call, not a file or a preset."""
+    return origin == CALL or (origin.startswith("--") and not from_preset(origin))
 
 
 def _contradiction(setting: Setting, rival: Setting) -> ParameterError:

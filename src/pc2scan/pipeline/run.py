@@ -39,7 +39,7 @@ from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads
 
 from .acceptance import ghosts
-from .beforehand import refuse_no_messages
+from .beforehand import idle_cut, refuse_no_messages
 from .declarations import Declarations
 from .first_clouds import FirstClouds
 from .idle import doubts, refuse_unusable
@@ -81,6 +81,7 @@ __all__ = [
     "opened_plan",
     "report_failure",
     "report_file",
+    "robot_transforms",
     "run",
     "run_piece",
     "scratch_bytes",
@@ -293,8 +294,10 @@ def _run(
     with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
+        if piece is None:
+            report.warnings += idle_cut(reader, options.start, options.end)
         is_first = piece is None or piece.is_first
-        firsts = FirstClouds(report, warn, partial(_transforms_of, files.read, options, span)) if is_first else None
+        firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span)) if is_first else None
         transforms = () if piece is None else piece.transforms
         conversions, others = prepared(reader, plan, options, span, stack, report, firsts, transforms)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
@@ -381,6 +384,7 @@ def _estimate(
     span = span_of(reader, options)
     converted = [route.connection for route in plan.routes if route.targets]
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
+    report.warnings += idle_cut(reader, options.start, options.end)
     conversions, _ = prepared(reader, plan, options, span, stack, report)
     levels = _level_frames(reader, plan, target, options, Declarations(), report)
     size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report)
@@ -394,7 +398,7 @@ def _estimate(
         report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
 
 
-def _transforms_of(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
+def robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))

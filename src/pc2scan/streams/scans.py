@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,12 +12,15 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import MessageError, UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.pipeline.beforehand import Unconnected
+from pc2scan.pipeline.beforehand import Unconnected, idle_cut
+from pc2scan.pipeline.conversion import Converted
+from pc2scan.pipeline.first_clouds import Candidate, FirstClouds, Sample
+from pc2scan.pipeline.idle import doubts, refuse_unusable
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.prepare import prepared
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.routes import joint_of
-from pc2scan.pipeline.run import span_of
+from pc2scan.pipeline.run import robot_transforms, span_of
 from pc2scan.pipeline.topic_report import TopicReport
 
 from . import packages
@@ -32,7 +36,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, RawMessage
     from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
-    from pc2scan.pipeline.conversion import Converted
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.plan import Combination, Route
 
@@ -193,6 +196,9 @@ class Scans(Stream[Scan]):
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self._selection, self._conversion)
+
     def _source(self, stack: ExitStack, reader: Reader) -> Source:
         if self._conversion is not None:
             return self._converting(stack, reader, self._conversion)
@@ -203,11 +209,18 @@ class Scans(Stream[Scan]):
         if not options.scan.topics:
             # Returns the only topic, or raises.
             self._selection.chosen(reader, options.scan.source_types, _scans_instead)
+        refuse_unusable(options)
         plan = make_plan(reader.connections, options)
         span = span_of(reader, options)
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
-        conversions, others = prepared(reader, plan, options, span, stack, report)
+        report.source_frame = options.frames.source_frame
+        report.warnings += (*doubts(options), *idle_cut(reader, options.start, options.end), *plan.warnings)
+        early: list[str] = []
+        transforms = partial(robot_transforms, self._selection.paths, options, span)
+        firsts = FirstClouds(report, early.append, transforms)
+        conversions, others = prepared(reader, plan, options, span, stack, report, firsts)
+        early[:0] = report.warnings
         self.notes = tuple(report.notes)
         routes: dict[int, list[_Task]] = {}
         joints: dict[Combination, Joint] = {}
@@ -226,8 +239,7 @@ class Scans(Stream[Scan]):
         connections = [route.connection for route in plan.routes if route.targets]
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
         latched = [connection for connection in connections if connection.latching]
-        report.warnings += plan.warnings
-        account = _Conversion(report, plan.routes, joints)
+        account = _Conversion(report, plan.routes, joints, firsts, early)
         return Source(
             stack,
             [reader, *others],
@@ -366,6 +378,8 @@ def _converted(tasks: Sequence[_Task], message: RawMessage) -> Read:
     try:
         for convert, targets, joint in tasks:
             made = convert(message.data)
+            if isinstance(made, Converted) and isinstance(made.sample, Candidate):
+                made.sample = made.sample.sample(log_time_ns)
             if joint is None:
                 alone = made
                 scans += _scans_of(made, targets, log_time_ns, connection.serialization)
@@ -397,8 +411,15 @@ def _scans_of(made: Converted, targets: Sequence[str], log_time_ns: int, seriali
 class _Conversion:
     """Counts the results of a conversion, as `pc2scan.convert` does."""
 
-    def __init__(self, report: Report, routes: Sequence[Route], joints: Mapping[Combination, Joint]) -> None:
-        self._report = report
+    def __init__(
+        self,
+        report: Report,
+        routes: Sequence[Route],
+        joints: Mapping[Combination, Joint],
+        firsts: FirstClouds,
+        early: list[str],
+    ) -> None:
+        self._report, self._firsts, self._early = report, firsts, early
         converted = [route.connection for route in routes if route.targets]
         self._unconnected = Unconnected(converted)
         entries: dict[tuple[str, str], TopicReport] = {}
@@ -421,6 +442,9 @@ class _Conversion:
 
     def note(self, message: Read) -> None:
         """Count a message; see `Account`."""
+        made = message.converted
+        if made is not None and isinstance(made.sample, Sample):
+            made.sample.clouds.add(made.sample, made.counts)
         if self._unconnected.is_possible and not message.is_joint:
             self._unconnected.note(message.connection, message.error)
         for entry, is_joint in self._entries[message.connection.id]:
@@ -438,8 +462,17 @@ class _Conversion:
                 if message.converted.level is not None:
                     entry.tilts.append(message.converted.level.tilt)
 
+    def early_warnings(self) -> Sequence[str]:
+        """Return new warnings about the first clouds; see `Account`."""
+        if not self._early:
+            return ()
+        found = tuple(self._early)
+        self._early.clear()
+        return found
+
     def warnings(self) -> Sequence[str]:
         """Return warnings for the user; see `Account`."""
+        self._firsts.finish()
         self._report.conclude()
         return self._report.warnings
 

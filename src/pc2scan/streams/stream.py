@@ -147,6 +147,10 @@ class Account(Protocol):
         """Count a message. Raises a `MessageError` if it is certain that no other message can be used."""
         ...
 
+    def early_warnings(self) -> Sequence[str]:
+        """Return new warnings for the user, after any message; `warnings` returns them, too."""
+        ...
+
     def warnings(self) -> Sequence[str]:
         """Return warnings for the user, at the end."""
         ...
@@ -349,11 +353,16 @@ class Stream(ABC, Generic[Item]):
             self.skipped, self.skipped_count = [], 0
             self.damage = source.damage
             warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
+            told: set[str] = set()
             with closing(_accounted(source)) as messages:
                 for number, message in enumerate(messages):
                     if self.progress is not None and number % _PROGRESS_EVERY == 0:
                         first = source.readers[0]
                         self.progress(first.bytes_read, first.summary.size_bytes, number)
+                    if source.account is not None and not self.listener:
+                        for text in source.account.early_warnings():
+                            told.add(text)
+                            warnings.warn(text, RecordingWarning, stacklevel=2)
                     if message.error is None:
                         yield from message.items  # type: ignore[misc]
                     else:
@@ -365,7 +374,7 @@ class Stream(ABC, Generic[Item]):
             for text in () if source.account is None else source.account.warnings():
                 if self.listener:
                     self.listener(text)
-                else:
+                elif text not in told:
                     warnings.warn(text, RecordingWarning, stacklevel=2)
 
     def _skip(self, message: Read) -> None:
@@ -383,6 +392,10 @@ class Stream(ABC, Generic[Item]):
         if len(self.skipped) < MAX_LISTED:
             found = Skipped(error.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or "")
             self.skipped.append(found)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return how to open the recording anew, for copies, and for processes that read it, too."""
+        return type(self), (self._selection,)
 
     def close(self) -> None:
         """Close the files, and end the loops that are not finished. A new loop opens them again."""
