@@ -16,7 +16,7 @@ __all__ = ["WriteAhead"]
 Prepared = TypeVar("Prepared")
 
 #: Bytes that may wait for each thread.
-_BYTES_A_THREAD = 8 << 20
+_BYTES_A_THREAD = 4 << 20
 
 
 class WriteAhead:

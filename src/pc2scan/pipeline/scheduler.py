@@ -29,7 +29,7 @@ __all__ = ["Later", "cores", "schedule"]
 
 #: How many bytes are loaded ahead for every thread. Of units up to the second size, always one more than threads is
 #: loaded.
-AHEAD_BYTES = 12 << 20
+AHEAD_BYTES = 6 << 20
 LARGEST_AHEAD = 20 << 20
 
 #: How many bytes of messages are passed to another thread together. For fewer bytes, passing them takes longer than the

@@ -29,7 +29,7 @@ __all__ = ["Arrived", "Joint", "MadeScan", "with_scans"]
 Outcome = TypeVar("Outcome")
 
 #: Bytes that may wait for each thread to be written.
-_AHEAD_BYTES = 12 << 20
+_AHEAD_BYTES = 6 << 20
 
 
 class Arrived(NamedTuple):
