@@ -111,12 +111,16 @@ def _deskew(
 
     where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
     turns: Mapping[str, Turn] = {}
-    if where.turn is not None:
+    label = f"{spec.name}: " if spec.name else ""
+    if where.turn is None:
+        from .point_times import doubtful_times  # noqa: PLC0415  # only with deskewing
+
+        report.warnings += (label + doubt for doubt in doubtful_times(reader, sources, where, span))
+    else:
         from .turning import measured_turns  # noqa: PLC0415  # few points have no times
 
         with _naming_output(spec):
             turns, notes = measured_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
-        label = f"{spec.name}: " if spec.name else ""
         report.notes += (label + note for note in notes)
     return Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
 

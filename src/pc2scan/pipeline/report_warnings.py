@@ -75,8 +75,8 @@ def topic_notes(topic: TopicReport, source_frame: str) -> Iterator[str]:
     """Yield notes about a topic whose messages are all counted; see `topic_warnings`."""
     yield from _joined_notes(topic)
     if motion := topic.motion:
-        deskewed = topic.spec is not None and topic.spec.deskew
-        within = "deskewed; within a cloud" if deskewed else "placed through `fixed_frame`; within a scan"
+        placed = "deskewed" if topic.spec is not None and topic.spec.deskew else "placed through `fixed_frame`"
+        within = f"{placed}; within a {'cloud' if topic.joined is None else 'scan'}"
         yield (
             f"{topic.target}: {within} the sensor moved by up to {motion['largest_m']:.3g} m "
             f"and {motion['largest_deg']:.3g} degrees (median {motion['median_m']:.3g} m, "

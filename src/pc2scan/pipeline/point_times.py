@@ -1,0 +1,182 @@
+"""Checks the times of points in the first clouds of each topic: a wrong unit, another clock, no order."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from itertools import islice
+from statistics import median
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pc2scan.core import kernel
+from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns, offset_and_unit
+from pc2scan.errors import DecodeError, MessageError
+from pc2scan.messages.clouds import CLOUDS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.reader import Reader
+    from pc2scan.core.points import Points
+    from pc2scan.model import Connection
+
+    from .stages.deskew import PointTime
+    from .stream import Span
+
+__all__ = ["doubtful_times"]
+
+#: How many clouds of a topic are read, and how many stamps are needed to know its period.
+_CLOUDS = 4
+_FEWEST = 3
+
+#: A cloud takes about the time from one stamp to the next. If it takes this many times as long, or this small a share
+#: of it, and with another unit about as long, the unit is probably wrong.
+_OFF = 50.0
+_ABOUT = (0.2, 2.0)
+
+#: Clocks probably differ if the points are measured this many periods, and this many seconds, from their stamp.
+_PERIODS, _SECONDS = 2.0, 0.2
+
+#: The order of points is judged by runs of consecutive ones: how many, and of how many points.
+_RUNS, _RUN = 64, 32
+
+#: Times are in no order if consecutive points are this share of the cloud's time apart; of random times, a third.
+_APART = 0.15
+#: Points that are stored in another order than they were measured follow a sweep nonetheless: at least this share of
+#: them, within so many radians.
+_FOLLOWS, _NEAR = 0.9, 0.5
+
+
+class _Times(NamedTuple):
+    """The times of a cloud's points.
+
+    Attributes
+    ----------
+    stamp_ns
+        The cloud's stamp.
+    field
+        The field with the times.
+    low, high
+        Of the first and the last point, seconds after the stamp.
+    unit
+        Of the values, seconds.
+    ordered
+        Whether they follow the order of the points, or a turning lidar.
+    """
+
+    stamp_ns: int
+    field: str
+    low: float
+    high: float
+    unit: float
+    ordered: bool
+
+
+def doubtful_times(
+    reader: Reader, connections: Iterable[Connection], point_time: PointTime, span: Span
+) -> Iterator[str]:
+    """Yield warnings about times of points that are probably wrong, and would deskew a cloud wrongly.
+
+    Times that are impossible are not among them: those are errors when their cloud is converted.
+
+    Parameters
+    ----------
+    connections
+        Those with clouds are used; others are ignored.
+    point_time
+        The source of the times: a field.
+    span
+        The cut.
+    """
+    topics: dict[str, list[Connection]] = {}
+    for connection in connections:
+        if connection.ros_type in CLOUDS:
+            topics.setdefault(connection.topic, []).append(connection)
+    for topic, sources in topics.items():
+        decoders: dict[int, Callable[[Any], Points]] = {
+            each.id: CLOUDS[each.ros_type](each.serialization) for each in sources
+        }
+        clouds: list[_Times] = []
+        with closing(reader.messages(sources, span.start_ns, span.stop_ns)) as messages:
+            for message in islice(messages, _CLOUDS):
+                try:
+                    found = _times(decoders[message.connection.id](message.data), point_time)
+                except MessageError:
+                    # Reported when the message is converted.
+                    continue
+                if found is not None:
+                    clouds.append(found)
+        yield from _doubts(topic, clouds)
+
+
+def _times(points: Points, point_time: PointTime) -> _Times | None:
+    """Return the times of a cloud's points; None if it has none."""
+    name = point_time.field_of(points)
+    x, y, values = points.field("x"), points.field("y"), points.field(name)
+    if values.shape != x.shape:
+        raise DecodeError(f"{name} has several values a point")
+    low, high, measured, unknown = kernel.span(x, values)
+    if measured - unknown < 2:
+        return None
+    whole = values.dtype.kind in "iu"
+    offset, unit = offset_and_unit(low, high, points.stamp_ns, point_time.unit, whole=whole)
+    low, high = (low - offset) * unit, (high - offset) * unit
+    ordered = True
+    if x.size > _RUN and high > low:
+        begins = np.linspace(0, x.size - _RUN, _RUNS).astype(np.intp)
+        chosen = np.unravel_index(begins[:, np.newaxis] + np.arange(_RUN), x.shape)
+        seconds = (values[chosen].astype(np.float64) - offset) * unit
+        with np.errstate(invalid="ignore"):
+            angles = np.arctan2(y[chosen].astype(np.float64), x[chosen].astype(np.float64))
+        ordered = _ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
+    return _Times(points.stamp_ns, name, low, high, unit, ordered)
+
+
+def _ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
+    """Whether times follow the order of the points, or a turning lidar; (runs, points of a run)."""
+    steps = np.abs(np.diff(seconds, axis=1))
+    steps = steps[np.isfinite(steps)]
+    if not steps.size or steps.mean() < _APART * whole:
+        return True
+    sweep = fit_sweep(angles.ravel(), seconds.ravel())
+    if sweep is None:
+        return False
+    off = sweep.angle + sweep.rate * (seconds - sweep.begin) - angles
+    off = np.abs(np.remainder(off[np.isfinite(off)] + np.pi, 2 * np.pi) - np.pi)
+    return bool((off < _NEAR).mean() >= _FOLLOWS)
+
+
+def _doubts(topic: str, clouds: list[_Times]) -> Iterator[str]:
+    if not clouds:
+        return
+    name, unit = clouds[0].field, clouds[0].unit
+    if not any(each.ordered for each in clouds):
+        yield (
+            f"{topic}: the times of the points, field {name}, follow neither the order of the points nor their "
+            "directions: if they are wrong, deskewing scatters the points; `point_time=FIELD` names another field"
+        )
+    period = (median_interval_ns(each.stamp_ns for each in clouds) or 0) / 1e9
+    if len(clouds) < _FEWEST or not period:
+        return
+    low, high = median(each.low for each in clouds), median(each.high for each in clouds)
+    whole = high - low
+    every = f"clouds come every {period:.3g} s"
+    if not 1 / _OFF < whole / period < _OFF:
+        likely = [other for other, size in TIME_UNITS.items() if _ABOUT[0] < whole / unit * size / period < _ABOUT[1]]
+        used = next(other for other, size in TIME_UNITS.items() if size == unit)
+        if likely and whole > 0:
+            yield (
+                f"{topic}: the times of the points, field {name}, are taken for {used}: a cloud takes {whole:.3g} s, "
+                f"but {every}; `point_time={name}:{likely[0]}`, if they are {likely[0]}"
+            )
+            return
+    if max(low, -high) > max(_PERIODS * period, _SECONDS):
+        where = "after" if low > 0 else "before"
+        first, last = sorted((abs(low), abs(high)))
+        yield (
+            f"{topic}: the points are measured {first:.3g} to {last:.3g} s {where} the stamp of their cloud, by field "
+            f"{name}, but {every}: if their clocks differ, deskewing moves the points wrongly"
+        )
