@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -217,6 +217,42 @@ def test_optical_frames_are_defects(tmp_path: Path) -> None:
     assert kinds(only(check(path))) == {"no-transforms": "notice", "optical-frame": "defect"}
     path = write(tmp_path / "asked.mcap", *scans(3, named), tree=(("odom", "base_link"), ("base_link", "laser")))
     assert "optical-frame" in kinds(only(check(path)))
+
+
+def test_scans_in_a_frame_that_the_robot_moves_in_are_defects(tmp_path: Path) -> None:
+    path = tmp_path / "scan.mcap"
+    pc2scan.convert(ROOT / "fixtures" / "hall.bag", path, target_frame="odom", min_height=0.1)
+    found = check(path, consumers=["slam_toolbox"])
+    (moving,) = (each for each in only(found).findings if each.kind == "moving-frame")
+    assert "'odom' is one that base_link moves in (by 0.32 m)" in moving.text
+    assert "`target_frame=base_link`" in moving.hint
+    assert found.exit_status == 1
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"angle_min": math.nan}, {"angle_increment": math.inf}, {"angle_increment": 0.0}], ids=str
+)
+def test_angles_that_are_no_numbers(wrong: dict[str, Any], tmp_path: Path) -> None:
+    found = only(check(write(tmp_path / "a.mcap", *scans(3, replace(GOOD, **wrong)))))
+    assert kinds(found)["angles"] == "defect"
+    assert "full-circle" not in kinds(found)
+    cures = [each.verdict.cure for each in found.consumers]
+    assert not [cure for cure in cures if "nan" in cure or "inf," in cure]
+
+
+def test_ranges_in_millimetres(tmp_path: Path) -> None:
+    far = replace(GOOD, ranges=GOOD.ranges * 1000, range_min=100, range_max=30_000)
+    (found,) = only(check(write(tmp_path / "a.mcap", *scans(3, far)))).findings
+    assert (found.kind, found.level) == ("units", "notice")
+    assert found.text == "ranges of the first scan are 1,000 to 9,000 m (median 5,000 m)"
+
+
+def test_a_frame_that_nearly_matches(tmp_path: Path) -> None:
+    found = only(check(write(tmp_path / "a.mcap", *scans(3, replace(GOOD, frame_id="lasr")))))
+    (unknown,) = (each for each in found.findings if each.kind == "frame-unknown")
+    assert unknown.hint == "did you mean laser? For scans made from clouds: pc2scan convert `source_frame=laser`"
+    (slam,) = (each.verdict for each in found.consumers if each.consumer == "slam_toolbox")
+    assert slam.cure == unknown.hint
 
 
 def test_a_recording_may_lend_its_transforms_and_frames_have_other_names(tmp_path: Path) -> None:

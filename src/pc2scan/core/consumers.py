@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from .verdicts import Outcome
 
-__all__ = ["CONSUMERS", "expected_by_karto", "judge", "last_beam"]
+__all__ = ["CONSUMERS", "expected_by_karto", "has_angles", "judge", "last_beam"]
 
 #: gmapping asserts ``beams < LASER_MAXBEAMS``.
 _GMAPPING_BEAMS = 2048
@@ -102,6 +102,12 @@ def last_beam(scan: Scan) -> float:
     return float32(scan.angle_min + (scan.beams - 1) * scan.angle_increment)
 
 
+def has_angles(scan: Scan) -> bool:
+    """Whether the angles of a scan are numbers, and those of its beams differ."""
+    angles = (scan.angle_min, scan.angle_max, scan.angle_increment)
+    return all(map(math.isfinite, angles)) and (scan.angle_increment != 0 or scan.beams < 2)
+
+
 def expected_by_karto(scan: Scan) -> int | None:
     """Return the length of ``ranges`` that slam_toolbox expects by a scan's angles, also for all scans after it.
 
@@ -147,7 +153,8 @@ def _unplaced(consumer: str, placed: ScanTransforms, *, started: bool) -> Verdic
             f"a scan without a transform to the {' and the '.join(f'{role} frame' for role in lacking)} is dropped",
             placed.missing or f"no transform from {placed.frame_id!r}",
             "transforms at the scan's stamp",
-            "keep /tf and /tf_static when recording or converting; `tf_from` reads them from another recording",
+            placed.cure
+            or "keep /tf and /tf_static when recording or converting; `tf_from` reads them from another recording",
             unplaced=True,
         )
     if consumer == "gmapping" and not started and placed.up is not None and _tilted(placed.up):
@@ -406,6 +413,8 @@ def _off(consumer: str, scan: Scan, off: float, rule: str, observed: str, allowe
 
 def _advertise(scan: Scan) -> str:
     """Return what the header should advertise."""
+    if not has_angles(scan):
+        return "advertise the angles of the beams, angle_min + i * angle_increment"
     return f"advertise angle_max {last_beam(scan):.9g}, the last beam's angle" if scan.beams else "advertise beams"
 
 

@@ -137,6 +137,8 @@ class ScanTransforms(NamedTuple):
         a level sensor, -1 for one that is upside down. None if unknown.
     missing
         Why a transform is missing.
+    cure
+        What to type if the frame's name is wrong; empty if that is not known.
     """
 
     frame_id: str = ""
@@ -144,6 +146,7 @@ class ScanTransforms(NamedTuple):
     robot: bool | None = None
     up: float | None = None
     missing: str = ""
+    cure: str = ""
 
 
 class Verdict(NamedTuple):

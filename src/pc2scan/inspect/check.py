@@ -44,7 +44,7 @@ _PROGRESS_EVERY = 64
 
 
 #: Defects of scans that are of no use to any consumer.
-_UNUSABLE = {"full-circle", "no-returns", "optical-frame"}
+_UNUSABLE = {"angles", "full-circle", "moving-frame", "no-returns", "optical-frame"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +192,7 @@ class Check(Shown):
 
     @property
     def unusable(self) -> bool:
-        """Whether no consumer can use the scans: empty, in an optical frame, or wider than a circle."""
+        """Whether no consumer can use the scans: empty, in a frame that is no sensor's, or at impossible angles."""
         return any(
             finding.level == "defect" and finding.kind in _UNUSABLE
             for topic in self.topics

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
+from pc2scan.names import nearest
 from pc2scan.shown import counted
+from pc2scan.tf.worlds import moving_below
 
 from .scan_topic import Finding, Tally, finding
 
@@ -90,7 +92,15 @@ class ScanFrames:
             robot=known,
             up=None if robot is None else self._up(robot, stamp_ns),
             missing=missing or why,
+            cure=self._cure(frame),
         )
+
+    def _cure(self, frame: str) -> str:
+        """Return the frame that was probably meant by the name of one without transforms; empty if there is none."""
+        if not frame or not self._trees or frame in self._trees:
+            return ""
+        near = nearest(frame, self._trees)
+        return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`" if near else ""
 
     def _moved(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str]:
         """Return the transform to a frame at a stamp, or why there is none."""
@@ -179,8 +189,16 @@ class ScanFrames:
     def _frame_findings(self, frame: str, scans: int) -> list[Finding]:
         if frame not in self._trees:
             text = f"the scan's frame {frame!r} is not in the transforms"
-            return [Finding("frame-unknown", "defect", text, _HINT, scans)]
+            return [Finding("frame-unknown", "defect", text, self._cure(frame) or _HINT, scans)]
         found = []
+        moving = moving_below(self._buffer, frame, self._base)
+        if moving is not None:
+            text = (
+                f"the scan's frame {frame!r} is one that {moving.body} moves in (by {moving.metres:.2f} m): scans are "
+                "measured from its origin, and consumers expect them from the robot"
+            )
+            hint = f"for scans made from clouds: pc2scan convert `target_frame={moving.body}`"
+            found.append(Finding("moving-frame", "defect", text, hint, scans))
         apart = [name for name in (self._odom, self._base) if name in self._trees and not self._joined(frame, name)]
         if apart:
             text = f"the scan's frame {frame!r} is not connected with {' or '.join(map(repr, apart))}"

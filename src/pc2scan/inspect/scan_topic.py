@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from pc2scan.core.consumers import CONSUMERS, judge
+import numpy as np
+
+from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
 from pc2scan.core.verdicts import OUTCOMES, Outcome, Scan, ScanTransforms, Verdict
 from pc2scan.errors import stamp_text
@@ -15,6 +17,8 @@ from pc2scan.messages.consumed import consumed_scan
 from pc2scan.shown import agreeing, counted
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from pc2scan.messages.laserscan import LaserScan
 
 __all__ = ["Finding", "Judged", "Level", "ScanTopic", "Tally", "finding"]
@@ -30,6 +34,9 @@ _STUTTER = 0.5
 
 #: A ``scan_time`` that differs from the median interval by more than this share of it is reported.
 _SCAN_TIME = 0.2
+
+#: A median range from here on is taken for millimetres: no lidar sees half a kilometre in most directions.
+_MILLIMETRES = 500.0
 
 #: Rounding of a driver's ``time_increment``.
 _ROUNDING = 1.01
@@ -146,6 +153,8 @@ class ScanTopic:
         self._back, self._repeated, self._zero_stamp = Tally(), Tally(), Tally()
         self._empty, self._intensities, self._length = Tally(), Tally(), Tally()
         self._slow, self._no_frame, self._times, self._turned = Tally(), Tally(), Tally(), Tally()
+        self._angles = Tally()
+        self._spread = (0.0, 0.0, 0.0)
         self._ranges: Counter[str] = Counter()
         self._last_ns: int | None = None
         self._intervals: Counter[int] = Counter()
@@ -163,7 +172,8 @@ class ScanTopic:
         stamp_ns = message.stamp_ns
         scan = consumed_scan(message)
         self.scans += 1
-        self.first = self.first or scan
+        if self.first is None:
+            self.first, self._spread = scan, _spread(message.ranges)
         self.frames[message.frame_id] += 1
         self.beams[scan.beams] += 1
         first = self._first_of.setdefault(message.frame_id, scan)
@@ -185,7 +195,8 @@ class ScanTopic:
             (not scan.returns, self._empty),
             (scan.intensities not in (0, scan.beams), self._intensities),
             (scan.beams != first.beams, self._length),
-            (_turn(scan) > TURN * _ROUNDING, self._turned),
+            (not has_angles(scan), self._angles),
+            (has_angles(scan) and _turn(scan) > TURN * _ROUNDING, self._turned),
             (scan.time_increment * (scan.beams - 1) > scan.scan_time * _ROUNDING > 0, self._slow),
             (not (0 <= scan.scan_time < math.inf and abs(scan.time_increment) < math.inf), self._times),
         ):
@@ -275,6 +286,18 @@ class ScanTopic:
                     f"{min(self.beams):,} to {max(self.beams):,}",
                     "give all scans one number of beams",
                     self._length,
+                )
+            )
+        if self._angles.count and self.first is not None:
+            first = self.first
+            found.append(
+                finding(
+                    "angles",
+                    "defect",
+                    f"{self._of(self._angles, 'have')} no angles: angle_min {first.angle_min:.6g}, angle_max "
+                    f"{first.angle_max:.6g}, angle_increment {first.angle_increment:.6g} rad for {first.beams:,} beams",
+                    "beam i is at angle_min + i * angle_increment",
+                    self._angles,
                 )
             )
         if self._turned.count and self.first is not None:
@@ -391,6 +414,10 @@ class ScanTopic:
                     self._empty,
                 )
             )
+        low, middle, high = self._spread
+        if middle >= _MILLIMETRES:
+            text = f"ranges of the first scan are {low:,.0f} to {high:,.0f} m (median {middle:,.0f} m)"
+            found.append(Finding("units", "notice", text, "ranges, range_min and range_max are metres: millimetres?"))
         total = self._ranges["beams"]
         zero, short = self._ranges["zero"], self._ranges["short"]
         if short:
@@ -422,6 +449,12 @@ class ScanTopic:
 def finding(kind: str, level: Level, text: str, hint: str, tally: Tally) -> Finding:
     """Return the finding about a tally."""
     return Finding(kind, level, text, hint, tally.count, tally.stamp_ns)
+
+
+def _spread(ranges: NDArray[np.floating[Any]]) -> tuple[float, float, float]:
+    """Return the smallest, the median and the largest of the finite ranges; zeros if there are none."""
+    found = np.sort(ranges[np.isfinite(ranges)])
+    return (float(found[0]), float(found[len(found) // 2]), float(found[-1])) if len(found) else (0.0, 0.0, 0.0)
 
 
 def _turn(scan: Scan) -> float:
