@@ -261,30 +261,34 @@ INERTIA = Stream("/imu", IMU)
 CHARGE = Stream("/battery", BATTERY)
 
 
+def fixed(stream: Stream, log_time_ns: int, child: str, height: float) -> Item:
+    """The static transform of a frame above base_link."""
+    rows = [("base_link", child, T0, (0.0, 0.0, height))]
+    return item(stream, log_time_ns, lambda version, seq: transforms(rows, version, seq))
+
+
+def odometry(log_time_ns: int, stamp_ns: int, x: float, seq: int, stream: Stream = ODOMETRY) -> Item:
+    """The transform of a robot that has driven straight ahead, metres."""
+    rows = [("odom", "base_link", stamp_ns, (x, 0.0, 0.0))]
+    return item(stream, log_time_ns, lambda version, seq: transforms(rows, version, seq, stream.type_in(version)), seq)
+
+
+def points(log_time_ns: int, stamp_ns: int, seq: int, stream: Stream = POINTS) -> Item:
+    """A made-up cloud."""
+    return item(
+        stream, log_time_ns, lambda version, seq: cloud(points_of(seq), version, seq=seq, stamp_ns=stamp_ns), seq
+    )
+
+
 def _content() -> Recording:
     def at(step: int) -> int:
         return T0 + step * SECOND // 10
 
-    def fixed(parent: str, child: str, stamp_ns: int) -> Callable[[int, int], bytes]:
-        return lambda ros_version, seq: transforms([(parent, child, stamp_ns, (0.0, 0.0, 0.5))], ros_version, seq)
-
-    def odometry(ros_version: int, seq: int) -> bytes:
-        rows = [("odom", "base_link", at(seq), (0.5 * seq, 0.0, 0.0))]
-        return transforms(rows, ros_version, seq, ODOMETRY.type_in(ros_version))
-
-    items = [
-        item(MOUNT, T0, fixed("base_link", "lidar", T0)),
-        item(BODY, T0 + 1, fixed("base_link", "imu", T0)),
-    ]
+    items = [fixed(MOUNT, T0, "lidar", 0.5), fixed(BODY, T0 + 1, "imu", 0.5)]
     for step in range(3):
         items += [
-            item(ODOMETRY, at(step) + 2, odometry, step),
-            item(
-                POINTS,
-                at(step) + 5_000_003,
-                lambda g, s: cloud(points_of(s), g, seq=s, stamp_ns=at(s)),
-                step,
-            ),
+            odometry(at(step) + 2, at(step), 0.5 * step, step),
+            points(at(step) + 5_000_003, at(step), step),
             # Equal log times: the order of the file decides.
             item(INERTIA, at(step) + 6_000_000, lambda g, s: imu(g, seq=s, stamp_ns=at(s)), step),
             item(CHATTER, at(step) + 6_000_000, lambda g, s: string(f"hello {s}", g), step),

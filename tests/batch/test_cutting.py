@@ -13,18 +13,16 @@ from builders import (
     CHARGE,
     CHATTER,
     MOUNT,
-    ODOMETRY,
-    POINTS,
     SECOND,
     T0,
     Mcap,
     Recording,
     battery,
-    cloud,
+    fixed,
     item,
-    points_of,
+    odometry,
+    points,
     string,
-    transforms,
     write_db3,
     write_mcap,
     write_rosbag1,
@@ -51,31 +49,25 @@ def drive(steps: int = 60, *, silent: range = range(0), unplaced: range = range(
 
     In steps of ``silent`` there is nothing, in those of ``unplaced`` clouds are older than all transforms.
     """
-    items = [
-        item(MOUNT, T0, lambda g, s: transforms([("base_link", "lidar", T0, (0.0, 0.0, 0.5))], g, s)),
-    ]
+    items = [fixed(MOUNT, T0, "lidar", 0.5)]
     for step in range(steps):
         if step in silent:
             continue
         at = T0 + step * SECOND // 10
 
-        def odometry(g: int, s: int, at: int = at) -> bytes:
-            return transforms([("odom", "base_link", at, (0.1 * s, 0.0, 0.0))], g, s, ODOMETRY.type_in(g))
-
-        def points(g: int, s: int, at: int = at, early: bool = step in unplaced) -> bytes:
-            # Between two transforms, so that the next one counts.
-            return cloud(points_of(s), g, seq=s, stamp_ns=T0 - SECOND if early else at + 30_000_000)
+        # Between two transforms, so that the next one counts.
+        stamp_ns = T0 - SECOND if step in unplaced else at + 30_000_000
 
         def charge(g: int, s: int, at: int = at) -> bytes:
             return battery(g, seq=s, stamp_ns=at)
 
         items += [
-            item(ODOMETRY, at + 2, odometry, step),
-            item(POINTS, at + 5_000_003, points, step),
+            odometry(at + 2, at, 0.1 * step, step),
+            points(at + 5_000_003, stamp_ns, step),
             item(CHATTER, at + 6_000_000, lambda g, s: string(f"hello {s}", g), step),
             item(CHARGE, at + 6_000_000, charge, step),
         ]
-    return Recording((MOUNT, ODOMETRY, POINTS, CHATTER, CHARGE), tuple(items))
+    return Recording(tuple(dict.fromkeys(each.stream for each in items)), tuple(items))
 
 
 def converted(

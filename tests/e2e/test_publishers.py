@@ -22,11 +22,11 @@ from builders import (
     Mcap,
     Recording,
     Stream,
-    cloud,
+    fixed,
     item,
-    points_of,
+    odometry,
+    points,
     string,
-    transforms,
     write_mcap,
     write_rosbag1,
 )
@@ -51,18 +51,10 @@ def crowded(count: int = 40) -> Recording:
     """The usual content with further publishers of its topics, whose messages alternate."""
     items = list(CONTENT.items)
     for number in range(count):
-        time_ns = T0 + number * SECOND // 100
-        rows = [("odom", "base_link", time_ns, (0.01 * number, 0.0, 0.0))]
-
-        def moved(ros_version: int, seq: int, rows: Any = rows) -> bytes:
-            return transforms(rows, ros_version, seq, ODOMETRY.type_in(ros_version))
-
-        items += [item(stream, time_ns, moved, number) for stream in MORE[:2]]
-    items.append(item(MORE[2], T0 + 3, lambda g, s: transforms([("base_link", "arm", T0, (0.0, 0.0, 1.0))], g, s)))
-    items += [
-        item(MORE[3], T0 + 50_000_000 + number, lambda g, s: cloud(points_of(s), g, seq=s), number)
-        for number in range(3)
-    ]
+        at = T0 + number * SECOND // 100
+        items += [odometry(at, at, 0.01 * number, number, stream) for stream in MORE[:2]]
+    items.append(fixed(MORE[2], T0 + 3, "arm", 1.0))
+    items += [points(T0 + 50_000_000 + number, T0, number, MORE[3]) for number in range(3)]
     return Recording((*CONTENT.streams, *MORE), tuple(sorted(items, key=lambda entry: entry.log_time_ns)))
 
 
@@ -192,7 +184,7 @@ def large(folder: Path, *, shared: bool) -> Path:
         )
         for number in range(100)
     ]
-    items.append(item(POINTS, T0 + 200_000, lambda g, s: cloud(points_of(s), g, seq=s)))
+    items.append(points(T0 + 200_000, T0, 0))
     recording = Recording((first, second, other, POINTS), tuple(items))
     return write_mcap(folder / "large.mcap", recording, Mcap(chunk_size=400_000))
 

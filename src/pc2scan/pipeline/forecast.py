@@ -202,13 +202,13 @@ def _correct_intervals(
     found: dict[int, _Size] = {}
     if first_ns is None or last_ns is None:
         return found
-    seconds_ns = min(last_ns, stop_ns or last_ns) - max(first_ns, start_ns or first_ns)
+    duration_ns = min(last_ns, stop_ns or last_ns) - max(first_ns, start_ns or first_ns)
     for key, route in routes.items():
         for output in route.outputs:
             spec, entry = output.report.spec, output.report
             if output.joint is None or output.handle < 0 or spec is None or not spec.combining.every_ns:
                 continue
-            scans = min(entry.messages_out, seconds_ns // spec.combining.every_ns + 1)
+            scans = min(entry.messages_out, duration_ns // spec.combining.every_ns + 1)
             found[key] = sizes[key]._replace(made=sizes[key].made * scans / max(1, entry.messages_in))
             entry.messages_out = scans
     return found
