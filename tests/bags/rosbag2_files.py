@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 
 from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.bags.rosbag2.reader import Rosbag2Reader
-from pc2scan.bags.rosbag2.sqlite3_writer import Sqlite3Writer
+from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
 from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:

@@ -260,8 +260,8 @@ def _copies(data: bytes) -> None:
 
 def _pages(data: bytes) -> None:
     """A database, and as its last bytes its log: as many as the first two bytes say."""
-    from pc2scan.bags.rosbag2.sqlite3_logs import side_logs
-    from pc2scan.bags.rosbag2.sqlite3_pages import PageFile, rebuilt
+    from pc2scan.bags.rosbag2.sqlite3.logs import side_logs
+    from pc2scan.bags.rosbag2.sqlite3.pages import PageFile, rebuilt
 
     split = len(data) - min(int.from_bytes(data[:2], "little"), max(0, len(data) - 2))
 

@@ -36,7 +36,7 @@ from bags.rosbag2_files import (
 from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.bags.rosbag2.metadata import storage_files
 from pc2scan.bags.rosbag2.reader import Rosbag2Reader
-from pc2scan.bags.rosbag2.sqlite3_writer import Sqlite3Writer
+from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import Attachment, Metadata
 

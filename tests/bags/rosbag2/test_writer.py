@@ -18,7 +18,7 @@ from bags.rosbag2_files import QOS_NAMES, QOS_NUMBERS, STORE, STRING, names, rea
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.qos import parsed_qos, respelled_qos
 from pc2scan.bags.rosbag2.reader import Rosbag2Reader
-from pc2scan.bags.rosbag2.sqlite3_reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
 from pc2scan.bags.rosbag2.writer import Rosbag2Writer
 from pc2scan.errors import OutputError
 from pc2scan.model import Attachment, Metadata

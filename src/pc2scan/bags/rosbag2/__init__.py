@@ -1,1 +1,1 @@
-"""rosbag2 directories, and their sqlite3 storage."""
+"""rosbag2 directories, and their storages."""

@@ -14,10 +14,10 @@ import pytest
 
 from bags.rosbag2_files import topic
 from fuzz.watch import watched
-from pc2scan.bags.rosbag2.sqlite3_logs import side_logs
-from pc2scan.bags.rosbag2.sqlite3_pages import PageFile, declared_size, rebuilt
-from pc2scan.bags.rosbag2.sqlite3_reader import Sqlite3Reader
-from pc2scan.bags.rosbag2.sqlite3_writer import Sqlite3Writer
+from pc2scan.bags.rosbag2.sqlite3.logs import side_logs
+from pc2scan.bags.rosbag2.sqlite3.pages import PageFile, declared_size, rebuilt
+from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
 from pc2scan.errors import DamageError, RecordingError
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ Rows = list[tuple[str, int, bytes]]
 @pytest.fixture(autouse=True)
 def rosbag2_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     """Databases have pages of the size that rosbag2 gives them."""
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3_writer._PAGE_BYTES", 4096)
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.writer._PAGE_BYTES", 4096)
 
 
 def build(path: Path, count: int = 120) -> Rows:

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.files.source import SourceFile
 
-from .sqlite3_logs import page_size_of
+from .logs import page_size_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from .sqlite3_page_log import PageLog
+    from .page_log import PageLog
 
 __all__ = ["Cell", "PageFile", "declared_size", "rebuilt"]
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import zstandard
 
-from pc2scan.bags.rosbag2.sqlite3_reader import Sqlite3Reader
-from pc2scan.bags.rosbag2.sqlite3_writer import Sqlite3Writer
+from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
 from pc2scan.errors import OutputError, RecordingError, UnwritableError
 from pc2scan.model import Connection, Definition
 
@@ -374,7 +374,7 @@ def test_the_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_long_recordings_are_written_in_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3_writer._BATCH_BYTES", 1000)
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.writer._BATCH_BYTES", 1000)
     writer = Sqlite3Writer(tmp_path / "x.db3")
     handle = writer.add_connection(CLOUD)
     for number in range(10):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pc2scan.files.source import SourceFile
 
-    from .sqlite3_page_log import PageLog
+    from .page_log import PageLog
 
 __all__ = ["read_journal"]
 

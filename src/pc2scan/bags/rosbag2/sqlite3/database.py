@@ -1,7 +1,7 @@
 """A database of an untrusted recording: opened without writing, within limits, and rebuilt from its pages if damaged.
 
 SQLite opens only complete databases, and as immutable ones: it reads no log, and locks and writes nothing. A database
-with a log beside it is merged with the log into a temporary copy by `pc2scan.bags.rosbag2.sqlite3_logs`.
+with a log beside it is merged with the log into a temporary copy by `pc2scan.bags.rosbag2.sqlite3.logs`.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.temporary import making_copy, private_folder, sqlite_is_full
 
-from .sqlite3_codes import CORRUPT, ERROR, FULL, IOERR_SHORT_READ, NOTADB, code_of
-from .sqlite3_logs import missing_bytes, side_logs, write_merged
-from .sqlite3_pages import PageFile, declared_size, rebuilt
+from .codes import CORRUPT, ERROR, FULL, IOERR_SHORT_READ, NOTADB, code_of
+from .logs import missing_bytes, side_logs, write_merged
+from .pages import PageFile, declared_size, rebuilt
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import DamageLog
 
-    from .sqlite3_page_log import PageLog
+    from .page_log import PageLog
 
 __all__ = ["SQLITE_ERRORS", "Database"]
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 from pc2scan.files.source import SourceFile, file_beside
 
-from .sqlite3_journal import read_journal
-from .sqlite3_page_log import PageLog
-from .sqlite3_wal import read_write_ahead
+from .journal import read_journal
+from .page_log import PageLog
+from .wal import read_write_ahead
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

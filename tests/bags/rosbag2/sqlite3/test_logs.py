@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags.rosbag2.test_sqlite3_pages import Rows, build, recovered
-from pc2scan.bags.rosbag2.sqlite3_logs import side_logs, write_merged
-from pc2scan.bags.rosbag2.sqlite3_reader import Sqlite3Reader
+from bags.rosbag2.sqlite3.test_pages import Rows, build, recovered
+from pc2scan.bags.rosbag2.sqlite3.logs import side_logs, write_merged
+from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
 from pc2scan.errors import DamageError
 
 if TYPE_CHECKING:
-    from pc2scan.bags.rosbag2.sqlite3_page_log import PageLog
+    from pc2scan.bags.rosbag2.sqlite3.page_log import PageLog
 
 _TABLE = "CREATE TABLE t(id INTEGER PRIMARY KEY, x INTEGER, data BLOB)"
 _SUFFIXES = ("", "-wal", "-journal")

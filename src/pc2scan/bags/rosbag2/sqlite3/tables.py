@@ -25,14 +25,14 @@ from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.model import Connection, Definition
 from pc2scan.shown import counted
 
-from .sqlite3_checks import TIMES_SUM, index_trouble, table_trouble
+from .checks import TIMES_SUM, index_trouble, table_trouble
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pc2scan.bags.damage import DamageLog
 
-    from .sqlite3_database import Database
+    from .database import Database
 
 __all__ = ["Tables", "read_tables"]
 

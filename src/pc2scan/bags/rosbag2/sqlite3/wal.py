@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from .sqlite3_page_log import PageLog
+    from .page_log import PageLog
 
 __all__ = ["read_write_ahead"]
 

@@ -14,8 +14,8 @@ from pc2scan.bags.units import Unit
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import RawMessage, Summary, declared_counts
 
-from .sqlite3_database import SQLITE_ERRORS, Database
-from .sqlite3_tables import read_tables
+from .database import SQLITE_ERRORS, Database
+from .tables import read_tables
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence

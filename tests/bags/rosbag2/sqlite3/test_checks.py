@@ -10,7 +10,7 @@ import pytest
 
 from builders import CONTENT, write_db3
 from fuzz.mutants.database import database_layout
-from pc2scan.bags.rosbag2.sqlite3_reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
 from pc2scan.errors import DamageError
 
 if TYPE_CHECKING:
