@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.upright import UP, tilt, up_in, upright
+from pc2scan.core.upright import tilt, up_in, upright
 
 
 def level_of(world_from_frame: Rigid) -> Rigid:
@@ -41,8 +41,9 @@ def test_near_the_vertical_the_level_frame_is_still_level(pitch: float, off: flo
 
 
 def test_a_level_frame_stays_as_it_is() -> None:
-    assert upright(UP).pose == (0, 0, 0, 0, 0, 0, 1)
-    assert tilt(UP) == 0
+    up = (0.0, 0.0, 1.0)
+    assert upright(up).pose == (0, 0, 0, 0, 0, 0, 1)
+    assert tilt(up) == 0
 
 
 def test_a_frame_that_is_upside_down_is_turned_about_its_x_axis() -> None:

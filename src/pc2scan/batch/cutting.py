@@ -10,12 +10,12 @@ import time
 from collections import deque
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.destinations import beside_recording
-from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
+from pc2scan.errors import OutputError, Pc2ScanError
+from pc2scan.files.source import changed_while_read
 from pc2scan.files.staging import staged
 from pc2scan.pipeline.piece import Piece
 from pc2scan.pipeline.pieces import join, joined_report, may_be_cut, read_stretch, stretches_of
@@ -23,7 +23,7 @@ from pc2scan.pipeline.run import run_piece
 
 from .identity import Identity, identity_of
 from .staged import is_remote
-from .work import Job, Result, outcome_of
+from .work import Job, Result, now, outcome_of
 from .workers import Began, Died, Ended, Progressed
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ class _Recording:
         match event:
             case Began():
                 if not self.started:
-                    self.started = _now()
+                    self.started = now()
                     self.began = time.monotonic()
                     yield Began(self.job.key)
             case Progressed(_, done, total) if key in self.shares and self.error is None:
@@ -251,11 +251,7 @@ class _Recording:
             self._cut(result)
             return
         if result.identity != self.identity:
-            raise RecordingError(
-                "was changed while it was read",
-                path=Path(self.job.sources[0]),
-                hint="wait until the recording is complete, or copy it",
-            )
+            raise changed_while_read(Path(self.job.sources[0]))
         self.made[key] = result.made
         if not self.waiting and self.next is not None:
             yield from self.next()
@@ -383,13 +379,9 @@ class _Recording:
 
     def _ended(self, result: Result) -> Ended:
         seconds = time.monotonic() - self.began
-        started = self.started or _now()
+        started = self.started or now()
         return Ended(replace(result, key=self.job.key, started=started, seconds=seconds, attempts=self.attempts))
 
 
 def _step_key(job: Job, step: str) -> str:
     return f"{job.key}: {step}"
-
-
-def _now() -> str:
-    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")

@@ -8,6 +8,7 @@ from typing import Any
 from pc2scan.bags.formats import FORMATS, destinations
 from pc2scan.core.presets import PRESETS
 from pc2scan.pipeline.parameters import PARAMETERS
+from pc2scan.pipeline.scans_file import OUTPUT_KEYS
 from pc2scan.pipeline.stages.filter_options import FILTER_OPTIONS
 
 __all__ = ["FILE_OPTIONS", "FileOption", "schema"]
@@ -44,13 +45,18 @@ def _parameter_options() -> dict[str, FileOption]:
     }
 
 
+def _as_in_scans_file(name: str) -> FileOption:
+    key = OUTPUT_KEYS[name]
+    return FileOption("value" if key.kind == "time" else key.kind, key.help, key.words)
+
+
 #: Every option of a conversion that a dataset file may have.
 FILE_OPTIONS: dict[str, FileOption] = {
     "topics": FileOption("texts", "Topics to convert, and the topics of their scans: /points:=/scan."),
     "keep": FileOption("texts", "Write only these of the topics that are not converted (names or globs)."),
     "drop": FileOption("texts", "Do not write these topics (names or globs)."),
     "keep_clouds": FileOption("flag", "Write the converted clouds too."),
-    "remove": FileOption("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
+    "remove": _as_in_scans_file("remove"),
     "keep_used": FileOption("text", "Write the points that the scan's beams read to this topic too."),
     "only_scans": FileOption("flag", "Write only the scans."),
     "start": FileOption("value", "Start time: seconds from the beginning, @seconds since 1970, or a date and time."),
@@ -59,14 +65,14 @@ FILE_OPTIONS: dict[str, FileOption] = {
         "path", "A file with several outputs, each with its own options. Relative to the dataset file."
     ),
     "level": FileOption("flag", "Make scans in a frame without roll and pitch, by fixed_frame or imu."),
-    "imu": FileOption("text", "With level: the IMU that measures the direction of up, TOPIC or TOPIC:FRAME."),
+    "imu": _as_in_scans_file("imu"),
     "params_file": FileOption("path", "A ROS parameter file or an XML launch file. Relative to the dataset file."),
     "launch_args": FileOption("texts", "Arguments of the launch file: name:=value."),
     "node": FileOption("text", "The node whose parameters are read from the parameter file or the launch file."),
     "param": FileOption("texts", "Parameters in ROS notation: name:=value."),
     "remap": FileOption("texts", "Remappings in ROS notation: cloud_in:=/points."),
     "preset": FileOption("text", "Parameters that suit a consumer of the scans.", tuple(PRESETS)),
-    **{name: FileOption(each.kind, each.help, each.words) for name, each in FILTER_OPTIONS.items()},
+    **{name: _as_in_scans_file(name) for name in FILTER_OPTIONS},
     "static_tf": FileOption("texts", "Add transforms: parent child x y z roll pitch yaw."),
     "static_tf_file": FileOption("path", "A YAML list of such transforms. Relative to the dataset file."),
     "write_static_tf": FileOption("flag", "Write the added transforms to /tf_static."),
@@ -74,17 +80,12 @@ FILE_OPTIONS: dict[str, FileOption] = {
     "tf_topics": FileOption("texts", "Topics of the transforms, if not /tf and /tf_static."),
     "source_frame": FileOption("text", "Frame of the messages to convert, if their own frame_id is wrong or empty."),
     "deskew": FileOption("flag", "Transform each point of a cloud by the pose at its own time, through fixed_frame."),
-    "fixed_frame": FileOption("text", "A frame that does not move, such as odom."),
-    "point_time": FileOption(
-        "text", "Field with the times of points, and its unit: t or t:ns; or azimuth, or azimuth:0.1:cw:end."
-    ),
-    "stamp": FileOption("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
+    **{name: _as_in_scans_file(name) for name in ("fixed_frame", "point_time", "stamp")},
     "lead": FileOption("text", "If several topics become one scan: the topic whose stamps it has. Default: the first."),
     "window": FileOption(
         "value", "Maximum difference between its stamp and those of the others. Default: half the median period."
     ),
-    "accumulate": FileOption("value", "Each scan has all points of the last seconds, or of the last clouds: 10clouds."),
-    "every": FileOption("value", "Make a scan once in this many seconds, instead of one for each cloud."),
+    **{name: _as_in_scans_file(name) for name in ("accumulate", "every")},
     "rebin": FileOption("flag", "Convert LaserScan to LaserScan."),
     "reverse": FileOption("flag", "Convert LaserScan to PointCloud2."),
     "channels": FileOption("texts", "With reverse: further fields of clouds.", ("distances", "stamps", "viewpoint")),

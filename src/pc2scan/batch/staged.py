@@ -11,7 +11,6 @@ import shutil
 from collections import deque
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timezone
 from pathlib import Path
 from threading import RLock, Thread
 from typing import TYPE_CHECKING
@@ -24,7 +23,7 @@ from pc2scan.remote.urls import is_url
 from .identity import Identity, identity_of, versions
 from .results import first_part, in_order, parts_among
 from .stores import identity_in
-from .work import Result
+from .work import Result, now
 from .workers import Ended, Queue
 
 if TYPE_CHECKING:
@@ -173,11 +172,11 @@ class _StagedQueue(Queue):
                     needed, result = self._needed(copy.job)
                 except Pc2ScanError as err:
                     self._waiting.popleft()
-                    self._post(Ended(_failed(copy, err)))
+                    self._post(Ended(_failed(copy, err, "copied")))
                     continue
                 if needed > self._room.total:
                     self._waiting.popleft()
-                    self._post(Ended(_failed(copy, self._room.refusal(needed, self._folder.parent))))
+                    self._post(Ended(_failed(copy, self._room.refusal(needed, self._folder.parent), "copied")))
                     continue
                 wanted = self._room.total if copy.alone else min(needed + result, self._room.total)
                 if not self._room.reserve(wanted):
@@ -219,10 +218,7 @@ class _StagedQueue(Queue):
         except _StoppedError:
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
-            error = (
-                err if isinstance(err, Pc2ScanError) else OutputError(f"cannot be copied: {type(err).__name__}: {err}")
-            )
-            result = self._ended(copy, _failed(copy, error))
+            result = self._ended(copy, _failed(copy, err, "copied"))
             with self._lock:
                 self._loading -= 1
                 self._post(Ended(result))
@@ -277,14 +273,8 @@ class _StagedQueue(Queue):
         except _StoppedError:
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
-            error = (
-                err
-                if isinstance(err, Pc2ScanError)
-                else OutputError(f"cannot be uploaded: {type(err).__name__}: {err}")
-            )
-            result = replace(
-                _failed(copy, error), started=result.started, seconds=result.seconds, attempts=result.attempts
-            )
+            failed = _failed(copy, err, "uploaded")
+            result = replace(failed, started=result.started, seconds=result.seconds, attempts=result.attempts)
         result = self._ended(copy, result)
         with self._lock:
             self._uploading -= 1
@@ -354,12 +344,14 @@ class _StagedQueue(Queue):
         copy.reserved = 0
 
 
-def _failed(copy: _Copy, err: Pc2ScanError) -> Result:
-    copy.names.error(err)
+def _failed(copy: _Copy, err: Exception, what: str) -> Result:
+    """Return the result of a job that could not be copied or uploaded."""
+    error = err if isinstance(err, Pc2ScanError) else OutputError(f"cannot be {what}: {type(err).__name__}: {err}")
+    copy.names.error(error)
     return Result(
         key=copy.job.key,
         outcome="failed",
-        exit_status=err.exit_status,
-        error=err.as_dict(),
-        started=datetime.now(timezone.utc).isoformat(timespec="milliseconds"),
+        exit_status=error.exit_status,
+        error=error.as_dict(),
+        started=now(),
     )

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from .request import Request
 
-__all__ = ["Job", "Result", "Step", "convert_one", "died", "outcome_of"]
+__all__ = ["Job", "Result", "Step", "convert_one", "died", "now", "outcome_of"]
 
 #: Outcomes by the exit status of `pc2scan convert`.
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
@@ -109,6 +109,11 @@ class Result:
     made: Any = None
 
 
+def now() -> str:
+    """Return the time as the manifest has it: in UTC, with milliseconds."""
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+
+
 def outcome_of(exit_status: int) -> str:
     """Return the outcome of a conversion that ended with this status."""
     return _OUTCOMES.get(exit_status, "failed")
@@ -125,7 +130,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     if any(is_url(Path(path)) for path in (*job.sources, job.destination)):
         return _at_urls(job, progress)
     began = time.monotonic()
-    started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    started = now()
     sources = [Path(path) for path in job.sources]
     destination = Path(job.destination)
     identity = identity_of(sources)
@@ -235,7 +240,7 @@ def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Ide
 def died(job: Job, why: str, *, attempts: int, seconds: float) -> Result:
     """Return the result of a job whose process died."""
     error = {"class": "ProcessDied", "message": why, "place": None, "hint": None, "exit_status": 1}
-    started = datetime.now(timezone.utc).isoformat(timespec="milliseconds")
+    started = now()
     identity = identity_of(map(Path, job.sources))
     return Result(
         key=job.key,

@@ -27,9 +27,6 @@ __all__ = ["conclude", "show", "show_each", "show_next", "show_outcome"]
 #: The text for the frame of scans without a target frame.
 _OWN = "each message's own"
 
-#: The names of containers for the user.
-_CONTAINERS = {"rosbag1": "ROS 1 bag", "rosbag2": "rosbag2 directory", "mcap": "MCAP file"}
-
 
 def show(report: Report, *, verbose: bool = False) -> None:
     """Print the result, or that of a dry run."""

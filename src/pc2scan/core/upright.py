@@ -10,12 +10,10 @@ from .rigid import Rigid
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["UP", "Up", "tilt", "up_in", "upright"]
+__all__ = ["Up", "tilt", "up_in", "upright"]
 
 #: A direction of unit length: x, y, z.
 Up: TypeAlias = tuple[float, float, float]
-
-UP: Up = (0.0, 0.0, 1.0)
 
 #: The tangent of the angle to the vertical below which an axis has no heading.
 _VERTICAL = 1e-12

@@ -23,7 +23,17 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
 
 
-__all__ = ["FreeIds", "NewFile", "SourceFile", "file_beside", "on_demand", "opened_bytes", "opened_text", "state_of"]
+__all__ = [
+    "FreeIds",
+    "NewFile",
+    "SourceFile",
+    "changed_while_read",
+    "file_beside",
+    "on_demand",
+    "opened_bytes",
+    "opened_text",
+    "state_of",
+]
 
 _Result = TypeVar("_Result")
 
@@ -56,6 +66,13 @@ def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
     except OSError:
         return ()
     return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns) for name, state in states)
+
+
+def changed_while_read(path: Path | str) -> RecordingError:
+    """Return the error for a recording that was changed while it was read."""
+    return RecordingError(
+        "was changed while it was read", path=path, hint="wait until the recording is complete, or copy it"
+    )
 
 
 def file_beside(path: Path, suffix: str) -> Path | None:

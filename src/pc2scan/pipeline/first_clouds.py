@@ -158,7 +158,6 @@ class TopicClouds:
         self.full = False
         self._topic = topic
         self._spec = spec
-        self._label = f"{spec.name}: " if spec.name else ""
         self._every = every
         self._samples: list[Sample] = []
         self._earliest: list[int] = []
@@ -215,8 +214,8 @@ class TopicClouds:
         moving = moving_below(buffer, target, source)
         if moving is not None:
             self._every.warn(
-                f"{self._label}`target_frame` is {target}, in which {moving.body} moves (by {moving.metres:.2f} m): "
-                f"the scans are measured from the origin of {target} instead of from the robot, as SLAM and "
+                f"{self._spec.label}`target_frame` is {target}, in which {moving.body} moves (by {moving.metres:.2f} "
+                f"m): the scans are measured from the origin of {target} instead of from the robot, as SLAM and "
                 f"navigation expect; `target_frame={shlex.quote(moving.body)}`"
             )
 
@@ -228,7 +227,7 @@ class TopicClouds:
         self._zeros_reported = True
         source = self._every.report.source_frame or sample.frame_id
         self._every.warn(
-            f"{self._label}{self._topic}: {sample.zeros:,} of {counted(counts.total, 'point')} of a cloud "
+            f"{self._spec.label}{self._topic}: {sample.zeros:,} of {counted(counts.total, 'point')} of a cloud "
             f"{agreeing(sample.zeros, 'are')} at (0, 0, 0), as drivers write for no return, and become returns at the "
             f"sensor itself, at a range of {math.hypot(x, y):.2f} m in {sample.scan_frame!r}; "
             f"{_without_sensor(source, sample.scan_frame)} excludes them"
@@ -310,17 +309,17 @@ class TopicClouds:
         if found.warning:
             every.warn(found.warning)
         if units := self._mistaken_units():
-            every.warn(self._label + units)
+            every.warn(self._spec.label + units)
         advice = self._advice(found)
         if self._is_nearly_empty() and (emptiness := self._emptiness(advice)):
-            every.warn(self._label + emptiness)
+            every.warn(self._spec.label + emptiness)
         elif not units and self._floor_share >= _MOST_FLOOR:
-            every.warn(self._label + self._floor_text(advice))
+            every.warn(self._spec.label + self._floor_text(advice))
         for entry in self._entries():
             entry.advice = advice
         if self._without_heights() and any(map(from_preset, self._spec.origins.values())) and advice:
             every.report.notes.append(
-                f"{self._label}{self._topic}: no heights are given, presets leave them to you, and the default "
+                f"{self._spec.label}{self._topic}: no heights are given, presets leave them to you, and the default "
                 f"min_height drops everything at z <= 0; these suit the clouds: {advice}"
             )
 

@@ -58,7 +58,6 @@ def doubts(options: ConvertOptions) -> list[str]:
     """
     found: list[str] = []
     for spec in options.scans:
-        label = f"{spec.name}: " if spec.name else ""
         given = {name for name, origin in spec.origins.items() if from_option(origin)}
         doubtful = (
             *_frame_doubts(options, spec, given),
@@ -67,7 +66,7 @@ def doubts(options: ConvertOptions) -> list[str]:
             *_time_doubts(spec, given),
             *_angle_doubts(spec),
         )
-        found += (label + each for each in doubtful)
+        found += (spec.label + each for each in doubtful)
     return found
 
 

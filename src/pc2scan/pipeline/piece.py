@@ -30,7 +30,7 @@ class Piece(NamedTuple):
     first_file
         The number of its first file.
     transforms
-        Files with all transforms; see `pc2scan.tf.stored`. None if the conversion needs no transforms.
+        Files with all transforms; see `pc2scan.tf.stored`. Empty if the conversion needs none.
     """
 
     folder: Path

@@ -223,7 +223,7 @@ def _by_key(report: Report) -> dict[tuple[object, ...], TopicReport]:
 def _whole(tallies: Iterable[Tally]) -> Tally:
     """Return the tallies of all pieces as one."""
     first, *others = tallies
-    counts = [(topic, declared, read) for topic, declared, read in first.counts]
+    counts = list(first.counts)
     refusals = {text: dict.fromkeys(names) for text, names in first.refusals.items()}
     for other in others:
         counts = [

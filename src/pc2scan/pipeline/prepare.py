@@ -90,7 +90,7 @@ def prepared(
             own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
             with _naming_output(spec):
                 doubts = check_fixed_frame(reader, own, spec, asked.source_frame, buffer, span)
-            report.warnings += (f"{spec.name}: {each}" if spec.name else each for each in doubts)
+            report.warnings += (spec.label + doubt for doubt in doubts)
         combined = [each for each in plan.combinations if each.spec is spec]
         for combination in combined:
             conversions[combination] = _combined(reader, plan, combination, frames, span, report, firsts)
@@ -111,17 +111,16 @@ def _deskew(
 
     where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
     turns: Mapping[str, Turn] = {}
-    label = f"{spec.name}: " if spec.name else ""
     if where.turn is None:
         from .point_times import doubtful_times  # noqa: PLC0415  # only with deskewing
 
-        report.warnings += (label + doubt for doubt in doubtful_times(reader, sources, where, span))
+        report.warnings += (spec.label + doubt for doubt in doubtful_times(reader, sources, where, span))
     else:
         from .turning import measured_turns  # noqa: PLC0415  # few points have no times
 
         with _naming_output(spec):
             turns, notes = measured_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
-        report.notes += (label + note for note in notes)
+        report.notes += (spec.label + note for note in notes)
     return Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
 
 
@@ -166,9 +165,8 @@ def _combined(
     ]
     with _naming_output(spec):
         timing, grouper, notes, warnings = measured(reader, combination, sources, frames, span.start_ns, span.stop_ns)
-    label = f"{spec.name}: " if spec.name else ""
-    report.notes += (label + note for note in notes)
-    report.warnings += (label + warning for warning in warnings)
+    report.notes += (spec.label + note for note in notes)
+    report.warnings += (spec.label + warning for warning in warnings)
     judges = None if firsts is None else partial(firsts.of, spec)
     deskew = _deskew(reader, sources, spec, frames, span, report)
     return CombineToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
@@ -181,8 +179,7 @@ def _measured(
 
     with _naming_output(spec):
         timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)
-    label = f"{spec.name}: " if spec.name else ""
-    report.notes += (label + note for note in notes)
+    report.notes += (spec.label + note for note in notes)
     return timings
 
 
@@ -194,5 +191,5 @@ def _naming_output(spec: ScanSpec) -> Generator[None]:
     except UsageError as err:
         if isinstance(err, ParameterError) and (origin := spec.origins.get(err.name)):
             err.message += f" (from {origin})"
-        err.message = (f"{spec.name}: " if spec.name else "") + err.message
+        err.message = spec.label + err.message
         raise

@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import DestinationError, OutputError, RecordingError, UsageError
+from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
-from pc2scan.files.source import state_of
+from pc2scan.files.source import changed_while_read, state_of
 
 from .report import BEGINNING
 
@@ -153,11 +153,7 @@ class RunFiles:
         """Raise if a source changed during the run: the result may mix its old and new bytes."""
         for source, state in zip(self.read, self._states, strict=True):
             if state_of(source) != state:
-                raise RecordingError(
-                    "was changed while it was read",
-                    path=source,
-                    hint="wait until the recording is complete, or copy it",
-                )
+                raise changed_while_read(source)
 
 
 def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:

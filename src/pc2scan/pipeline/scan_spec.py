@@ -265,6 +265,11 @@ class ScanSpec:
         return bool(needs_fields) or "auto" in (params.scan_time, params.time_increment, params.beams)
 
     @property
+    def label(self) -> str:
+        """The beginning of messages about this output; empty if it has no name."""
+        return f"{self.name}: " if self.name else ""
+
+    @property
     def source_types(self) -> tuple[str, ...]:
         """The types that are converted, in ROS 2's spelling."""
         return (LASERSCAN,) if self.reverse or self.combining.rebin else tuple(CLOUDS)

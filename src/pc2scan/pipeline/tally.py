@@ -27,7 +27,7 @@ __all__ = ["Tally", "conclude", "tally_of"]
 
 
 class Tally(NamedTuple):
-    """What is compared or said once the whole recording has been read.
+    """What is compared and reported once the whole recording has been read.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Tally(NamedTuple):
 
 
 def tally_of(reader: Reader, routes: Mapping[int, OpenRoute], serialization: str) -> Tally:
-    """Return what is compared or said at the end."""
+    """Return what is compared and reported at the end."""
     written = [route for route in routes.values() if route.writes]
     return Tally(
         reader.path,

@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.files.source import changed_while_read
 
 from .urls import LIBRARIES, shown_url, url_of
 
@@ -249,9 +250,7 @@ class RemotePath:
 
     def changed(self) -> RecordingError:
         """Return the error for a source that has changed."""
-        return RecordingError(
-            "was changed while it was read", path=self.shown, hint="wait until the recording is complete, or copy it"
-        )
+        return changed_while_read(self.shown)
 
     def upload(self, source: Path, name: str, check: Callable[[], None] | None = None) -> None:
         """Upload a directory into this folder, under a new name.
