@@ -64,6 +64,7 @@ COMMANDS: dict[str, list[str | Path]] = {
     "verbose": ["convert", HALL, "-o", "o.bag", "--overwrite", "--preset", "gmapping", "-v"],
     "wrong": ["convert", HALL, "-o", "o.bag", "--angle-max", "90"],
     "unknown": ["convert", HALL, "-o", "o.bag", "--no-such-option"],
+    "batch": ["batch", HALL, "-o", "o.bag", "--target-frame", "base_link"],
     "map": ["map", HALL, "--png", "o.bag", "--overwrite"],
     "golden": ["golden", ROOT / "fixtures" / "golden", "-k", "tf_"],
     "help": ["convert", "--help"],

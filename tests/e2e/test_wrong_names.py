@@ -49,6 +49,17 @@ def test_a_lookup_at_the_latest_time_names_no_stamp() -> None:
     assert done.stderr.startswith("error: no transform has the source frame 'lidra'")
 
 
+def test_a_lookup_at_a_time_from_the_beginning() -> None:
+    done = run("tf", HALL, "--lookup", "odom", "lidar", "--at", "0.1")
+    hint = "--at counts from 1970; 0.1 s after the first transform is --at 1700000000.100000000"
+    assert (done.status, done.stderr.splitlines()[1]) == (1, f"hint: {hint}")
+    assert run("tf", HALL, "--lookup", "odom", "lidar", "--at", hint.rsplit(maxsplit=1)[-1]).status == 0
+
+
+def test_a_wrong_target_frame_of_info() -> None:
+    assert "(did you mean base_link? " in run("info", HALL, "--target-frame", "base_lnk").stdout
+
+
 def test_what_cannot_be_judged_is_no_verdict(tmp_path: Path) -> None:
     broken = tmp_path / "broken.bag"
     broken.write_bytes(b"nothing that is a recording")

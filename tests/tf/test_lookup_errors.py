@@ -61,7 +61,16 @@ class TestRefusal:
         error = refusal(built([row("odom", "base", second) for second in (1, 2)]), "odom", "base", at(0.5))
         assert "is not known at 1700000000.500000000" in error.message
         assert "0.500000000 s too early" in error.message
-        assert "at least 0.500000000 s" in str(error.hint)
+        assert "`transform_tolerance=0.5` uses the nearest transform" in str(error.hint)
+
+    @pytest.mark.parametrize(
+        ("second", "hint"),
+        [(30, "the nearest transform is 28 s away"), (20_000, "the clocks differ by 6 hours: one of them was not set")],
+    )
+    def test_no_tolerance_helps_where_transforms_are_far_away(self, second: float, hint: str) -> None:
+        error = refusal(built([row("odom", "base", second) for second in (1, 2)]), "odom", "base", at(second))
+        assert str(error.hint).startswith(hint)
+        assert "tolerance" not in str(error.hint)
 
     def test_only_one_sample(self) -> None:
         message = refusal(built([row("odom", "base", 1)]), "odom", "base", at(2)).message

@@ -326,6 +326,9 @@ def _progress_bar(*, enabled: bool) -> "Iterator[Any]":
         TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
+        # `Screen` writes lines above the bar, fitted to the terminal; rich would write them as they are.
+        redirect_stdout=False,
+        redirect_stderr=False,
     ) as bar:
         task = bar.add_task("batch", total=None, done=0, all=0)
 

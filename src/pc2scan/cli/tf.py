@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import TransformError, UsageError, stamp_text
+from pc2scan.errors import TransformError, UnconnectedError, UsageError, stamp_text
 
 from . import completion
 from .damage import show_damage
@@ -70,12 +70,20 @@ def tf(
         except TransformError as err:
             # 0 stands for the latest time, so it is not shown as a stamp.
             err.stamp_ns = err.stamp_ns or None
+            first_ns = min((info.first_ns for info in tree.buffer.infos if not info.static), default=0)
+            if at and not isinstance(err, UnconnectedError) and first_ns - stamp_ns > _FIRST_DATE_NS > stamp_ns:
+                meant = stamp_text(first_ns + stamp_ns)
+                err.hint = f"--at counts from 1970; {at} s after the first transform is --at {meant}"
             raise
         _show_transform(frames[0], frames[1], stamp_ns, rigid, as_json=as_json)
     elif as_json:
         print_json(tree.as_dict())
     else:
         _show(tree)
+
+
+#: Times below this, in nanoseconds since 1970 (1973), are probably meant to count from a recording's beginning.
+_FIRST_DATE_NS = 100_000_000_000_000_000
 
 
 def _stamp(text: str) -> int:

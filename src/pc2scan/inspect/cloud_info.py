@@ -72,7 +72,7 @@ class CloudInfo:
     mounting
         How the clouds are mounted, and which options suit that; None if no cloud could be decoded.
     problems
-        Why sampled clouds cannot be decoded, each reason once.
+        Why sampled clouds cannot be decoded or transformed, each reason once.
     """
 
     topic: str
@@ -99,7 +99,7 @@ class CloudInfo:
     def shown(self) -> Iterator[str | Table]:
         """Yield the text of `Info` about the clouds."""
         yield f"{self.topic}: {counted(self.sampled, 'cloud')} sampled"
-        yield from (f"  cannot be decoded: {problem}" for problem in self.problems)
+        yield from (f"  cannot be described: {problem}" for problem in self.problems)
         if not self.fields:
             return
         points = f"{self.points_min:,}" + (f" to {self.points_max:,}" if self.points_max > self.points_min else "")
@@ -165,7 +165,7 @@ class CloudLook:
                 points = moved.apply(points.T).T
                 sample = moved.rotation.apply(sample)
         except (DecodeError, TransformError) as err:
-            self._problems[err.message] = None
+            self._problems[f"{err.message} ({err.hint})" if err.hint else err.message] = None
             return
         if not self._sizes:
             _describe(self._result, cloud, message)

@@ -24,6 +24,10 @@ MAX_NAMES = 20
 #: Names of a lookup's arguments, as messages call them.
 _ROLES = {"target_frame": "target", "source_frame": "source"}
 
+#: A gap up to this may be bridged; one from the second on is no gap, but a difference between clocks.
+_BRIDGED_NS = 1_000_000_000
+_OTHER_CLOCK_NS = 3_600_000_000_000
+
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
 
@@ -71,10 +75,23 @@ def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_
         f"the time is {gap} s too {'early' if gap_ns < 0 else 'late'}, "
         f"the tolerance is {stamp_text(query.tolerance_ns)} s",
         stamp_ns=query.stamp_ns,
-        hint=f"a transform_tolerance of at least {gap} s would use the nearest transform; {_SEE_TF}",
+        hint=f"{_bridged(abs(gap_ns))}; {_SEE_TF}",
     )
     error.reason = f"their stamps are {'before the first' if gap_ns < 0 else 'after the last'} [{child}] in [{parent}]"
     return error
+
+
+def _bridged(gap_ns: int) -> str:
+    """Return what helps if the nearest transform is this far away."""
+    seconds = stamp_text(gap_ns).rstrip("0").rstrip(".")
+    if gap_ns <= _BRIDGED_NS:
+        return f"pc2scan convert `transform_tolerance={seconds}` uses the nearest transform"
+    if gap_ns < _OTHER_CLOCK_NS:
+        return f"the nearest transform is {seconds} s away"
+    return (
+        f"the clocks differ by {gap_ns / 3.6e12:,.0f} hours: one of them was not set, or these transforms are from "
+        "another recording"
+    )
 
 
 def unconnected(
