@@ -39,6 +39,7 @@ MOUNT = "base_link lidar 0 0 0.5 0 0 0"
             "--static-tf makes lidar the parent of base_link, which is above lidar already: lidar in base_link",
             "the parent comes first; --static-tf 'base_link lidar 0 0 0.5 0 0 0' replaces the recorded transform",
         ),
+        (["--rebin"], "the recording has no LaserScan topic", "without --rebin they become scans"),
         (["--range-cutoff", "3"], "need --reverse", ""),
         (["--only-scans", "--keep", "/tf"], "--only-scans contradicts --keep", ""),
     ],
@@ -85,6 +86,10 @@ def test_refused(options: list[str], error: str, hint: str, tmp_path: Path) -> N
         (["--start", "@1700000000100"], "if it was given in milliseconds: --start @1700000000.1"),
         (["--start", "2023-11-13"], "the cut has no effect: --start is 1699833600.000000000 (2023-11-13 00:00:00 UTC)"),
         (["--scan-time", "100"], "scan_time is 100 s, and a lidar takes less than a second for a scan"),
+        (
+            ["--no-return", "zero"],
+            "take them for obstacles at the sensor; with them beyond the limits: --range-min 0.1",
+        ),
         (["--inf-epsilon", "2"], "--inf-epsilon has no effect: it is used only with --no-return range-max-plus"),
         (["--no-use-inf"], "beams without a return are inf anyway: range_max is infinite"),
         (

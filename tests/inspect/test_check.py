@@ -247,6 +247,18 @@ def test_ranges_in_millimetres(tmp_path: Path) -> None:
     assert found.text == "ranges of the first scan are 1,000 to 9,000 m (median 5,000 m)"
 
 
+def test_ranges_of_zero_that_count_as_returns(tmp_path: Path) -> None:
+    zeros = GOOD.ranges.copy()
+    zeros[2] = 0
+    near = replace(GOOD, ranges=zeros, range_min=0)
+    (found,) = only(check(write(tmp_path / "a.mcap", *scans(3, near)))).findings
+    assert (found.kind, found.level) == ("ranges-zero", "notice")
+    assert found.text.startswith("11.1% of the ranges are 0, and range_min is 0 m or less")
+    assert kinds(only(check(write(tmp_path / "b.mcap", *scans(3, replace(near, range_min=0.1)))))) == {
+        "ranges-short": "notice"
+    }
+
+
 def test_a_frame_that_nearly_matches(tmp_path: Path) -> None:
     found = only(check(write(tmp_path / "a.mcap", *scans(3, replace(GOOD, frame_id="lasr")))))
     (unknown,) = (each for each in found.findings if each.kind == "frame-unknown")

@@ -154,6 +154,7 @@ class ScanTopic:
         self._empty, self._intensities, self._length = Tally(), Tally(), Tally()
         self._slow, self._no_frame, self._times, self._turned = Tally(), Tally(), Tally(), Tally()
         self._angles = Tally()
+        self._at_sensor = 0
         self._spread = (0.0, 0.0, 0.0)
         self._ranges: Counter[str] = Counter()
         self._last_ns: int | None = None
@@ -188,6 +189,7 @@ class ScanTopic:
                 judged.placed += 1
                 self._kept_of.setdefault(key, scan)
             judged.add(verdict, stamp_ns)
+        self._at_sensor += scan.zero * (scan.range_min <= 0)
         for name in ("beams", "returns", "infinite", "nan", "zero", "short", "long"):
             self._ranges[name] += getattr(scan, name)
         for wrong, tally in (
@@ -428,6 +430,17 @@ class ScanTopic:
                     f"{_share(short, total)} of the ranges are below range_min"
                     + (f" ({_share(zero, total)} are 0)" if zero else ""),
                     "a beam without a return should be +inf",
+                )
+            )
+        # Zeros that are not below range_min are returns.
+        if self._at_sensor:
+            found.append(
+                Finding(
+                    "ranges-zero",
+                    "notice",
+                    f"{_share(self._at_sensor, total)} of the ranges are 0, and range_min is 0 m or less: consumers "
+                    "take them for obstacles at the sensor",
+                    "for scans made from clouds: pc2scan convert `range_min=0.1`",
                 )
             )
         if long := self._ranges["long"]:

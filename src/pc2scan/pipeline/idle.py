@@ -119,6 +119,11 @@ def _return_doubts(spec: ScanSpec, given: set[str]) -> list[str]:
     if spec.reverse:
         return []
     found = []
+    if params.no_return == "zero" and params.range_min <= 0:
+        found.append(
+            "beams without a return are 0, and range_min is 0 m, so that SLAM and navigation take them for obstacles "
+            "at the sensor; with them beyond the limits: `range_min=0.1`"
+        )
     is_sum = (params.no_return or ("inf" if params.use_inf else "range-max-plus")) == "range-max-plus"
     if "inf_epsilon" in given and not is_sum:
         found.append("`inf_epsilon` has no effect: it is used only with `no_return=range-max-plus`, or use_inf off")

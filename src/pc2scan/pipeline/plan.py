@@ -264,6 +264,8 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     there = {kind for kinds in types.values() for kind in kinds}
     if spec.reverse and (clouds := [kind for kind in CLOUDS if kind in there]):
         return f"it has {short_types(clouds)} topics; without `reverse` they become scans"
+    if spec.combining.rebin and (clouds := [kind for kind in CLOUDS if kind in there]):
+        return f"it has {short_types(clouds)} topics; without `rebin` they become scans"
     if not spec.reverse and LASERSCAN in there:
         return "it has LaserScan topics; `reverse=True` turns those into clouds, `rebin=True` into other scans"
     return None
