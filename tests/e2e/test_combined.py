@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from contextlib import closing
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -323,6 +324,13 @@ def test_other_clocks_are_an_error_that_says_by_how_much(tmp_path: Path) -> None
     source = write_world(tmp_path / "slightly.mcap", [FRONT, slightly], seconds=2.0)
     said = " ".join(converted(source, *two_topics(), "--target-frame", "base_link").stderr.split())
     assert "the stamps of /rear are 0.6 s ahead of those of /front" in said
+    # No driver is so quick that its messages are logged before their stamps.
+    source = write_world(tmp_path / "less.mcap", [FRONT, replace(ahead, clock=0.25)], seconds=0.5)
+    said = " ".join(converted(source, *two_topics(), "--target-frame", "base_link").stderr.split())
+    assert "the stamps of /rear are 0.25 s ahead of those of /front" in said
+    assert "are logged 0.148 s before their stamps, so their clocks differ" in said
+    behind = write_world(tmp_path / "late.mcap", [FRONT, replace(ahead, clock=-0.25)], seconds=0.5)
+    assert "the stamps of" not in converted(behind, *two_topics(), "--target-frame", "base_link").stderr
 
 
 def test_a_silent_lidar_is_reported(tmp_path: Path) -> None:

@@ -45,6 +45,11 @@ _HALF_PERIOD_NS = 50_000_000
 _OTHER_CLOCK_NS = 500_000_000
 _SURELY_ANOTHER_NS = 2_000_000_000
 
+#: No message is logged before its stamp, except by the small error of a clock. If the messages of one topic are, and
+#: the delays differ by the second limit, the clocks differ, however small the difference is.
+_BEFORE_NS = -20_000_000
+_SMALL_NS = 100_000_000
+
 #: A window of more periods was probably meant in milliseconds.
 _MOST_PERIODS = 5
 
@@ -258,7 +263,9 @@ def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Seque
             continue
         behind_ns = median_low(own.delays) - median_low(lead.delays)
         window_ns = 0 if windows is None else windows[number]
-        if abs(behind_ns) <= max(_OTHER_CLOCK_NS, window_ns):
+        earliest_ns, latest_ns = sorted((median_low(own.delays), median_low(lead.delays)))
+        impossible = earliest_ns < _BEFORE_NS <= latest_ns
+        if abs(behind_ns) <= max(_SMALL_NS if impossible else _OTHER_CLOCK_NS, window_ns):
             continue
         how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
         said = f"the stamps of {topic} are {how} those of {topics[0]}, compared with their log times"
@@ -269,6 +276,11 @@ def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Seque
                 f"{said}: they are of different clocks",
                 hint=f"convert them to scans of their own: `topics={topic}:=/scan_2`{still}",
             )
+        if impossible:
+            which = topic if behind_ns < 0 else topics[0]
+            early = f"messages of {which} are logged {-earliest_ns / 1e9:.3g} s before their stamps"
+            warnings.append(f"{said}: {early}, so their clocks differ, and a scan has what was measured that far apart")
+            continue
         warnings.append(f"{said}: if their clocks differ, a scan has what was measured that far apart")
     return warnings
 
