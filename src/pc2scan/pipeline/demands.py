@@ -41,9 +41,9 @@ def refuse_nothing(report: Report) -> None:
     reasons = Counter(entry.reason for entry in report.skipped)
     hints = {entry.reason: entry.hint for entry in report.skipped}
     ((reason, count),) = reasons.most_common(1) or [("", 0)]
-    which = "all" if count == read else f"{count:,} of {read:,}"
+    which = "" if count == read else f", {count:,} of {read:,}"
     raise ResultError(
-        f"no message was converted: {which} were skipped: {reason}" if count else "no message was converted",
+        f"no message was converted: all were skipped{which}: {reason}" if count else "no message was converted",
         hint=hints.get(reason) or None,
     )
 

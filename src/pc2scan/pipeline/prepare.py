@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.tf.placing import Frames
-from pc2scan.tf.reading import read_transforms
+from pc2scan.tf.reading import is_static, read_transforms, tf_connections
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Mapping, Sequence
+    from collections.abc import Generator, Iterator, Mapping, Sequence
     from contextlib import ExitStack
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.options import FrameOptions
 
     from .conversion import Conversion, Measured
     from .first_clouds import FirstClouds
@@ -84,10 +85,15 @@ def prepared(
 
             conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew, output_type=spec.made_type)
             continue
+        own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
+        if spec.fixed_frame or spec.imu:
+            from .clocks import doubtful_clocks  # noqa: PLC0415  # only where times of several topics are compared
+
+            differ = doubtful_clocks(reader, own, _where_the_robot_was(reader, spec, asked), span)
+            report.warnings += (each for each in differ if each not in report.warnings)
         if spec.fixed_frame and buffer is not None:
             from .fixed_frames import check_fixed_frame  # noqa: PLC0415  # few conversions have one
 
-            own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
             with _naming_output(spec):
                 doubts = check_fixed_frame(reader, own, spec, asked.source_frame, buffer, span)
             report.warnings += (spec.label + doubt for doubt in doubts)
@@ -100,6 +106,18 @@ def prepared(
             deskew = _deskew(reader, converted, spec, frames, span, report)
             conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
     return conversions, others
+
+
+def _where_the_robot_was(reader: Reader, spec: ScanSpec, frames: FrameOptions) -> Iterator[Connection]:
+    """Yield the connections with moving transforms, and those of the IMU, that the spec uses."""
+    if spec.fixed_frame:
+        yield from (c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic))
+    if spec.imu:
+        from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
+        from pc2scan.tf.imu_reading import ImuRequest  # noqa: PLC0415
+
+        topic = ImuRequest.parse(spec.imu).topic.strip("/")
+        yield from (c for c in reader.connections if c.ros_type == IMU and c.topic.strip("/") == topic)
 
 
 def _deskew(

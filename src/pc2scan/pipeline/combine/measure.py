@@ -14,6 +14,7 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
+from pc2scan.pipeline.clocks import are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measured
 
 from .matching import Intervals, Nearest, Recent
@@ -40,15 +41,8 @@ _FEWEST = 3
 #: Half a period, nanoseconds, for topics without two different stamps.
 _HALF_PERIOD_NS = 50_000_000
 
-#: Two topics may have different clocks if the delays from their stamps to their log times differ by the first limit:
-#: messages of slow drivers are late, too. They have different clocks if the delays differ by the second limit.
-_OTHER_CLOCK_NS = 500_000_000
+#: Two topics have different clocks if the delays from their stamps to their log times differ by this.
 _SURELY_ANOTHER_NS = 2_000_000_000
-
-#: No message is logged before its stamp, except by the small error of a clock. If the messages of one topic are, and
-#: the delays differ by the second limit, the clocks differ, however small the difference is.
-_BEFORE_NS = -20_000_000
-_SMALL_NS = 100_000_000
 
 #: A window of more periods was probably meant in milliseconds.
 _MOST_PERIODS = 5
@@ -261,11 +255,10 @@ def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Seque
         own = firsts.get(topic)
         if lead is None or own is None or not lead.stamps or not own.stamps:
             continue
-        behind_ns = median_low(own.delays) - median_low(lead.delays)
+        own_ns, lead_ns = median_low(own.delays), median_low(lead.delays)
+        behind_ns = own_ns - lead_ns
         window_ns = 0 if windows is None else windows[number]
-        earliest_ns, latest_ns = sorted((median_low(own.delays), median_low(lead.delays)))
-        impossible = earliest_ns < _BEFORE_NS <= latest_ns
-        if abs(behind_ns) <= max(_SMALL_NS if impossible else _OTHER_CLOCK_NS, window_ns):
+        if not are_doubtful(own_ns, lead_ns, window_ns):
             continue
         how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"
         said = f"the stamps of {topic} are {how} those of {topics[0]}, compared with their log times"
@@ -276,9 +269,9 @@ def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Seque
                 f"{said}: they are of different clocks",
                 hint=f"convert them to scans of their own: `topics={topic}:=/scan_2`{still}",
             )
-        if impossible:
+        if logged_early(own_ns, lead_ns):
             which = topic if behind_ns < 0 else topics[0]
-            early = f"messages of {which} are logged {-earliest_ns / 1e9:.3g} s before their stamps"
+            early = f"messages of {which} are logged {-min(own_ns, lead_ns) / 1e9:.3g} s before their stamps"
             warnings.append(f"{said}: {early}, so their clocks differ, and a scan has what was measured that far apart")
             continue
         warnings.append(f"{said}: if their clocks differ, a scan has what was measured that far apart")
