@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import zstandard
 from mcap.reader import make_reader
-from mcap.records import Chunk, DataEnd, Footer, Header, McapRecord, Message
+from mcap.records import Chunk, DataEnd, Footer, Header, McapRecord
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as LibraryWriter
@@ -215,7 +215,7 @@ def raw_channel(id_: int = 1, topic: str = "/t", schema: int = 0) -> bytes:
 
 
 def raw_message(channel: int = 1, log_time: int = 1, data: bytes = b"data") -> bytes:
-    return encoded(Message(channel_id=channel, log_time=log_time, data=data, publish_time=log_time, sequence=0))
+    return record(5, struct.pack("<HIQQ", channel, 0, log_time, log_time) + data)
 
 
 BODY = raw_channel() + raw_message()
