@@ -7,11 +7,11 @@ import signal
 
 from hypothesis import settings
 
-# Time says nothing on a shared machine; and what fails in CI should fail again where it is looked into.
+# No time limits, because machines are shared. CI draws the same examples each time, so that failures are repeatable.
 settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("pc2scan")
 
-# With it each of the thousands of commands that tests start would compile the whole package anew.
+# With it, each of the thousands of commands that tests start would compile the whole package again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 

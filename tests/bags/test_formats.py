@@ -165,7 +165,7 @@ TOY = Format(
 
 @pytest.fixture
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All that the package is told of a new container is an entry in its table."""
+    """A new container needs only an entry in the table."""
     monkeypatch.setitem(FORMATS, "toy", TOY)
 
 
@@ -217,7 +217,7 @@ def test_the_command_and_batches_know_a_new_container(tmp_path: Path) -> None:
     assert dry.exit_code == 0, dry.output
     assert "y.toy: toy, about " in dry.output
     done = run(application(), words)
-    # Nobody knows a player.
+    # No player is known.
     assert done.output.splitlines()[-1] == f"next: pc2scan check {tmp_path / 'y.toy'}"
     report = pc2scan.convert(FIXTURES / "hall.mcap", f"{tmp_path}/", to="toy", keep_clouds=True)
     assert report.destination == str(tmp_path / "hall_scan.toy")

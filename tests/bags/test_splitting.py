@@ -20,7 +20,7 @@ SECOND = 1_000_000_000
 
 
 class Written:
-    """A writer that remembers what it is told."""
+    """A writer that records its calls."""
 
     def __init__(self, path: Path) -> None:
         path.write_bytes(b"")

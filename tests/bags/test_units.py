@@ -95,7 +95,7 @@ def test_units_are_made_when_they_are_needed() -> None:
 
     items = in_time_order(units())
     next(items)
-    # The one that follows tells how long the first one goes on, and one more waits for its announcement.
+    # The next unit bounds the messages of the first one, and one more waits to be announced.
     assert len(made) <= 3
     assert len(list(items)) == 8
 

@@ -21,7 +21,7 @@ WITHOUT_CLOUDS = Recording((CHATTER,), tuple(CONTENT.of(CHATTER.topic)))
 
 
 def make_templates(folder: Path) -> dict[str, tuple[Path, str]]:
-    """One recording of each kind, and the outcome of its conversion; ``-`` if it is none and nobody expects one."""
+    """One recording of each kind, and the outcome of its conversion; ``-`` for files that are ignored."""
     folder.mkdir()
     first, second = CONTENT.halves()
     parts = folder / "split"
@@ -64,7 +64,7 @@ def make_templates(folder: Path) -> dict[str, tuple[Path, str]]:
 
 
 def make_dataset(folder: Path, count: int = 200) -> dict[str, str]:
-    """Fill a folder with so many files and folders; return the outcome of each recording, by key."""
+    """Fill a folder with files and folders; return the outcome of each recording, by key."""
     templates = make_templates(folder.parent / "templates")
     expected: dict[str, str] = {}
     kinds = list(templates.items())

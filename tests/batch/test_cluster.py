@@ -247,7 +247,7 @@ def test_a_worker_that_does_not_see_a_path_is_refused(hidden: str, drives: Path,
 def test_a_scheduler_that_does_not_answer_is_an_error_within_seconds(
     listens: bool, drives: Path, tmp_path: Path
 ) -> None:
-    # Nobody is there, or somebody else, who accepts connections and says nothing.
+    # No scheduler is there, or another program, which accepts connections and never answers.
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
         if listens:
@@ -323,7 +323,7 @@ def test_what_kills_every_worker_is_reported_and_the_rest_goes_on(
 @pytest.mark.parametrize("seconds", [0.5, 1.2, 1.6, 2.5])
 def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path, tmp_path: Path) -> None:
     out, many = tmp_path / "out", tmp_path / "many"
-    # So many that they take longer than the latest interruption, even on a fast machine.
+    # Enough that they take longer than the latest interruption, even on a fast machine.
     for number in range(40):
         shutil.copytree(drives, many / str(number))
     command = [*COMMAND, "batch", "--dask", str(many), "-o", str(out), "--jobs", "2", *HEIGHTS]
@@ -342,7 +342,9 @@ def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path
     assert all((out / name).exists() for name in read_begun(out))
 
 
-def test_what_is_missing_or_wrong_is_named(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_name_the_missing_package_and_the_wrong_address(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from pc2scan.errors import UsageError
 
     with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):

@@ -79,7 +79,7 @@ def test_parts_are_one_recording_and_drives_are_not(folder: Path, tmp_path: Path
         # Two drives of another day, and of the same time.
         write_mcap(folder / f"run_{number}.mcap", later(CONTENT, 1000 * number))
         write_mcap(folder / f"twin_{number}.mcap", CONTENT)
-    # One part is missing in between: nobody knows what follows.
+    # One part is missing in between, so it is unknown what follows.
     write_mcap(folder / "hole_0.mcap", first)
     write_mcap(folder / "hole_2.mcap", later(second, 100))
     found = {each.key: [path.name for path in each.paths] for each in find([str(folder)], tmp_path / "out")}

@@ -89,7 +89,7 @@ def test_the_next_one_is_copied_while_one_is_converted(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("store")
-def test_what_does_not_fit_waits(tmp_path: Path) -> None:
+def test_recordings_wait_until_there_is_space_for_their_copies(tmp_path: Path) -> None:
     with jobs_here(jobs(tmp_path, "/out", most=SIZE + SIZE // 2), workers=2) as queue:
         queue.begin(lambda _event: None)
         for number in range(4):

@@ -104,7 +104,7 @@ def serialized_clouds(serialization: str, points: int = CLOUD_POINTS, variety: i
 
 
 def write_recording(folder: Path, form: Form, size_bytes: int, points: int = CLOUD_POINTS) -> Path:
-    """Write clouds of so many bytes together, uncompressed, with the project's own writers.
+    """Write clouds of a total size, uncompressed, with the project's own writers.
 
     Returns
     -------

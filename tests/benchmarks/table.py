@@ -472,7 +472,7 @@ def datasets(place: Path, size: int, repeat: int) -> None:
 
 
 def speed(count: int, duration: float) -> str:
-    """So many clouds in so many seconds."""
+    """A number of clouds, and the seconds that they took."""
     return f"{count * CLOUD_BYTES / MEGABYTE / duration:,.0f} MB/s, {count / duration:,.0f}/s"
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pytest_benchmark.fixture import BenchmarkFixture
 
 BEGIN_NS = 1_700_000_000_000_000_000
-#: Clouds of each lidar: so many that the start of a conversion takes a twentieth of the time at most.
+#: Clouds of each lidar: enough that the start of a conversion takes at most a twentieth of the time.
 CLOUDS = 160
 TF = "tf2_msgs/msg/TFMessage"
 

@@ -1,4 +1,4 @@
-"""What a user is told of damage."""
+"""What the command reports about damage."""
 
 from __future__ import annotations
 

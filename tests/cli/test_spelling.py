@@ -19,7 +19,7 @@ PACKAGE = ROOT / "src" / "pc2scan"
         ("`overwrite=True` replaces it", "--overwrite replaces it"),
         ("`topics=/points:=/scan_2`", "--topic /points:=/scan_2"),
         ("without `strict`, `angle_min=-3.14` and `scan_time`", "without --strict, --angle-min -3.14 and --scan-time"),
-        # What is no option is somebody's text.
+        # Text in backticks that is no option is unchanged.
         ("`ls` and `pc2scan tf` and `min height` and `", "`ls` and `pc2scan tf` and `min height` and `"),
         ("range_max 5 m", "range_max 5 m"),
     ],

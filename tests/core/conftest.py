@@ -24,7 +24,7 @@ def loops(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture(params=[16, 8, 1])
 def lanes(request: pytest.FixtureRequest) -> Iterator[None]:
-    """The compiled loops do so many points at once; skipped where the processor cannot."""
+    """Set how many points the compiled loops process at a time; skip what the processor does not support."""
     if not kernel.COMPILED:
         pytest.skip("there was no C compiler: this installation has no compiled loops")
     from pc2scan.core import _kernel  # not everywhere

@@ -99,7 +99,7 @@ def test_an_imu_that_is_mounted_upside_down() -> None:
 
 def test_after_a_gap_it_begins_again() -> None:
     world = simulated(60)
-    # While nothing was recorded the robot turned by what nobody knows.
+    # It is unknown how the robot turned while nothing was recorded.
     second = world.stamps_ns > 30_000_000_000
     turned = np.where(second[:, np.newaxis], np.array([-1.0, -1.0, 1.0]), 1.0)
     kept = ~((world.stamps_ns > 29_700_000_000) & (world.stamps_ns <= 30_000_000_000))

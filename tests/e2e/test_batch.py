@@ -293,7 +293,7 @@ def test_two_runs_on_one_folder_are_noticed(running: tuple[subprocess.Popen[byte
 
 def test_a_worker_that_dies_is_replaced(running: tuple[subprocess.Popen[bytes], Path]) -> None:
     process, out = running
-    # Both, so that each recording is tried again; then whoever tries again, so that it is given up.
+    # Both workers, so that each recording is tried again; then those that try again, so that it is given up.
     killed: set[int] = set()
     deadline = time.monotonic() + 60
     while process.poll() is None and time.monotonic() < deadline:

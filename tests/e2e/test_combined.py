@@ -275,7 +275,7 @@ def test_points_that_wait_in_borrowed_memory_are_those_that_were_read(
         ),
     ],
 )
-def test_what_was_probably_not_meant_draws_a_warning(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+def test_probable_mistakes_draw_a_warning(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.5)
     done = converted(source, "--min-height", "0.1", *options)
     assert said in " ".join(done.stderr.split())
@@ -291,7 +291,7 @@ def test_milliseconds_as_seconds_are_noticed_in_long_recordings(tmp_path: Path, 
     assert "milliseconds" not in converted(source, f"--{name}", "20", *options).stderr
 
 
-def test_what_is_right_draws_none_of_these_warnings(tmp_path: Path) -> None:
+def test_correct_options_draw_none_of_these_warnings(tmp_path: Path) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, REAR], seconds=0.5)
     for options in (
         ("--topic", "/front", "--every", "100ms", *MOVED),
@@ -358,7 +358,7 @@ def test_a_silent_lidar_is_reported(tmp_path: Path) -> None:
         (("--topic", "/flat", "--min-height", "0"), "--rebin"),
     ],
 )
-def test_what_cannot_be_is_wrong_usage(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+def test_impossible_combinations_are_wrong_usage(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, REAR, FLAT], seconds=0.3)
     done = converted(source, *options, status=(2,))
     assert said in " ".join(done.stderr.split())
@@ -372,7 +372,7 @@ def test_what_cannot_be_is_wrong_usage(tmp_path: Path, options: tuple[str, ...],
         (("--rebin", "--fixed-frame", "odom"), "--fixed-frame has no effect"),
     ],
 )
-def test_what_has_no_effect_draws_a_warning(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
+def test_options_without_effect_draw_a_warning(tmp_path: Path, options: tuple[str, ...], said: str) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, FLAT], seconds=0.4)
     done = converted(source, *options, "--min-height=-1")
     assert said in " ".join(done.stderr.split())
@@ -450,7 +450,7 @@ def test_the_command_takes_the_same_words_for_exports_and_maps(tmp_path: Path) -
         assert done.status == 0, done.stderr
         assert "/scan" in done.stdout
         assert "1 scan on /scan has nothing of /rear" in done.stderr + done.stdout
-    # Words of scans that nobody makes of several messages are refused as they are in a conversion.
+    # Options without effect are refused, as in a conversion.
     done = run(
         "export", source, "-o", tmp_path / "t.npz", "--topic", "/front", "--window", "0.1", "--min-height", "0.1"
     )

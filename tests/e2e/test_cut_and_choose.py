@@ -1,4 +1,4 @@
-"""What of a recording is converted, where it goes, and how the command tells what happened."""
+"""What of a recording is converted, where it goes, and how the command reports what happened."""
 
 from __future__ import annotations
 
@@ -473,7 +473,7 @@ def test_more_skipped_messages_than_are_listed(tmp_path: Path) -> None:
     assert done.status == 3
     found = json.loads(report.read_text())
     assert (found["skipped_count"], len(found["skipped"])) == (150, 100)
-    # All alike: one line tells what is listed, another that there are more.
+    # They are alike: one line has what is listed, another the number of further ones.
     assert "99 more" in done.stderr
     assert "50 more" in done.stderr
 

@@ -83,7 +83,7 @@ def assert_absent_or_complete(outcome: dict[str, Any], sound: dict[str, Any], ki
     # What was there before is there still, or, for the moment between two renames of a directory, beside its place.
     moved = there == "" and aside in outcome["left"] and outcome["status"] < 0
     assert complete or there == ("old" if outcome["old"] else "") or moved, what
-    # The exit status tells.
+    # The exit status shows it.
     assert outcome["status"] in ((-9, 0) if outcome["status"] < 0 or outcome["fault"] == "timed" else (0, 1)), what
     assert complete or outcome["status"] != 0, what
     # The next run cleans up.

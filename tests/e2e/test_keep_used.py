@@ -72,7 +72,7 @@ def test_the_kept_points_give_the_same_scans(source: str, options: dict[str, Any
         assert [field.name for field in used.fields] == [*(field.name for field in cloud.fields), "beam"]
         read = set(np.flatnonzero(np.isfinite(decode_laserscan(data, serialization).ranges)).tolist())
         beams = set(used.field("beam").reshape(-1).tolist())
-        # Whether a beam is removed is told by what its neighbours read, and by what it read itself.
+        # Whether a beam is removed depends on its own range and on those of its neighbours.
         assert beams >= read if "remove" in options else beams == read
         rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
         own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)

@@ -304,7 +304,7 @@ def test_scans_of_two_lidars_load_only_what_they_use(tmp_path: Path, further: tu
     assert loaded & (NOT_FOR_COMBINING | SLOW_TO_LOAD) == set()
 
 
-#: What scans of several clouds do without: points' times, filters, LaserScans, and measurements of the first clouds.
+#: Modules that scans of several clouds must not load: points' times, filters, LaserScans, measurements.
 NOT_FOR_COMBINING = {
     "statistics",
     "pc2scan.core.resolution",

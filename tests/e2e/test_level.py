@@ -192,7 +192,7 @@ def test_the_scans_are_connected_with_the_target_frame(tmp_path: Path, world: Pa
     (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "converted")
     assert entry["tilt"]["largest_deg"] == pytest.approx(3.0, abs=0.1)
     assert any("level by odom; base_link was tilted by up to 3 degrees" in note for note in made.report["notes"])
-    # Whoever reads the transforms finds the scans; nobody has to know of the level frame.
+    # Other programs place the scans by the recorded transforms alone.
     back = run("convert", tmp_path / "b.mcap", "-o", tmp_path / "c.mcap", "--reverse", "--target-frame", "odom")
     assert back.status == 0, back.stderr
 

@@ -406,7 +406,7 @@ def test_junit_xml_replaces_other_files_only_if_asked(cases: Path) -> None:
 
 
 def test_links_in_a_golden_folder_are_not_followed(cases: Path) -> None:
-    """A folder of cases may come with somebody else's pull request."""
+    """A folder of cases may be untrusted: it may come with a pull request."""
     folder = cases.parent
     (cases / "one" / "params.yaml").write_text(PARAMS)
     (cases / "one" / "expected.txt.pc2scan-partial").symlink_to(folder / "thesis.tex")

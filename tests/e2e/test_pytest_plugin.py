@@ -36,7 +36,7 @@ def pytest_run(folder: Path, *arguments: str) -> tuple[int, str]:
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """Somebody's project: tests, and a folder of golden cases."""
+    """A user's project: tests, and a folder of golden cases."""
     for name in CASES:
         shutil.copytree(ROOT / "fixtures" / "golden" / name, tmp_path / "golden" / name)
     (tmp_path / "tests").mkdir()

@@ -104,7 +104,7 @@ def test_every_laser_message_is_accounted_for(name: str, tmp_path: Path) -> None
 
 
 def odometry_root(source: Path) -> str:
-    """The root of the tree with the most frames, as ``pc2scan tf`` tells it."""
+    """The root of the tree with the most frames, as ``pc2scan tf`` shows it."""
     done = run("tf", source, "--json")
     assert done.status == 0, done.stderr
     trees = json.loads(done.stdout)["trees"]

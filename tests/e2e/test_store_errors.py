@@ -1,4 +1,4 @@
-"""What is said of stores and web servers that refuse, hang, fail or cut a transfer off."""
+"""The errors for stores and web servers that refuse, hang, fail or cut a transfer off."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Log nothing."""
 
     def do_HEAD(self) -> None:
         self._answer(with_body=False)

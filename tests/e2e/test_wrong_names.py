@@ -1,4 +1,4 @@
-"""Names that nearly match, exit statuses, errors as JSON, and output that nobody takes."""
+"""Names that nearly match, exit statuses, errors as JSON, and standard output that is closed."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ def test_a_failed_recording_of_a_batch_is_not_counted_as_converted(tmp_path: Pat
     assert "1 converted now" in done.stdout
 
 
-#: What root may read and write nevertheless.
+#: Root may read and write all files, whatever their permissions.
 WITHOUT_RIGHTS = (
     "setpriv",
     "--bounding-set=-dac_override,-dac_read_search",

@@ -1,4 +1,4 @@
-"""Buffers that are used again: not while somebody keeps them, and then again; and no more is kept than may be."""
+"""Buffers are reused only when no object refers to them, and the bytes that are kept have a limit."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_an_input_with_a_name_that_staging_uses(ending: str, kind: str, tmp_path
     (tmp_path / "interrupted_x.mcap").touch()
     with pytest.raises(DestinationError) as caught:
         refuse_overlap([InputPath(source)], [OutputPath(tmp_path / "x.mcap")])
-    # Nobody is led to overwrite what is there.
+    # The hint does not suggest overwriting the file.
     assert "interrupted_x.mcap" not in (caught.value.hint or "")
     refuse_overlap([InputPath(source)], [OutputPath(tmp_path / "y.mcap")])
 

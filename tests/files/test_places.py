@@ -11,7 +11,7 @@ from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.staging import staged
 
 
-def test_places_that_cannot_be(tmp_path: Path) -> None:
+def test_impossible_destinations_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     for dst, message in [
         (tmp_path / "missing" / "out", "its directory does not exist"),

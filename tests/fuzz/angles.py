@@ -62,7 +62,7 @@ def glibc_atan2f(y: Floats, x: Floats) -> Floats:
 
 
 def points(rng: np.random.Generator, count: int) -> tuple[Floats, Floats]:
-    """About so many points, y and x, of all kinds."""
+    """About ``count`` points, y and x, of all kinds."""
     part = count // 8
 
     def any_bits() -> Floats:
@@ -109,7 +109,7 @@ def differing(y: Floats, x: Floats, expected: Floats) -> NDArray[np.intp]:
 
 
 def main() -> None:
-    """Compare until so many points were."""
+    """Compare at least this many points."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--points", type=int, default=10_000_000)
     parser.add_argument("--seed", type=int, default=0)

@@ -136,7 +136,7 @@ def _compare(compiled: ProjectedScan, expected: ProjectedScan) -> None:
 
 
 def _widths() -> Iterator[int]:
-    """How many points the compiled loops do at once, while they do so many."""
+    """Set how many points the compiled loops process at a time, and yield each number that the processor supports."""
     if not kernel.COMPILED:
         yield 1
         return

@@ -46,7 +46,7 @@ _ENCODINGS = ("ros1msg", "ros2msg", "ros2idl")
 
 
 def _serialization(data: bytes) -> tuple[bytes, str]:
-    """The first byte tells the wire format."""
+    """The first byte selects the wire format."""
     return data[1:], "ros1" if data[:1] < b"\x80" else "cdr"
 
 

@@ -28,7 +28,7 @@ class Hang(BaseException):
 def watched(size: int, seconds: int = 20) -> Iterator[None]:
     """Let pass what an input of ``size`` bytes may do: succeed, or raise one of pc2scan's own errors.
 
-    Memory is looked at where the kernel tells it (Linux), and hangs where there are signals.
+    Memory is checked where the kernel reports it (Linux), and hangs where there are signals.
     """
     before = signal.signal(signal.SIGALRM, _hang)
     signal.alarm(seconds)

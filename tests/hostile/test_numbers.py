@@ -36,7 +36,7 @@ FILES = Path(__file__).with_name("files")
 
 
 def links(count: int, *, loop: bool = False) -> Iterator[bytes]:
-    """ROS 1's TFMessages of a thousand transforms each: a chain of so many frames, closed for a loop."""
+    """ROS 1's TFMessages of a thousand transforms each: a chain of frames, or a loop."""
     for begin in range(0, count, 1_000):
         rows = []
         for number in range(begin, begin + 1_000):

@@ -1,4 +1,4 @@
-"""What ``info`` tells of LaserScans."""
+"""What ``info`` shows of LaserScans."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page draws over the points, run by node with a pen that notes what it is told."""
+"""What the page draws over the points, run by node with a pen that records its calls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Chunks that are copied whole: which ones, what it costs (counted), and that nobody can tell by the messages."""
+"""Chunks that are copied whole: which ones, what it costs (counted), and that the messages are the same."""
 
 from __future__ import annotations
 
@@ -269,8 +269,8 @@ def test_only_chunks_inside_the_cut_are_copied(source: Path) -> None:
     destination = convert(source, start=str(start), end=str(end))
     written = {stored for _, _, stored in stored_chunks(destination)}
     inside = [stored for stored in there if stored in written]
-    # What a cut leaves of a chunk describes nobody knows which connections: a bag's next chunk is written anew, so that
-    # ROS 1's reindex finds every connection where it is first used.
+    # The chunk that the cut divides may declare connections that the next one uses. So a bag's next chunk is written
+    # anew: ROS 1's reindex finds every connection where it is first used.
     assert inside == there[2 if source.suffix == ".bag" else 1 : -1]
     times = [found.log_time_ns for found in opened(destination).messages]
     assert times == [start + STEP * i for i in range((end - start) // STEP)]

@@ -60,7 +60,7 @@ def polar_decoder(serialization: str) -> Decode:
 
 @dataclass(frozen=True)
 class EveryNth:
-    """Keeps one point of so many whose ring is not too high."""
+    """Keeps every n-th point whose ring is not too high."""
 
     n: int
     highest: int = 100

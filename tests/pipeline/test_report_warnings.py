@@ -14,7 +14,7 @@ from pc2scan.pipeline.topic_report import TopicReport
 from pipeline.reports import report
 
 
-def test_all_is_well() -> None:
+def test_a_sound_conversion_has_no_warning() -> None:
     made = report(used=100)
     assert made.warnings == []
     assert made.exit_status == 0
@@ -36,7 +36,7 @@ def test_scans_without_returns_name_the_parameter_to_blame(counts: dict[str, int
     assert word in warning
 
 
-def test_the_default_min_height_is_named_where_it_bites_and_only_there() -> None:
+def test_the_default_min_height_is_named_only_if_it_rejects_many_points() -> None:
     (warning,) = report(used=51, height=49).warnings
     assert "z <= 0; `min_height` sets it" in warning
     # The numbers are those of the recording, never a constant.
@@ -47,17 +47,17 @@ def test_the_default_min_height_is_named_where_it_bites_and_only_there() -> None
     assert report(ProjectionParams(min_height=-0.5), used=51, height=49).warnings == []
 
 
-def test_a_height_band_of_ones_own_is_not_called_the_default() -> None:
+def test_given_heights_are_not_called_defaults() -> None:
     (warning,) = report(ProjectionParams(min_height=1.0), empty_scans=4, height=100).warnings
     assert "default" not in warning
     assert "target_frame" in warning
 
 
-def test_nothing_converted_is_worth_a_warning() -> None:
+def test_a_topic_without_converted_messages_draws_a_warning() -> None:
     assert report(total=0, messages_out=0).warnings == ["no message of /points could be converted"]
 
 
-def test_a_gap_that_deskewing_bridged_is_a_warning() -> None:
+def test_a_gap_between_transforms_draws_a_warning() -> None:
     made = Report(["a.bag"], "b.bag", (ScanSpec(),))
     for gap in (0.1, 0.3):
         motions = [(0.1, 0.01, 0.02), (0.3, 0.02, gap), (0.2, 0.03, 0.02)]

@@ -22,7 +22,7 @@ MESSAGE = RawMessage(Connection(1, "/a", "std_msgs/msg/String", "cdr"), 7, b"", 
         # All of it came out: only messages of unknown channels are lost.
         (1_000, Salvaged([MESSAGE], 0, 0), (0, 0, 5, 9)),
         (1_000, Salvaged([MESSAGE], 0, 3), (0, 3, 5, 9)),
-        # Bytes between records are lost: how many messages were in them, nobody knows.
+        # Bytes between records are lost. It is unknown how many messages were in them.
         (1_000, Salvaged([MESSAGE], 20, 3), (20, None, 5, 9)),
         # What is cut off follows the last message.
         (400, Salvaged([MESSAGE], 20, 0), (620, None, 7, 9)),

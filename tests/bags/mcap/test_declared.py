@@ -1,4 +1,4 @@
-"""What a connection says: topics, ROS versions, encodings."""
+"""What connections declare: topics, ROS versions, encodings."""
 
 from __future__ import annotations
 

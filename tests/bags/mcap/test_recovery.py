@@ -120,7 +120,7 @@ def test_any_byte_flipped(tmp_path: Path, case: str) -> None:
         # Damage costs no more than the chunk or message that it is in, wherever it is.
         found = {row[4] for row in rows}
         for number, (start, stop, inner) in enumerate(places):
-            # What the channels are is told by the first chunk alone, if by no summary.
+            # Without a summary, only the first chunk declares the channels.
             if case == "no summary" and number and places[0][0] <= position < places[0][1]:
                 continue
             # A wrong length may by chance end where another record does.

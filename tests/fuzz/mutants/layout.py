@@ -236,7 +236,7 @@ def _anywhere(layout: Layout, rng: random.Random) -> Edit:
 
 
 def _inside(layout: Layout, chosen: Nested, rng: random.Random) -> Edit:
-    """Change what is packed, and pack it again; the outside agrees, but for what else tells of it."""
+    """Change what is packed, and pack it again; the lengths and checksums around it are updated."""
     unpacked = chosen.unpack(layout.data[chosen.start : chosen.stop])
     edit = mutate(chosen.layout(unpacked), rng)
     data = _spliced(layout, chosen.start, chosen.stop, chosen.pack(edit.data), sealed=False)

@@ -176,7 +176,7 @@ class _Parser:
         entry = start
         while entry < start + length:
             for part in _ENTRIES[code]:
-                # A message index tells places within its chunk.
+                # A message index has offsets within its chunk.
                 part = (part[0], "number", part[2]) if code == "i" and part[1] == "place" else part  # noqa: PLW2901
                 entry = self.value(entry, name, part, stop)
         return start + length

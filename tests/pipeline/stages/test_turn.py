@@ -1,4 +1,4 @@
-"""How a lidar turns whose points have no times, as its first clouds tell."""
+"""How a lidar turns whose points have no times, as measured in its first clouds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T0 = 1_700_000_000_000 * MS
 def clouds(
     stamps_ms: list[float] | None = None, *, late_ms: float = 4, turns: float = -1.0, parts: int = 1, hidden: int = 0
 ) -> list[Look]:
-    """Clouds of so many to a turn, by a lidar that does not see so many of 90 directions."""
+    """Return looks at consecutive clouds, each ``1 / parts`` of a turn, without ``hidden`` of 90 directions."""
     stamps = [T0 + round(MS * each) for each in (stamps_ms or range(0, 1100, 100))]
     width = 90 // parts
     seen = (1 << width) - 1 >> hidden
@@ -37,17 +37,17 @@ def clouds(
         ("azimuth:100ms:end:cw", Turn(0.1, -1, True)),
     ],
 )
-def test_what_is_given(text: str, expected: Turn) -> None:
+def test_options_are_parsed(text: str, expected: Turn) -> None:
     assert Turn.parse(text) == expected
 
 
 @pytest.mark.parametrize("text", ["azimuth:", "azimuth:0", "azimuth:cw:0.1", "azimuth:cw:ccw", "azimuth:0.1:0.1"])
-def test_what_cannot_be_given(text: str) -> None:
+def test_wrong_options_are_refused(text: str) -> None:
     with pytest.raises(UsageError, match="is not the time of a turn"):
         Turn.parse(text)
 
 
-def test_everything_is_measured() -> None:
+def test_period_direction_and_stamp_are_measured() -> None:
     turn, note = measured_turn("/points", Turn(), clouds())
     assert turn == Turn(0.1, -1, True)
     assert note == (
@@ -97,7 +97,7 @@ def test_a_missing_cloud_and_jitter_change_nothing() -> None:
         (clouds(late_ms=103), "logged 0.103 s after their stamps", "azimuth:0.1:cw:start"),
     ],
 )
-def test_thin_evidence_is_refused_with_what_to_type(found: list[Look], why: str, typed: str) -> None:
+def test_insufficient_evidence_is_refused_with_what_to_type(found: list[Look], why: str, typed: str) -> None:
     with pytest.raises(ParameterError) as caught:
         measured_turn("/points", Turn(), found)
     assert "/points" in caught.value.message
@@ -111,7 +111,7 @@ def test_thin_evidence_is_refused_with_what_to_type(found: list[Look], why: str,
 
 @pytest.mark.parametrize("clockwise", [True, False])
 @pytest.mark.parametrize("layout", ["columns", "rings", "grid"])
-def test_what_a_cloud_tells(layout: str, clockwise: bool) -> None:
+def test_turns_and_directions_of_a_cloud(layout: str, clockwise: bool) -> None:
     azimuth = np.linspace(0.3, 0.3 + 2 * math.pi, 600, endpoint=False) * (-1 if clockwise else 1)
     x, y = (np.tile(each, (16, 1)) for each in (5 * np.cos(azimuth), 5 * np.sin(azimuth)))
     if layout == "columns":
