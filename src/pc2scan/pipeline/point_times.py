@@ -14,6 +14,8 @@ from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns, offse
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.clouds import CLOUDS
 
+from .stages.deskew import without_zeros
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
@@ -115,13 +117,14 @@ def doubtful_times(
 def _times(points: Points, point_time: PointTime) -> _Times | None:
     """Return the times of a cloud's points; None if it has none."""
     name = point_time.field_of(points)
+    whole = points.field(name).dtype.kind in "iu"
+    points = without_zeros(points, name, point_time.unit)
     x, y, values = points.field("x"), points.field("y"), points.field(name)
     if values.shape != x.shape:
         raise DecodeError(f"{name} has several values a point")
     low, high, measured, unknown = kernel.span(x, values)
     if measured - unknown < 2:
         return None
-    whole = values.dtype.kind in "iu"
     offset, unit = offset_and_unit(low, high, points.stamp_ns, point_time.unit, whole=whole)
     low, high = (low - offset) * unit, (high - offset) * unit
     ordered = True

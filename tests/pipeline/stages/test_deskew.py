@@ -184,6 +184,23 @@ def test_the_first_and_the_last_points_are_not_lost_by_rounding() -> None:
             assert moving.transform.timed
 
 
+@pytest.mark.parametrize(
+    ("kind", "unit", "name"), [("<f8", 1e-9, "time"), ("<f8", 1e-3, "timestamp"), ("<f8", 1.0, "t"), ("<u8", 1.0, "t")]
+)
+def test_a_time_of_zero_is_none_among_absolute_times(kind: str, unit: float, name: str) -> None:
+    """Drivers write it for points without a return."""
+    times = ((T0 + np.linspace(0, 0.05, 200) * SECOND) * unit).astype(kind)
+    times[5::9] = 0
+    moving = moving_of(Deskew(frames(), "odom", PointTime()), points(np.ones((200, 3)), times, name))
+    _, kept, rejected = moving.place(moving.points)
+    assert rejected == {"no_time": 22, "no_transform": 0}
+    assert kept is not None
+    assert np.array_equal(kept, times != 0)
+    # After the stamp, 0 is a time.
+    moving = moving_of(Deskew(frames(), "odom", PointTime()), points(np.ones((3, 3)), [0, 0, 50_000_000]))
+    assert not sum(moving.place(moving.points)[2].values())
+
+
 def test_a_gap_of_the_odometry_is_reported() -> None:
     builder = TransformBuilder()
     for seconds in (-1.0, -0.02, 0.0, 0.7, 0.72):

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Frames
 
-__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Moving", "PointTime", "Track"]
+__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Moving", "PointTime", "Track", "without_zeros"]
 
 #: The time of a cloud that its scan gets.
 STAMPS = ("header", "start", "middle", "end")
@@ -42,6 +42,9 @@ STAMPS = ("header", "start", "middle", "end")
 _LONGEST = 60.0
 #: If the times of all points span less than this, they count as equal, seconds.
 _SHORTEST = 1e-9
+
+#: Of how many points the times are looked at to see whether they are absolute.
+_SOME = 64
 
 #: The maximum distance of two nodes between which transforms are interpolated, nanoseconds and radians. Transforms are
 #: also looked up in the middle between two nodes, so at least every millisecond. The error of the rotation is 0.008
@@ -343,6 +346,8 @@ class Deskew:
             points = points.replace({TIME: turn.times(points)}, points.frame_id)
         given = TIME in points.fields
         name = TIME if given else self._point_time.field_of(points)
+        whole = points.field(name).dtype.kind in "iu"
+        points = points if given else without_zeros(points, name, self._point_time.unit)
         values = points.field(name)
         low, high, measured, unknown = kernel.span(points.field("x"), values)
         if not measured:
@@ -352,7 +357,6 @@ class Deskew:
             raise DecodeError(
                 message, stamp_ns=points.stamp_ns, hint="if another field has the times, name it: `point_time=FIELD`"
             )
-        whole = values.dtype.kind in "iu"
         offset, unit = 0.0, 1.0
         if not given:
             offset, unit = offset_and_unit(low, high, points.stamp_ns, self._point_time.unit, whole=whole)
@@ -407,6 +411,26 @@ class Deskew:
             hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
         if message:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
+
+
+def without_zeros(points: Points, name: str, unit: str) -> Points:
+    """Return points whose times that are 0 are NaN, if the others are absolute.
+
+    Drivers write 0 for points without a return. Among times after the stamp, 0 is a time.
+    """
+    values = points.field(name)
+    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+        few = values.reshape(-1)[:: max(1, values.size // _SOME)].astype(np.float64)
+        low = float(np.fmin.reduce(few, where=few != 0, initial=np.inf))
+        high = float(np.fmax.reduce(few, initial=-np.inf))
+        if not low <= high:
+            return points
+        offset, _ = offset_and_unit(low, high, points.stamp_ns, unit, whole=values.dtype.kind in "iu")
+        if not offset or not (missing := values == 0).any():
+            return points
+        times = values.astype(np.float64)
+    times[missing] = np.nan
+    return points.replace({name: times}, points.frame_id)
 
 
 def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -> None:
