@@ -114,3 +114,20 @@ def test_a_dry_run_of_each(folder: Path) -> None:
     shown, _ = dry(folder, "--each", "drive.bag", "drive.mcap", "drive", "-o", "scans/", *HEIGHTS, "--report", "r.json")
     assert "3 of 3 recordings would be converted" in shown
     assert "scans/drive_scan.mcap" in shown
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--min-height", "-1"), "the floor is within the heights"),
+        (("--min-height", "0.1", "--target-frame", "odom"), "--target-frame is odom, in which base_link moves"),
+        ((), "--min-height sets it below the sensor: --min-height -0.5 --max-height 0.9"),
+        (("--min-height", "-1", "--every", "0.2", "--fixed-frame", "odom"), "the floor is within the heights"),
+    ],
+    ids=str,
+)
+def test_it_warns_as_the_conversion_does(options: tuple[str, ...], told: str, tmp_path: Path) -> None:
+    shown, warned = dry(tmp_path, str(FIXTURES / "hall.bag"), "-o", "o.bag", *options)
+    assert told in warned
+    assert "dry run" in shown
+    assert list(tmp_path.iterdir()) == []

@@ -39,6 +39,11 @@ MOUNT = "base_link lidar 0 0 0.5 0 0 0"
             "--static-tf makes lidar the parent of base_link, which is above lidar already: lidar in base_link",
             "the parent comes first; --static-tf 'base_link lidar 0 0 0.5 0 0 0' replaces the recorded transform",
         ),
+        (
+            ["--report", "-"],
+            "the report cannot be written there: it is not written to standard output",
+            "choose a name",
+        ),
         (["--rebin"], "the recording has no LaserScan topic", "without --rebin they become scans"),
         (["--range-cutoff", "3"], "need --reverse", ""),
         (["--only-scans", "--keep", "/tf"], "--only-scans contradicts --keep", ""),

@@ -115,6 +115,8 @@ def check_text_output(path: Path, *, beginning: bytes, overwrite: bool) -> None:
 
 
 def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
+    if str(path) == "-":
+        raise DestinationError("it is not written to standard output", hint="choose a name: `-` would be a file's name")
     if not os.path.lexists(path):
         return False
     if path.is_dir() and not path.is_symlink():

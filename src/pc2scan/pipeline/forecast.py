@@ -9,6 +9,7 @@ from pc2scan.errors import MessageError
 
 from .beforehand import Unconnected
 from .declarations import Declarations
+from .first_clouds import Candidate
 from .report import Skipped
 from .routes import count_skipped, open_routes
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
 
     from .conversion import Conversion, Converted
+    from .first_clouds import FirstClouds
     from .options import ConvertOptions
     from .plan import Combination, Plan
     from .report import Report
@@ -58,6 +60,7 @@ def forecast(
     start_ns: int | None,
     stop_ns: int | None,
     report: Report,
+    firsts: FirstClouds,
 ) -> float:
     """Fill in a report like a conversion, estimated from the indexes and the first messages.
 
@@ -77,6 +80,7 @@ def forecast(
     sizes: dict[int, _Size] = _converted_sizes(
         reader, routes, options, start_ns, stop_ns, report, is_packed=target.compression != "none"
     )
+    firsts.finish()
     report.damage += reader.damage
     report.conclude()
     counts = reader.counts([route.connection for route in routes.values()], start_ns, stop_ns)
@@ -139,6 +143,7 @@ def _converted_sizes(
                     if not isinstance(result, MessageError) and not output.used:
                         output.report.points += result.counts
                         output.report.empty_scans += result.empty
+                        _judge(result, message.log_time_ns)
                 failed = all(isinstance(result, MessageError) for result in converted)
                 if not failed:
                     sizes_made.append(size)
@@ -149,6 +154,15 @@ def _converted_sizes(
         kept = _mean(read) if route.passing_handle >= 0 else 0.0
         sizes[key] = _Size(_mean(read), kept, _mean(sizes_made))
     return sizes
+
+
+def _judge(result: Converted, log_time_ns: int) -> None:
+    """Add a cloud to the checks of the first ones, once if it is written to several topics."""
+    sample, result.sample = result.sample, None
+    if isinstance(sample, Candidate):
+        sample = sample.sample(log_time_ns)
+    if sample is not None:
+        sample.clouds.add(sample, result.counts)
 
 
 def _compressed_size(data: bytes) -> int:

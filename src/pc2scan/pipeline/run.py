@@ -279,7 +279,7 @@ def _run(
             check_parts(path, overwrite=output.overwrite)
         else:
             check_destination(path, overwrite=output.overwrite, beside_recording=beside_recording, folder=output.folder)
-        _estimate(reader, plan, target, options, output, stack, report)
+        _estimate(files, reader, plan, target, options, output, stack, report)
         return None
     if output.folder is not None:
         stack.enter_context(made_folder(output.folder))
@@ -370,6 +370,7 @@ def _run(
 
 
 def _estimate(
+    files: RunFiles,
     reader: Reader,
     plan: Plan,
     target: Destination,
@@ -385,9 +386,10 @@ def _estimate(
     converted = [route.connection for route in plan.routes if route.targets]
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
     report.warnings += idle_cut(reader, options.start, options.end)
-    conversions, _ = prepared(reader, plan, options, span, stack, report)
+    firsts = FirstClouds(report, None, partial(robot_transforms, files.read, options, span))
+    conversions, _ = prepared(reader, plan, options, span, stack, report, firsts)
     levels = _level_frames(reader, plan, target, options, Declarations(), report)
-    size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report)
+    size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report, firsts)
     if levels is not None:
         made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
         levels.report.messages_out = max(made, default=0)
