@@ -329,7 +329,7 @@ def test_a_directory_of_recordings_is_not_overwritten(bag: Path, tmp_path: Path)
     assert "it has no metadata.yaml" in done.stderr
     assert "hint: choose another name" in done.stderr
     # One of them has been recorded with a metadata.yaml; the other is still not a part of it.
-    assert convert(bag, "-o", tmp_path / "wednesday").status in (0, 3)
+    assert convert(bag, "-o", tmp_path / "wednesday").status == 0
     for path in (tmp_path / "wednesday").iterdir():
         path.rename(folder / path.name)
         before[path.name] = (folder / path.name).read_bytes()
@@ -559,7 +559,7 @@ def test_report(bag: Path, tmp_path: Path) -> None:
 def test_a_report_that_cannot_be_written_fails_before_anything_is(bag: Path, tmp_path: Path) -> None:
     # Status 1 means that nothing was written.
     done = convert(bag, "-o", tmp_path / "out.bag", "--report", tmp_path / "absent" / "report.json")
-    assert done.status in (1, 2)
+    assert done.status == 2
     assert "report" in done.stderr
     assert left(tmp_path) == {"drive.bag"}
 

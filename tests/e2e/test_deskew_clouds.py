@@ -39,7 +39,7 @@ def converted(folder: Path, *options: str) -> tuple[Finished, list[LaserScan], d
 @pytest.mark.parametrize("stamp", ["header", "start", "middle", "end"])
 def test_deskewed_scans_say_how_far_the_sensor_moved(tmp_path: Path, stamp: str) -> None:
     done, scans, report = converted(tmp_path, "--deskew", "--fixed-frame", "odom", "--stamp", stamp)
-    assert done.status in (0, 3)
+    assert done.status == 3
     (topic,) = (entry for entry in report["topics"] if entry["action"] == "converted")
     assert topic["messages_out"] == len(scans) >= 4
     assert 0.01 < topic["motion"]["median_m"] <= topic["motion"]["largest_m"] < 0.5
@@ -128,7 +128,7 @@ def test_what_a_lidar_turns_like_is_to_be_typed_where_clouds_do_not_tell(tmp_pat
     assert "/points" in said
     assert "logged 0.1019 s after their stamps, so the stamp may be the time of the first or of the last point" in said
     assert "--point-time azimuth:0.1:ccw:start" in said
-    assert run(*words, "azimuth:start").status in (0, 3)
+    assert run(*words, "azimuth:start").status == 0
 
 
 def test_times_of_no_sense_skip_the_clouds_and_say_why(tmp_path: Path) -> None:

@@ -222,7 +222,7 @@ def test_a_recording_with_one_row_a_publisher_is_repaired(tmp_path: Path) -> Non
             "name = '/tf')"
         )
     done = run("repair", tmp_path / "old", "-o", tmp_path / "new")
-    assert done.status in (0, 3), done.stderr
+    assert done.status == 0, done.stderr
     assert {topic["name"]: topic["count"] for topic in topics_of(tmp_path / "new")}["/tf"] == len(CROWDED.of("/tf"))
     assert [row[0] for row in storage_topics(tmp_path / "new")].count("/tf") == 1
 
