@@ -303,6 +303,16 @@ def test_correct_options_draw_none_of_these_warnings(tmp_path: Path) -> None:
         assert "no point is moved" not in done.stderr
 
 
+def test_a_box_that_moves_with_regard_to_a_deskewed_lidar_draws_a_warning(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT], seconds=0.3)
+    options = ("--deskew", "--fixed-frame", "odom", "--exclude-box")
+    said = converted(source, *options, "odom 6 8 -7 7 0 3", "--target-frame", "base_link").stderr
+    assert "--exclude-box is in odom, in which front moves, but it rejects points where they were recorded" in said
+    assert (
+        "recorded" not in converted(source, *options, "base_link -1 1 -1 1 0 1", "--target-frame", "base_link").stderr
+    )
+
+
 def test_a_frame_that_is_not_there_is_named_as_it_was_typed(tmp_path: Path) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT], seconds=0.3)
     said = converted(source, "--deskew", "--fixed-frame", "odm", status=(2,)).stderr

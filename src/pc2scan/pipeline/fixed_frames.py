@@ -34,7 +34,7 @@ def check_fixed_frame(
     buffer: TransformBuffer,
     span: Span,
 ) -> list[str]:
-    """Return a warning if nothing moves in the fixed frame.
+    """Return warnings if nothing moves in the fixed frame, or if regions of deskewed clouds move with the sensor.
 
     Raises
     ------
@@ -57,13 +57,32 @@ def check_fixed_frame(
     frame = spec.params.target_frame or source_frame or first_frame(reader, sources, span)
     frame = frame.removeprefix("/")
     if not frame or not buffer.is_rigid(fixed, frame):
-        return []
+        return _moving_regions(reader, sources, spec, source_frame, buffer, span)
     if fixed == frame and moving_below(buffer, fixed, source_frame or first_frame(reader, sources, span)):
         return []  # the target frame itself is wrong, which another warning says
     which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
     offered = _offered(buffer, fixed)
     advice = offered or "the recording has no transform that moves; `tf_from` adds the odometry of another one"
     return [f"`fixed_frame` is {fixed}, {which}: no point is moved; {advice}"]
+
+
+def _moving_regions(
+    reader: Reader,
+    sources: Sequence[Connection],
+    spec: ScanSpec,
+    source_frame: str,
+    buffer: TransformBuffer,
+    span: Span,
+) -> list[str]:
+    """Return warnings about filters in frames that are not fixed to the sensor of clouds that are deskewed."""
+    regions = {each.frame: each.name for each in spec.filters if isinstance(each.frame, str)} if spec.deskew else {}
+    source = regions and (source_frame or first_frame(reader, sources, span))
+    return [
+        f"`{name}` is in {frame}, in which {source} moves, but it rejects points where they were recorded, before "
+        "`deskew`: its edges are off by as much as the sensor moves within a cloud"
+        for frame, name in regions.items()
+        if source and frame.removeprefix("/") in buffer.frames and not buffer.is_rigid(frame, source)
+    ]
 
 
 def _offered(buffer: TransformBuffer, fixed: str) -> str:

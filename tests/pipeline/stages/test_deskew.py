@@ -265,6 +265,17 @@ def test_times_that_cannot_be_are_errors(times: Any, name: str, what: str) -> No
     assert caught.value.stamp_ns == T0
 
 
+@pytest.mark.parametrize(
+    ("asked", "hint"),
+    [("t:us", "`point_time=t:ns`"), ("t:s", "or have another unit: `point_time=t:us`"), ("", "`point_time=FIELD`")],
+)
+def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, hint: str) -> None:
+    times = [0, 100_000_000 if asked else 100 * SECOND]
+    with pytest.raises(DecodeError) as caught:
+        Deskew(frames(), "odom", PointTime.parse(asked) if asked else PointTime())(points(np.ones((2, 3)), times))
+    assert hint in str(caught.value.hint)
+
+
 def test_a_cloud_of_a_minute_takes_no_more_nodes_than_memory_allows() -> None:
     moving = moving_of(Deskew(frames(end=61.0), "odom", PointTime()), points(np.ones((2, 3)), [0, 59 * SECOND], "t"))
     assert 20_000 < moving.transform.node_times.size < 24_000

@@ -40,6 +40,8 @@ STAMPS = ("header", "start", "middle", "end")
 
 #: The longest time between the first and the last point of a cloud, and between a point and the stamp, seconds.
 _LONGEST = 60.0
+#: If a cloud takes less with another unit, seconds, a hint names this unit.
+_USUAL = 2.0
 #: If the times of all points span less than this, they count as equal, seconds.
 _SHORTEST = 1e-9
 
@@ -362,7 +364,7 @@ class Deskew:
             offset, unit = offset_and_unit(low, high, points.stamp_ns, self._point_time.unit, whole=whole)
         low, high = (low - offset) * unit, (high - offset) * unit
         label = AZIMUTH if turn is not None else "time_increment" if given else name
-        self._check(label, low, high, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
+        self._check(label, low, high, unit, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
         stamp_ns = points.stamp_ns
         begin_ns = stamp_ns + math.floor(low * 1e9)
         end_ns = max(stamp_ns + math.ceil(high * 1e9), begin_ns + 1)
@@ -398,14 +400,18 @@ class Deskew:
             raise ValueError("deskewing needs transforms")
         return self._frames.buffer
 
-    def _check(self, name: str, low: float, high: float, *, several: bool, stamp_ns: int) -> None:
+    def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""
-        message, hint = "", f"name the field with the times, and their unit: `point_time={name}:us`"
+        message, hint = "", "if another field has the times, name it: `point_time=FIELD`"
         if high - low > _LONGEST:
             message = f"its points span {high - low:.6g} s by their field {name}, at most {_LONGEST:g} s are possible"
+            units = (other for other, size in TIME_UNITS.items() if size < unit and (high - low) / unit * size < _USUAL)
+            if name in {*TIME_FIELDS, self._point_time.field} and (fitting := next(units, "")):
+                hint = f"name the unit of the times: `point_time={name}:{fitting}`"
         elif low < -_LONGEST or high > _LONGEST:
             message = f"its points are {low:.6g} to {high:.6g} s after its stamp by their field {name}"
-            hint = "the times of the points and the stamps come from different clocks"
+            hint = "the times of the points and the stamps come from different clocks, or have another unit"
+            hint += f": `point_time={name}:us`"
         elif several and high - low < _SHORTEST:
             message = f"its points all have the same time in their field {name}, {low:.6g} s after its stamp"
             hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
