@@ -122,12 +122,12 @@ class Prepared(NamedTuple):
     level: Level | None
     rejected: Mapping[str, int]
     flat: bool
-    nearest: ProjectedScan | None
-    motion: Motion | None
-    assumed: tuple[int, str] | None
-    sample: Sample | None
-    size: int
-    memory: object
+    nearest: ProjectedScan | None = None
+    motion: Motion | None = None
+    assumed: tuple[int, str] | None = None
+    sample: Sample | None = None
+    size: int = 0
+    memory: object = None
 
 
 class CombineToScan(Conversion):
@@ -268,8 +268,6 @@ class CombineToScan(Conversion):
             selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
             points, rejected = selected.points, rejected | selected.rejected
             mount = selected.target_from_source if self._rigid else mount
-        if not flat and self._intensity:
-            points.field(self._intensity)
         prepared = Prepared(
             number,
             stamp_ns,
@@ -283,12 +281,7 @@ class CombineToScan(Conversion):
             level,
             rejected,
             flat,
-            None,
-            None,
-            None,
-            sample,
-            0,
-            None,
+            sample=sample,
         )
         if flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
             return self._held(prepared)
