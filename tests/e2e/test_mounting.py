@@ -313,6 +313,23 @@ def test_scans_of_a_frame_that_the_robot_moves_in(tmp_path: Path) -> None:
     assert "no transform that moves" not in done.stderr
 
 
+@needs_shared
+@pytest.mark.parametrize(
+    ("name", "frame", "height"),
+    [("ouster_os1_32.mcap", "os_lidar", "1.8"), ("velodyne_vlp32.bag", "velodyne_front", "0.3")],
+)
+def test_a_static_transform_in_the_wrong_order(name: str, frame: str, height: str, tmp_path: Path) -> None:
+    args = ("--target-frame", "base_link", "--min-height", "0.1", "--static-tf")
+    done = run("convert", RECORDINGS / name, "-o", tmp_path / "a.mcap", *args, f"{frame} base_link 0 0 {height} 0 0 0")
+    warning = f"--static-tf from {frame} to base_link puts the sensor {float(height):.2f} m below base_link, and"
+    assert warning in done.stderr
+    words = shlex.split(done.stderr.split("the parent comes first: ")[1].split(" puts")[0])
+    assert words == ["--static-tf", f"base_link {frame} 0 0 {height} 0 0 0"]
+    done = run("convert", RECORDINGS / name, "-o", tmp_path / "b.mcap", *args[:-1], *words)
+    assert done.status == 0
+    assert "static" not in done.stderr
+
+
 @pytest.mark.parametrize("tf", [(), (("base_link", "lidar", (0, 0, 90), (0.3, 0.1, 0.6)),)], ids=["own", "moved"])
 def test_points_at_the_sensor(tf: Sequence[Any], tmp_path: Path) -> None:
     """Drivers write (0, 0, 0) for no return: without a word it would be an obstacle."""

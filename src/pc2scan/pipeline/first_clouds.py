@@ -22,7 +22,7 @@ from pc2scan.shown import agreeing, counted
 from .parameters import from_preset
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
+    from pc2scan.tf.options import StaticTransform
     from pc2scan.tf.placing import Placement
 
     from .report import Report
@@ -55,6 +56,11 @@ _NOTABLE_SHARE = 0.25
 #: From this share of beams that end on the floor, a warning gives heights above it.
 _MOST_FLOOR = 0.3
 _FEWEST_BEAMS = 20
+
+#: A transform is taken for swapped if the sensor is at least this far below the robot's frame, metres, and as far as it
+#: is above the floor, but for this share.
+_BELOW = 0.1
+_NEAR_FLOOR = 0.3
 
 #: Half of a floor this far below the lower limit of z, metres, is above it, because ranges are noisy.
 _NOISE = 0.02
@@ -113,6 +119,8 @@ class FirstClouds:
     ----------
     buffer
         The transforms to the target frame; None where there is no target frame.
+    static
+        The transforms that options add.
     """
 
     def __init__(
@@ -124,6 +132,7 @@ class FirstClouds:
         self.report = report
         self.transforms = transforms
         self.buffer: TransformBuffer | None = None
+        self.static: Sequence[StaticTransform] = ()
         self._warn = warn
         self._topics: dict[tuple[str, ScanSpec], TopicClouds] = {}
 
@@ -248,13 +257,31 @@ class TopicClouds:
             return False
         if len(self._samples[0].points) < _FEWEST_POINTS:
             return True
-        return self._level_floor is not None and self._floor_share < _MOST_FLOOR
+        return self._level_floor is not None and self._floor_share < _MOST_FLOOR and not self._swapped
 
     @cached_property
     def _level_floor(self) -> Floor | None:
         """The level floor in the first cloud; None if there is none."""
         points = self._samples[0].points
         return level_floor(cells_of(points)) if len(points) >= _FEWEST_POINTS else None
+
+    @property
+    def _swapped(self) -> str:
+        """A warning if an added transform to the target frame would put the floor at z = 0 the other way round."""
+        floor, sample = self._level_floor, self._samples[0]
+        below = -sample.origin[2]
+        target = sample.scan_frame.removeprefix("/")
+        static = next((each for each in self._every.static if each.child.removeprefix("/") == target), None)
+        if floor is None or static is None or below < _BELOW or abs(below - floor.height) > _NEAR_FLOOR * floor.height:
+            return ""
+        from pc2scan.tf.options import static_text  # noqa: PLC0415  # loaded by now
+
+        swapped = static_text(static.child, static.parent, static)
+        return (
+            f"`static_tf` from {static.parent} to {static.child} puts the sensor {below:.2f} m below {static.child}, "
+            f"and the floor at z = {-below - floor.height:.2f} m; the parent comes first: `static_tf='{swapped}'` puts "
+            f"the floor at z = {below - floor.height + 0.0:.2f} m"
+        )
 
     @cached_property
     def _floor_share(self) -> float:
@@ -308,6 +335,8 @@ class TopicClouds:
             found = judged(every.transforms())
         if found.warning:
             every.warn(found.warning)
+        if swapped := self._swapped:
+            every.warn(self._spec.label + swapped)
         if units := self._mistaken_units():
             every.warn(self._spec.label + units)
         advice = self._advice(found)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError, name_list
 from pc2scan.names import did_you_mean
+from pc2scan.tf.options import static_text
 from pc2scan.tf.worlds import BODIES, WORLDS
 
 from .fixed_frames import first_frame
@@ -114,10 +115,11 @@ def _refuse_loop(static: StaticTransform, buffer: TransformBuffer) -> None:
     above = _upwards(buffer, parent)
     if child not in above:
         return
-    way = above[: above.index(child) + 1]
+    way = " in ".join(above[: above.index(child) + 1])
+    swapped = static_text(child, parent, static)
     raise UsageError(
-        f"`static_tf` makes {parent} the parent of {child}, which is above {parent} already: {' in '.join(way)}",
-        hint=f"the parent comes first; `static_tf='{_text(child, parent, static)}'` replaces the recorded transform",
+        f"`static_tf` makes {parent} the parent of {child}, which is above {parent} already: {way}",
+        hint=f"the parent comes first; `static_tf='{swapped}'` replaces the recorded transform",
     )
 
 
@@ -129,12 +131,5 @@ def _far_doubts(static: StaticTransform, targets: set[str]) -> Iterator[str]:
         return
     yield (
         f"`static_tf` from {parent} to {child} is {length:,.0f} m long, and translations are metres; if these "
-        f"are millimetres, `static_tf='{_text(parent, child, static, 0.001)}'`"
+        f"are millimetres, `static_tf='{static_text(parent, child, static, 0.001)}'`"
     )
-
-
-def _text(parent: str, child: str, static: StaticTransform, factor: float = 1.0) -> str:
-    """Return the option's text with other names or in another unit."""
-    rigid = static.parent_from_child
-    numbers = (*(factor * float(x) for x in rigid.translation), *rigid.rpy)
-    return " ".join((parent, child, *(f"{number + 0.0:.6g}" for number in numbers)))

@@ -62,7 +62,7 @@ def prepared(
             buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
         if firsts is not None:
-            firsts.buffer = buffer
+            firsts.buffer, firsts.static = buffer, asked.static
     if asked.static or asked.source_frame:
         from .given_frames import check_given_frames  # noqa: PLC0415  # few conversions add frames
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import Rigid, TransformRow
 
-__all__ = ["FrameOptions", "StaticTransform", "number_in"]
+__all__ = ["FrameOptions", "StaticTransform", "number_in", "static_text"]
 
 #: Maximum deviation of a quaternion's length from 1. Rounding to two digits (0.71 0 0 0.71: 1.004) stays below it.
 _QUATERNION_SLACK = 0.05
@@ -141,6 +141,13 @@ def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotat
             hint="for roll, pitch and yaw give three numbers, not four; a quaternion of unit length is "
             f"`static_tf='{parent} {child} {_numbers(translation)} {_numbers(x / length for x in rotation)}'`",
         )
+
+
+def static_text(parent: str, child: str, static: StaticTransform, factor: float = 1.0) -> str:
+    """Return the text of `static_tf` for the same transform with other names, or with its lengths in another unit."""
+    rigid = static.parent_from_child
+    numbers = (*(factor * float(x) for x in rigid.translation), *rigid.rpy)
+    return f"{parent} {child} {_numbers(number + 0.0 for number in numbers)}"
 
 
 def _numbers(numbers: Iterable[float]) -> str:
