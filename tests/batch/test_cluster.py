@@ -127,7 +127,7 @@ def test_an_interrupted_batch_leaves_complete_recordings_and_goes_on(drives: Pat
     manifest = out / "manifest.jsonl"
     while process.poll() is None and not (manifest.exists() and manifest.read_bytes().count(b"\n")):
         time.sleep(0.01)
-    # As a terminal does: to all of its processes.
+    # To all processes, like a terminal.
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
@@ -302,7 +302,7 @@ def test_what_kills_every_worker_is_reported_and_the_rest_goes_on(
     monkeypatch.syspath_prepend(str(tmp_path))
     import killing_filter  # type: ignore[import-not-found]
 
-    # One kills every worker, the other one only the first, and completes without it.
+    # One recording kills every worker, the other one only the first.
     for name, count in (("killer", 13), ("once", 14)):
         made = [item(POINTS, T0, lambda g, s, count=count: cloud(points_of(s, count), g, seq=s))]  # type: ignore[misc]
         write_rosbag1(drives / f"{name}.bag", Recording((POINTS,), tuple(made)))
@@ -333,11 +333,11 @@ def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path
     time.sleep(seconds)
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
-    # A shell calls both 130: Python ends by the signal itself if that comes while it begins.
+    # Shells report both as 130. If the signal comes while Python starts, it ends the process itself.
     assert process.returncode in (130, -signal.SIGINT), said
     assert "Traceback" not in said
     assert "distributed" not in said
-    # A conversion may have ended whose news came too late: the note says whose its recording is.
+    # A conversion may have ended after its last event was read. The note has its output.
     assert not [path.name for path in out.glob("*pc2scan-*") if path.name != ".pc2scan-begun.json"]
     assert all((out / name).exists() for name in read_begun(out))
 

@@ -312,7 +312,7 @@ def test_a_product_rotates_and_does_not_scale() -> None:
     "angles", [(0, 0, 0), (3.1, 0, 0), (0, 1.57, 0), (0, 0, -3.1), (1.0, -0.5, 2.0), (3.1, 0.1, 3.0)]
 )
 def test_a_rotation_matrix_and_back(angles: tuple[float, float, float]) -> None:
-    rotation = Rigid.from_rpy(*angles).matrix
-    again = Rigid.from_matrix(rotation, (1, 2, 3))
-    np.testing.assert_allclose(again.matrix, rotation, atol=1e-15)
+    turned = Rigid.from_rpy(*angles, (1, 2, 3))
+    again = Rigid.identity().product(turned)
+    np.testing.assert_allclose(again.matrix, turned.matrix, atol=1e-15)
     assert again.translation.tolist() == [1, 2, 3]

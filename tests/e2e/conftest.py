@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def s3_server() -> Iterator[dict[str, str]]:
-    """An S3 server on this computer; yields the environment that leads to it."""
+    """An S3 server on this computer; yields the environment variables for it."""
     moto = pytest.importorskip("moto.server", reason="moto's server stands in for S3")
     pytest.importorskip("s3fs", reason="s3fs reads S3")
     running = moto.ThreadedMotoServer(ip_address="127.0.0.1", port=0)

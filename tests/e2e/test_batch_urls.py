@@ -40,7 +40,7 @@ def s3(s3_server: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 
 
 def make_drives(folder: Path) -> Path:
-    """Recordings of all containers, two parts of one, and what is none."""
+    """Recordings of all containers, two parts of one, and files that are not recordings."""
     (folder / "robot1").mkdir(parents=True)
     write_rosbag1(folder / "a.bag", CONTENT)
     write_mcap(folder / "b.mcap", CONTENT)

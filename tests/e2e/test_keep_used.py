@@ -242,7 +242,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_points_of_scans_of_several_messages_give_the_same_scans(
     options: dict[str, Any], world: Path, tmp_path: Path
 ) -> None:
-    """They are where they were projected, so nothing of frames or times is needed again."""
+    """Points are written as they were projected, so converting them again needs no frames or times."""
     common: dict[str, Any] = {"min_height": 0.1, "beams": 720}
     kept, again = tmp_path / "kept.mcap", tmp_path / "again.mcap"
     keeping = pc2scan.convert(world, kept, keep_used="/used", **common, **options)

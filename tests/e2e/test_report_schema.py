@@ -31,7 +31,7 @@ TYPES: dict[str, Any] = {
 
 
 def violations(value: Any, schema: dict[str, Any], root: dict[str, Any], place: str = "$") -> list[str]:
-    """What of a document a schema does not allow: the keywords that ours use, and no others."""
+    """Return what a schema does not allow of a document. Only the keywords that our schemas use are supported."""
     assert schema.keys() <= {
         *("$schema", "$id", "$ref", "$defs", "title", "description", "type", "enum", "anyOf"),
         *("properties", "required", "additionalProperties", "items", "minItems", "maxItems"),

@@ -1,4 +1,4 @@
-"""A destination is written by one run at a time, also where files cannot be locked."""
+"""A destination is written by one run at a time; where files cannot be locked, runs go on without a lock."""
 
 from __future__ import annotations
 

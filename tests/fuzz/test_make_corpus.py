@@ -1,4 +1,4 @@
-"""The corpus is made the same each time."""
+"""The corpus is the same each time."""
 
 from __future__ import annotations
 

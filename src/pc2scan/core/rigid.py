@@ -319,13 +319,6 @@ class Rigid:
         )
         return cls(np.array(quaternion), np.array(translation, dtype=np.float64))
 
-    @classmethod
-    def from_matrix(cls, matrix: NDArray[np.float64], translation: ArrayLike = (0.0, 0.0, 0.0)) -> Rigid:
-        """Create a transform from a rotation matrix, (3, 3), and a translation; the quaternion has unit length."""
-        quaternion = _quaternion(matrix.tolist())
-        length = math.sqrt(sum(part * part for part in quaternion))
-        return cls(np.array(quaternion) / length, np.array(translation, dtype=np.float64))
-
     @property
     def rotation(self) -> Rigid:
         """The same rotation, without the translation."""
