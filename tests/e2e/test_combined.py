@@ -303,6 +303,14 @@ def test_correct_options_draw_none_of_these_warnings(tmp_path: Path) -> None:
         assert "no point is moved" not in done.stderr
 
 
+def test_a_gap_of_the_odometry_is_reported_without_deskewing(tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT], seconds=0.6, odometry_hz=3)
+    options = ("--target-frame", "base_link", "--fixed-frame", "odom", "--accumulate", "0.3")
+    done = converted(source, *options)
+    assert "transforms to --fixed-frame were missing for up to 0.333 s" in " ".join(done.stderr.split())
+    assert done.topic("/front")["motion"]["longest_gap_s"] == pytest.approx(1 / 3, abs=1e-6)
+
+
 def test_a_box_that_moves_with_regard_to_a_deskewed_lidar_draws_a_warning(tmp_path: Path) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT], seconds=0.3)
     options = ("--deskew", "--fixed-frame", "odom", "--exclude-box")

@@ -36,6 +36,16 @@ class TestLookup:
         np.testing.assert_allclose(found.translation, [2, 0, 0], atol=1e-15)
         np.testing.assert_allclose(found.matrix, Rigid.from_rpy(0, 0, 0.4).matrix, atol=1e-15)
 
+    def test_how_long_it_interpolates(self) -> None:
+        moving = [row("odom", "base", second, x=second) for second in (10, 12, 13)]
+        buffer = built([*moving, row("base", "arm", 10, x=0), row("base", "arm", 12.5, x=0)])
+        found = [buffer.between_ns("odom", "base", at(second), SECOND) for second in (9.5, 10, 11, 12, 12.4, 13, 13.5)]
+        assert found == [0, 0, 2 * SECOND, 0, SECOND, 0, 0]
+        assert buffer.between_ns("arm", "odom", at(12.4)) == 2.5 * SECOND
+        assert buffer.between_ns("odom", "base", 0) == buffer.between_ns("odom", "odom", at(11)) == 0
+        with pytest.raises(TransformError):
+            buffer.between_ns("odom", "base", at(9.5))
+
     def test_a_nanosecond_counts(self) -> None:
         buffer = built([row("odom", "base", 0, x=0), row("odom", "base", 1, x=1e9)])
         assert x_of(buffer, "odom", "base", at(0.5) + 1) == pytest.approx(500_000_001, abs=1e-3)

@@ -65,7 +65,7 @@ def topic_warnings(
     if (motion := topic.motion) and motion["longest_gap_s"] > _NOTABLE_GAP:
         yield (
             f"{topic.target}: while clouds were measured, transforms to `fixed_frame` were missing for up "
-            f"to {motion['longest_gap_s']:.3g} s; deskewing assumes that the robot moved evenly meanwhile"
+            f"to {motion['longest_gap_s']:.3g} s; points are placed as if the robot had moved evenly meanwhile"
         )
     if (tilt := topic.tilt) and (warning := _tilt_warning(topic, tilt, source_frame)):
         yield warning

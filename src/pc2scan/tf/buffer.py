@@ -207,6 +207,21 @@ class TransformBuffer:
             found = rows_of(chain, times)
         return times[::2], found, gap_ns
 
+    def between_ns(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> int:
+        """Return over how long a time `lookup` interpolates: the longest one of all frames of the chain, nanoseconds.
+
+        0 where it does not interpolate, as for a stamp of 0.
+
+        Raises
+        ------
+        TransformError
+            As `lookup` does.
+        """
+        query = self._query(target, source, stamp_ns, tolerance_ns)
+        if query is None or not stamp_ns:
+            return 0
+        return max((link.between_ns(stamp_ns) for link in self._chain(query, stamp_ns).links), default=0)
+
     def latest_common_ns(self, target: str, source: str) -> int:
         """Return the time that `lookup` uses for a stamp of 0; tf2 writes it into its result.
 

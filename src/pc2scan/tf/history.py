@@ -61,6 +61,14 @@ class FrameHistory:
             return 0
         return min(stamp_ns - self.first_ns, 0) or max(stamp_ns - self.last_ns, 0)
 
+    def between_ns(self, stamp_ns: int) -> int:
+        """Return the time from the last sample before a stamp to the next one; 0 at a sample, and outside."""
+        if self.static or not self.first_ns < stamp_ns < self.last_ns:
+            return 0
+        older = self._older(stamp_ns)
+        begin_ns, end_ns = self.stamps_ns[older : older + 2].tolist()
+        return end_ns - begin_ns if begin_ns < stamp_ns else 0
+
     def _older(self, stamp_ns: int | None) -> int:
         """Return the index of the sample at a stamp or before it, or of the first one; None asks for the latest."""
         if self.static or stamp_ns is None or stamp_ns >= self.last_ns:

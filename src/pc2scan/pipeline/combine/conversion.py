@@ -87,6 +87,8 @@ class Prepared(NamedTuple):
     target_from_fixed, fixed_from_source
         Transforms from and to the fixed frame; None without one. The first is that of the scan's frame at the scan's
         time, if the message leads; the second is that at the message's stamp.
+    gap_ns
+        Over how long a time the two were interpolated, nanoseconds.
     track
         The poses of the sensor during the measurement; None if the points are not deskewed.
     level
@@ -118,6 +120,7 @@ class Prepared(NamedTuple):
     mount: Rigid | None
     target_from_fixed: Rigid | None
     fixed_from_source: Rigid | None
+    gap_ns: int
     track: Track | None
     level: Level | None
     rejected: Mapping[str, int]
@@ -255,10 +258,11 @@ class CombineToScan(Conversion):
         reference_ns = stamp_ns if track is None else track.reference_ns
         points = points if track is None else track.points
         target_from_fixed = fixed_from_source = level = None
-        fixed = self.spec.fixed_frame
+        gap_ns, fixed = 0, self.spec.fixed_frame
         # For its own scan, the place of a leading message does not depend on the fixed frame.
         if fixed and track is None and frames.buffer is not None and not (self._once and number == 0):
             fixed_from_source = frames.buffer.lookup(fixed, source, stamp_ns, frames.tolerance_ns)
+            gap_ns = frames.buffer.between_ns(fixed, source, stamp_ns, frames.tolerance_ns)
         if number == 0:
             if fixed:
                 _, target_from_fixed = frames.from_fixed(fixed, frame_id, reference_ns)
@@ -277,6 +281,7 @@ class CombineToScan(Conversion):
             mount,
             target_from_fixed,
             fixed_from_source,
+            gap_ns,
             track,
             level,
             rejected,
@@ -435,7 +440,7 @@ class CombineToScan(Conversion):
             motion = Motion(0.0, 0.0)
         elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
             transform = lead.target_from_fixed.product(member.fixed_from_source)
-            motion = _moved(transform, mount)
+            motion = _moved(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
         if self._late is None and self._keeps_used and moving is not None:
             # The points are written as they are projected.
             points, placed, lost = moving.place(member.points)
