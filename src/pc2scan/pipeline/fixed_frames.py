@@ -5,10 +5,11 @@ from __future__ import annotations
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import MessageError, ParameterError, name_list
+from pc2scan.errors import MessageError, ParameterError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.names import did_you_mean
+from pc2scan.tf.lookup_errors import frames_text
 from pc2scan.tf.worlds import WORLDS, moving_below
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
     from .stream import Span
 
 __all__ = ["check_fixed_frame", "first_frame"]
-
-_MOST_NAMES = 20
 
 
 def check_fixed_frame(
@@ -43,15 +42,10 @@ def check_fixed_frame(
     """
     fixed = spec.fixed_frame.removeprefix("/")
     if fixed not in buffer.frames:
-        there_are = (
-            f"the {len(buffer.frames)} frames with transforms are {name_list(sorted(buffer.frames), _MOST_NAMES)}"
-            if buffer.frames
-            else "there are no transforms at all"
-        )
         near = did_you_mean(fixed, sorted(buffer.frames)) or _offered(buffer, "")
         advice = "`static_tf` or `tf_from` adds a transform"
         raise ParameterError(
-            f"`fixed_frame` is {fixed!r}, which is in no transform; {there_are}",
+            f"`fixed_frame` is {fixed!r}, which is in no transform; {frames_text(buffer.frames)}",
             hint=f"{near}{'' if near.endswith('?') or not near else ';'} {advice}".strip(),
         )
     frame = spec.params.target_frame or source_frame or first_frame(reader, sources, span)

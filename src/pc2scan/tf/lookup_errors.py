@@ -8,7 +8,7 @@ from pc2scan.errors import TransformError, UnconnectedError, name_list, stamp_te
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
 
     from .history import FrameHistory
     from .query import Query
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .summary import Tree
     from .walk import Walk
 
-__all__ = ["empty_name", "extrapolation", "looping", "unconnected", "unknown_frame"]
+__all__ = ["empty_name", "extrapolation", "frames_text", "looping", "unconnected", "unknown_frame"]
 
 #: Maximum number of frames that an error message names.
 MAX_NAMES = 20
@@ -40,15 +40,18 @@ def empty_name(role: str, stamp_ns: int) -> TransformError:
     )
 
 
+def frames_text(frames: Collection[str]) -> str:
+    """Return which frames have transforms, as a part of an error message."""
+    if not frames:
+        return "there are no transforms at all"
+    return f"the {len(frames)} frames with transforms are {name_list(sorted(frames), MAX_NAMES)}"
+
+
 def unknown_frame(
     name: str, role: str, stamp_ns: int, frames: Sequence[str], rejections: Sequence[RejectedTransforms]
 ) -> TransformError:
     """Return the error for a frame that no transform has."""
-    there_are = (
-        f"the {len(frames)} frames with transforms are {name_list(sorted(frames), MAX_NAMES)}"
-        if frames
-        else "there are no transforms at all"
-    )
+    there_are = frames_text(frames)
     rejected = next((entry for entry in rejections if name in (entry.child, entry.parent)), None)
     if rejected is not None:
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
