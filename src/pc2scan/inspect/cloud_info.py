@@ -15,7 +15,7 @@ from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointclo
 from pc2scan.shown import counted
 from pc2scan.tf.mounting import mounting
 
-from .spread import Spread, finite, spread_of, spread_table
+from .spread import Spread, count_range, finite, spread_of, spread_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -102,7 +102,7 @@ class CloudInfo:
         yield from (f"  cannot be described: {problem}" for problem in self.problems)
         if not self.fields:
             return
-        points = f"{self.points_min:,}" + (f" to {self.points_max:,}" if self.points_max > self.points_min else "")
+        points = count_range(self.points_min, self.points_max)
         height, width = self.shape
         yield f"  frame   {', '.join(map(repr, self.frames))}"
         is_laid_out = self.point_step > 0

@@ -15,7 +15,7 @@ from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.shown import agreeing, counted
 
-from .spread import Spread, spread_of, spread_table
+from .spread import Spread, count_range, spread_of, spread_table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -91,9 +91,9 @@ class ScanInfo:
             yield f"  cannot be decoded: {problem}"
         if self.angle_min is None or self.angle_max is None or self.angle_increment is None:
             return
-        beams = f"{self.beams_min:,}" + (f" to {self.beams_max:,}" if self.beams_max > self.beams_min else "")
         degrees = [math.degrees(angle) for angle in (self.angle_min, self.angle_max, self.angle_increment)]
         yield f"  frame   {', '.join(repr(frame) for frame in self.frames)}"
+        beams = count_range(self.beams_min, self.beams_max)
         yield f"  beams   {beams}, {degrees[0]:.2f} to {degrees[1]:.2f} deg by {degrees[2]:.4f} deg"
         yield f"          ({self.angle_min:.6g} to {self.angle_max:.6g} rad by {self.angle_increment:.6g})"
         yield (

@@ -1,4 +1,4 @@
-"""The distribution of a quantity: its percentiles, and a table of them."""
+"""The distribution of a quantity: its range, its percentiles, and a table of them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Spread", "finite", "spread_of", "spread_table"]
+__all__ = ["Spread", "count_range", "finite", "spread_of", "spread_table"]
 
 #: Numbers of float64 beyond this count as infinite.
 _LARGEST = 1e300
@@ -29,6 +29,11 @@ class Spread:
     median: float
     p95: float
     max: float
+
+
+def count_range(least: int, most: int) -> str:
+    """Return the smallest and the largest of some counts as text; one number if they are equal."""
+    return f"{least:,}" if least == most else f"{least:,} to {most:,}"
 
 
 def finite(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
