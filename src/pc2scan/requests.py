@@ -387,7 +387,7 @@ def _filters_in(values: object) -> tuple[Filter, ...]:
     several = isinstance(values, Iterable) and not isinstance(values, str | bytes)
     found = tuple(cast("Iterable[Any]", values if several else (values,)))
     for value in found:
-        if isinstance(value, type) or not (callable(value) and hasattr(value, "name")):
+        if isinstance(value, type) or not hasattr(value, "explanation"):
             text = "; a condition as text is the argument `where`" if isinstance(value, str) else ""
             raise TypeError(f"filters has {shown(value)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}")
     return found
