@@ -255,7 +255,7 @@ LOADED_BY_CONVERT = {
     ),
     "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.pipeline": (
-        "acceptance beforehand cloud_to_scan combine conversion declarations demands first_clouds idle "
+        "acceptance beforehand cloud_checks cloud_to_scan combine conversion declarations demands first_clouds idle "
         "options param_sources parameters plan prepare report report_warnings ros_scalars routes run "
         "run_files scan_spec scheduler stages stream tally topic_report"
     ),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pytest
 
     from pc2scan.core.points import Points
-    from pc2scan.pipeline.first_clouds import Sample
+    from pc2scan.pipeline.first_clouds import Sampled
     from pc2scan.tf.placing import Placement
 
 
@@ -37,7 +37,7 @@ def test_few_of_many_small_clouds_are_sampled(tmp_path: Path, monkeypatch: pytes
     sampled = []
     take = TopicClouds.sample
 
-    def counted(self: TopicClouds, points: Points, place: Placement) -> Sample:
+    def counted(self: TopicClouds, points: Points, place: Placement) -> Sampled:
         sampled.append(points.stamp_ns)
         return take(self, points, place)
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import LevelTransform
 
     from .combine.rebinned import Rebinned
-    from .first_clouds import Candidate, Sample
+    from .first_clouds import Candidate, Sampled
     from .motion import Motion
 
     #: One step between the decoded message and the result.
@@ -46,7 +46,7 @@ class Result:
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: Candidate | Sample | None = None
+    sample: Candidate | Sampled | None = None
     level: LevelTransform | None = None
     rebinned: Rebinned | None = None
     used: UsedPoints | None = None
@@ -61,7 +61,7 @@ class Converted:
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: Candidate | Sample | None = None
+    sample: Candidate | Sampled | None = None
     level: LevelTransform | None = None
     rebinned: Rebinned | None = None
     used: bytes | None = None

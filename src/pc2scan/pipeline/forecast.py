@@ -162,7 +162,7 @@ def _judge(result: Converted, log_time_ns: int) -> None:
     if isinstance(sample, Candidate):
         sample = sample.sample(log_time_ns)
     if sample is not None:
-        sample.clouds.add(sample, result.counts)
+        sample.add(result.counts)
 
 
 def _compressed_size(data: bytes) -> int:

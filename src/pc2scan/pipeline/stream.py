@@ -12,7 +12,7 @@ from pc2scan.model import StoredChunk, own, owned
 
 from .beforehand import Unconnected
 from .conversion import Converted
-from .first_clouds import Candidate, Sample
+from .first_clouds import Candidate, Sampled
 from .report import Report, Skipped
 from .scheduler import Later, schedule
 
@@ -221,8 +221,8 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
         if reason is not None:
             failed.append((reason, output.report))
     for made in converted:
-        if isinstance(made, Converted) and isinstance(made.sample, Sample):
-            made.sample.clouds.add(made.sample, made.counts)
+        if isinstance(made, Converted) and isinstance(made.sample, Sampled):
+            made.sample.add(made.counts)
     if failed:
         _skip(route.connection.topic, log_time_ns, failed, report, on_error)
 
@@ -281,8 +281,8 @@ def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, l
         else:
             _account(made, output)
             output.report.messages_out += 1
-            if isinstance(made.sample, Sample):
-                made.sample.clouds.add(made.sample, made.counts)
+            if isinstance(made.sample, Sampled):
+                made.sample.add(made.counts)
     if error is None:
         return
     error.topic = output.report.topic

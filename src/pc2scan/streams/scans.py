@@ -14,7 +14,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.pipeline.beforehand import Unconnected, idle_cut
 from pc2scan.pipeline.conversion import Converted
-from pc2scan.pipeline.first_clouds import Candidate, FirstClouds, Sample
+from pc2scan.pipeline.first_clouds import Candidate, FirstClouds, Sampled
 from pc2scan.pipeline.idle import doubts, refuse_unusable
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.prepare import prepared
@@ -443,8 +443,8 @@ class _Conversion:
     def note(self, message: Read) -> None:
         """Count a message; see `Account`."""
         made = message.converted
-        if made is not None and isinstance(made.sample, Sample):
-            made.sample.clouds.add(made.sample, made.counts)
+        if made is not None and isinstance(made.sample, Sampled):
+            made.sample.add(made.counts)
         if self._unconnected.is_possible and not message.is_joint:
             self._unconnected.note(message.connection, message.error)
         for entry, is_joint in self._entries[message.connection.id]:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Converted, Measured, Step
-    from pc2scan.pipeline.first_clouds import Sample, TopicClouds
+    from pc2scan.pipeline.first_clouds import Sampled, TopicClouds
     from pc2scan.pipeline.scan_spec import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
@@ -128,7 +128,7 @@ class Prepared(NamedTuple):
     nearest: ProjectedScan | None = None
     motion: Motion | None = None
     assumed: tuple[int, str] | None = None
-    sample: Sample | None = None
+    sample: Sampled | None = None
     size: int = 0
     memory: object = None
 
