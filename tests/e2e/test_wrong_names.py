@@ -57,7 +57,9 @@ def test_a_lookup_at_a_time_from_the_beginning() -> None:
 
 
 def test_a_wrong_target_frame_of_info() -> None:
-    assert "(did you mean base_link? " in run("info", HALL, "--target-frame", "base_lnk").stdout
+    done = run("info", HALL, "--target-frame", "base_lnk")
+    assert (done.status, "(did you mean base_link? " in done.stdout) == (1, True)
+    assert run("info", HALL, "--target-frame", "base_link").status == 0
 
 
 def test_what_cannot_be_judged_is_no_verdict(tmp_path: Path) -> None:

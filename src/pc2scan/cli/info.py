@@ -79,6 +79,9 @@ def info(
     for cloud in result.clouds:
         if cloud.mounting is not None and cloud.mounting.warning:
             warn(cloud.mounting.warning)
+    if target_frame and result.clouds and all(cloud.problems and cloud.x is None for cloud in result.clouds):
+        # What was asked for is not shown.
+        raise typer.Exit(1)
 
 
 def _show_findings(result: Info, given: Sequence[str]) -> None:

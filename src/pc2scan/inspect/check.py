@@ -137,10 +137,10 @@ class TopicCheck:
         if not self.scans:
             return "no scans"
         low, high = self.beams
-        beams = f"{low:,}" if low == high else f"{low:,} to {high:,}"
+        beams = counted(high, "beam") if low == high else f"{low:,} to {high:,} beams"
         frames = ", ".join(map(repr, self.frames[:_MAX_SHOWN])) + (", ..." if self.frames[_MAX_SHOWN:] else "")
         rate = "" if self.interval_ns is None else f", {1e9 / self.interval_ns:.2f} Hz"
-        return f"{counted(self.scans, 'scan')} of {beams} beams{rate}, in frame {frames}"
+        return f"{counted(self.scans, 'scan')} of {beams}{rate}, in frame {frames}"
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -15,7 +15,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.remote.urls import is_url
-from pc2scan.shown import Shown, Table, count, listed, size, stamp
+from pc2scan.shown import Shown, Table, count, counted, listed, size, stamp
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
 from pc2scan.tf.reading import read_some_transforms, read_transforms
@@ -138,7 +138,7 @@ class Info(Shown):
 
     def __repr__(self) -> str:
         paths = ", ".join(repr(file.path) for file in self.files)
-        return f"<Info of {paths}: {len(self.topics)} topics, {self.messages:,} messages>"
+        return f"<Info of {paths}: {counted(len(self.topics), 'topic')}, {counted(self.messages, 'message')}>"
 
     def overview(self) -> Iterator[str | Table]:
         """Yield files, times and topics, and the clouds and scans of each topic."""
@@ -148,7 +148,7 @@ class Info(Shown):
         if self.start_ns is not None and self.end_ns is not None:
             yield f"from {stamp(self.start_ns)}"
             yield f"to   {stamp(self.end_ns)}"
-            yield f"{self.duration_ns / 1e9:.3f} s, {self.messages:,} messages"
+            yield f"{self.duration_ns / 1e9:.3f} s, {counted(self.messages, 'message')}"
         else:
             yield "no messages"
         yield ""

@@ -297,7 +297,8 @@ class ScanTopic:
                     "angles",
                     "defect",
                     f"{self._of(self._angles, 'have')} no angles: angle_min {first.angle_min:.6g}, angle_max "
-                    f"{first.angle_max:.6g}, angle_increment {first.angle_increment:.6g} rad for {first.beams:,} beams",
+                    f"{first.angle_max:.6g}, angle_increment {first.angle_increment:.6g} rad for "
+                    f"{counted(first.beams, 'beam')}",
                     "beam i is at angle_min + i * angle_increment",
                     self._angles,
                 )
@@ -307,9 +308,9 @@ class ScanTopic:
                 finding(
                     "full-circle",
                     "defect",
-                    f"{self._of(self._turned, 'cover')} more than a full circle: {self.first.beams:,} beams by "
-                    f"{math.degrees(self.first.angle_increment):.4g} deg, from angle_min {self.first.angle_min:.6g} to "
-                    f"angle_max {self.first.angle_max:.6g} rad",
+                    f"{self._of(self._turned, 'cover')} more than a full circle: "
+                    f"{counted(self.first.beams, 'beam')} by {math.degrees(self.first.angle_increment):.4g} deg, from "
+                    f"angle_min {self.first.angle_min:.6g} to angle_max {self.first.angle_max:.6g} rad",
                     "angles in degrees? At most 2 pi (6.28319 rad) are a circle",
                     self._turned,
                 )

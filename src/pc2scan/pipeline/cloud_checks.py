@@ -201,19 +201,19 @@ class CloudChecks:
         cut = self.counts.height >= _NOTABLE_SHARE * max(self.counts.total, 1)
         return (self._is_default("min_height") and cut) or self.lacks_heights()
 
-    def advice(self, found: Mounting, *, keeps_zeros: bool) -> str:
+    def advice(self, found: Mounting, *, zeros_reported: bool) -> str:
         """Return the options that suit the clouds; empty if there was no point.
 
         Parameters
         ----------
-        keeps_zeros
-            Leave out the option that excludes points at the sensor, because a warning has it.
+        zeros_reported
+            Whether a warning already has the option that excludes points at the sensor.
         """
         if found.heights is None:
             return ""
         # The heights apply in the frame that these options make, which may differ from the frame of the scans.
         options = [found.options, f"`min_height={found.heights.low:g}`", f"`max_height={found.heights.high:g}`"]
-        if self.samples[0].zeros and not keeps_zeros and self._keeps_sensor:
+        if self.samples[0].zeros and not zeros_reported and self._keeps_sensor:
             target = found.target_frame or self.samples[0].scan_frame
             options.append(_without_sensor(found.frame, target))
         return " ".join(filter(None, options))

@@ -201,7 +201,7 @@ class TopicClouds:
             self._warn(swapped)
         if units := checks.mistaken_units():
             self._warn(units)
-        advice = checks.advice(found, keeps_zeros=self._zeros_reported)
+        advice = checks.advice(found, zeros_reported=self._zeros_reported)
         if checks.is_nearly_empty() and (emptiness := checks.emptiness(advice)):
             self._warn(emptiness)
         elif not units and (floor := checks.floor_within_heights(advice)):
