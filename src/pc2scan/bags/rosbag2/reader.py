@@ -251,8 +251,10 @@ def _refuse_others(file: Path, storage: Format) -> None:
 
 
 def _agree(listed: tuple[str, str], stored: tuple[str, str]) -> bool:
-    """Whether a topic has the type and serialization that metadata.yaml lists; channels in MCAP may lack either."""
-    return all(own in ("", text) for text, own in zip(listed, stored, strict=True))
+    """Whether a topic has the type and serialization that metadata.yaml lists; channels in MCAP may lack a type."""
+    (listed_type, listed_form), (stored_type, stored_form) = listed, stored
+    same_type = listed_type == stored_type or not (listed_type and stored_type)
+    return same_type and listed_form in ("", stored_form)
 
 
 def _completed(

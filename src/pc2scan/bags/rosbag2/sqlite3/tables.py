@@ -159,14 +159,12 @@ def _read_connections(
         if count:
             starts.append(first_ns)
             ends.append(last_ns)
-        if problem := _missing_texts(topic_id, topic, type=msgtype, serialization_format=serialization):
-            noted.note(database.damage(problem), key=("texts", topic_id), messages_lost=0)
         connections.append(
             Connection(
                 id=topic_id,
                 topic=topic,
                 msgtype=msgtype,
-                serialization=serialization or "cdr",
+                serialization=serialization,
                 definition=definitions.get((msgtype, digest)) or definitions.get((msgtype, None), Definition()),
                 digest=digest,
                 latching=latches(qos),
@@ -194,13 +192,6 @@ def _note_undescribed(
                 first_ns=first_ns if timed else None,
                 last_ns=last_ns if timed else None,
             )
-
-
-def _missing_texts(topic_id: int, topic: str, **texts: str) -> str:
-    """Describe what the row of a topic lacks: rosbag2 always writes it, and CDR is its only serialization."""
-    missing = [column for column, text in {"name": topic, **texts}.items() if not text]
-    read_as = "" if texts["serialization_format"] else ", its messages are read as cdr"
-    return f"topic {topic or topic_id} has no {' and no '.join(missing)}{read_as}" if missing else ""
 
 
 def _read_definitions(database: Database) -> dict[tuple[str, str | None], Definition]:
