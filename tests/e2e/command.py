@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["COMMAND", "Finished", "environment", "run"]
+__all__ = ["COMMAND", "INTERRUPTED", "Finished", "environment", "run"]
 
 COMMAND = (sys.executable, "-m", "pc2scan")
+
+#: How an interrupted command may end; a shell calls both 130. Python ends by the signal itself if the interruption
+#: comes while it begins, or while a module that is loaded makes a named tuple, even though the command handles it.
+INTERRUPTED = (130, -signal.SIGINT)
 
 
 class Finished(NamedTuple):

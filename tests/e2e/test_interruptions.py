@@ -20,7 +20,7 @@ import zstandard
 
 import pc2scan
 from builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1, write_rosbag2
-from e2e.command import COMMAND, run
+from e2e.command import COMMAND, INTERRUPTED, run
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import RecordingError
 from support import ROOT
@@ -61,15 +61,17 @@ DESTINATIONS = {
 
 
 @pytest.mark.parametrize("kind", DESTINATIONS)
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_leaves_nothing(number: int, status: int, kind: str, large: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("number", "statuses"), [(signal.SIGINT, INTERRUPTED), (signal.SIGTERM, (143,))])
+def test_a_signal_leaves_nothing(
+    number: int, statuses: tuple[int, ...], kind: str, large: Path, tmp_path: Path
+) -> None:
     name, *options = DESTINATIONS[kind]
     command = [*COMMAND, "convert", str(large), "-o", str(tmp_path / name), "--keep-clouds", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert half_done(process, tmp_path), "the command ended before it could be interrupted"
         process.send_signal(number)
         stdout, stderr = process.communicate(timeout=60)
-    assert process.returncode == status, stderr
+    assert process.returncode in statuses, stderr
     assert list(tmp_path.iterdir()) == []
     assert stdout == ""
     assert "Traceback" not in stderr
@@ -95,7 +97,7 @@ def test_an_interrupted_overwrite_keeps_what_was_there(large: Path, tmp_path: Pa
         assert half_done(process, tmp_path)
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode in INTERRUPTED
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"out.bag": b"precious"}
 
 
