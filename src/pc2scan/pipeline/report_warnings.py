@@ -61,6 +61,7 @@ def topic_warnings(
         yield f"no message of {topic.topic} {why}"
     elif topic.action == "converted":
         yield from _point_warnings(topic, topic.spec or scan, rejections)
+    yield from _jump_warnings(topic)
     yield from _joined_warnings(topic)
     if (motion := topic.motion) and motion["longest_gap_s"] > _NOTABLE_GAP:
         yield (
@@ -126,6 +127,23 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
         explained[explanation] += points.rejected.get(name, 0)
     explanation, count = explained.most_common(1)[0]
     return f"{count / points.total:.0%} of all points were {explanation}" if count else "the clouds have no points"
+
+
+def _jump_warnings(topic: TopicReport) -> Iterator[str]:
+    """Yield a warning about stamps that jump, which no scan may combine."""
+    counts = topic.joined
+    if counts is None or not counts.jumped:
+        return
+    listed = [
+        f"{'back' if jump.by_ns < 0 else 'ahead'} by {f'{abs(jump.by_ns) / 1e9:,.3f}'.rstrip('0').rstrip('.')} s "
+        f"at {stamp_text(jump.stamp_ns)}"
+        for jump in counts.jumps
+    ]
+    more = counts.jumped - len(listed)
+    yield (
+        f"the stamps of {topic.topic} jump {', '.join(listed)}{f' and {more:,} more times' if more else ''}, compared "
+        f"with their log times: no scan on {topic.target} has messages from before and after"
+    )
 
 
 def _joined_warnings(topic: TopicReport) -> Iterator[str]:
