@@ -66,8 +66,6 @@ def left(folder: Path) -> set[str]:
 
 # --- Time ---
 
-LATCHED = [("/tf_static", T0), ("/tf_static", T0 + 1)]
-
 
 def targets(since_ns: int, until_ns: int) -> list[tuple[str, int]]:
     found = [
@@ -79,6 +77,8 @@ def targets(since_ns: int, until_ns: int) -> list[tuple[str, int]]:
 
 
 STEP = SECOND // 10
+#: Two publishers, at the beginning of a cut.
+LATCHED = [("/tf_static", T0 + STEP)] * 2
 ISO = datetime.fromtimestamp((T0 + STEP) // 1000 / 1e6, timezone.utc).isoformat()
 
 

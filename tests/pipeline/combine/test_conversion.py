@@ -152,7 +152,9 @@ def test_a_scan_is_the_same_whichever_one_its_messages_were_projected_for(
             fixed_frame="odom",
             filters=filters,
         )
-        made = CombineToScan(spec, TOPICS, moving_frames(), Measured(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3))
+        made = CombineToScan(
+            spec, TOPICS, moving_frames(), Measured(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3)
+        )
         stages = [made.stages(topic)[0] for topic in TOPICS]
         first, second = (stages[0](cloud(rng, "a", T0 + ms * 1_000_000)) for ms in (0, 200))
         rear: Prepared = stages[1](cloud(rng, "b", T0 + 237_000_000))
