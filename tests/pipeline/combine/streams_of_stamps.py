@@ -5,12 +5,14 @@ Nothing here depends on the order in which messages are logged, but for equal st
 
 from __future__ import annotations
 
-import random
 from collections import Counter
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.pipeline.combine.rules import Interval, Nearest, Recent, Rule
+
+if TYPE_CHECKING:
+    import random
 
 __all__ = ["MS", "SECOND", "Group", "Message", "Stream", "by_the_rule", "drawn_rule", "drawn_stream"]
 
@@ -58,10 +60,17 @@ def placed(messages: list[Message]) -> tuple[Message, ...]:
     return tuple(found)
 
 
-def drawn_stream(rng: random.Random, *, jumps: bool = False) -> Stream:
-    """Draw topics with periods, phases, delays, equal stamps, silence, and late starts; with ``jumps`` of all clocks.
+def drawn_stream(rng: random.Random, *, jumps: bool = False, wrong: int = 0) -> Stream:
+    """Draw topics with periods, phases, delays, equal stamps, silence, and late starts.
 
     Within a topic and a clock, messages are logged in the order of their stamps, at most a second after them.
+
+    Parameters
+    ----------
+    jumps
+        Whether the clock of all topics jumps.
+    wrong
+        How many single messages have a stamp of no other message's clock.
     """
     sources = rng.randint(1, 3)
     length = rng.choice([15, 25, 40])
@@ -89,8 +98,11 @@ def drawn_stream(rng: random.Random, *, jumps: bool = False) -> Stream:
             if logged > tick + 100:
                 continue
             stamp_ns = tick * 10 * MS + offsets[clock]
-            for _ in range(rng.choice([1, 1, 1, 1, 2, 3])):
-                messages.append(Message(source, stamp_ns, logged * 10 * MS, clock))
+            messages += [Message(source, stamp_ns, logged * 10 * MS, clock)] * rng.choice([1, 1, 1, 1, 2, 3])
+    for number, place in enumerate(rng.sample(range(len(messages)), min(wrong, len(messages)))):
+        off_ns = rng.choice([-1, 1]) * (number + 2) * 500 * SECOND
+        wrongly = messages[place].stamp_ns + off_ns
+        messages[place] = messages[place]._replace(stamp_ns=wrongly, clock=10 + number)
     # Of one log time, topics come in any order, and the messages of a topic in their own.
     ranks = {(each.log_time_ns, each.source): rng.random() for each in messages}
     messages.sort(key=lambda each: (each.log_time_ns, ranks[each.log_time_ns, each.source]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given, settings
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pc2scan.pipeline.combine.rules import Rule
-    from pc2scan.pipeline.combine.series import Series
 
     from .streams_of_stamps import Group, Stream
 
@@ -95,9 +94,262 @@ def check_held(grouper: Grouper[Message], messages: Sequence[Message], rule: Rul
 
 
 @pytest.mark.parametrize("part", range(5))
-@pytest.mark.parametrize("jumps", [False, True], ids=["one clock", "jumps"])
-def test_groups_are_those_of_the_rule(part: int, *, jumps: bool) -> None:
+@pytest.mark.parametrize(
+    "clocks", [{}, {"jumps": True}, {"wrong": 2}], ids=["one clock", "jumps of all", "single wrong stamps"]
+)
+def test_groups_are_those_of_the_rule(part: int, clocks: dict[str, Any]) -> None:
     for seed in range(50 * part, 50 * part + 50):
         rng = random.Random(seed)
-        stream = drawn_stream(rng, jumps=jumps)
+        stream = drawn_stream(rng, **clocks)
         check(stream, drawn_rule(rng, stream.sources), seed)
+
+
+@pytest.mark.parametrize(
+    ("leads", "others", "window", "expected"),
+    [
+        # The nearest lead, not the first one that the message is near enough to.
+        ([500, 500, 570], [550], 60, [[500], [500], [570, 550]]),
+        # No lead goes without while one is left.
+        ([0, 100], [40, 45], 60, [[0, 40], [100, 45]]),
+        ([0, 100], [40, 45], 54, [[0, 40], [100]]),
+        ([500, 500], [500, 505], 60, [[500, 500], [500, 505]]),
+        ([500, 500], [500], 60, [[500, 500], [500]]),
+        # Of two equally close leads the earlier one, of two equally close messages the earlier one.
+        ([0, 100], [50], 60, [[0, 50], [100]]),
+        ([100], [50, 150], 60, [[100, 50]]),
+        # The window itself is within it.
+        ([100], [160], 60, [[100, 160]]),
+        ([100], [40], 60, [[100, 40]]),
+        ([100], [39, 161], 60, [[100]]),
+        # A lead loses a message to a closer one, and has another instead.
+        ([0, 60], [50, 90], 60, [[0], [60, 50]]),
+        ([0, 60], [-40, 50], 60, [[0, -40], [60, 50]]),
+    ],
+)
+def test_the_closest_pairs_are_in_one_scan(
+    leads: list[int], others: list[int], window: int, expected: list[list[int]]
+) -> None:
+    for late in (0, 300, -300):
+        grouper: Grouper[Message] = Grouper(Nearest(windows_ns=(0, window * MS)), 2)
+        assert stamps_in(groups_of(grouper, of_stamps(leads, others, late=late))) == expected
+
+
+def test_a_scan_waits_a_second_for_a_silent_topic() -> None:
+    messages = of_stamps(range(0, 10_000, 100), [*range(0, 2000, 100), *range(7000, 10_000, 100)])
+    grouper: Grouper[Message] = Grouper(Nearest(windows_ns=(0, 50 * MS)), 2)
+    most, waits = 0, []
+    for message in messages:
+        groups = grouper.add(message.source, message.stamp_ns, message.log_time_ns, 100, message)
+        waits += [message.log_time_ns - group.lead.since_ns for group in groups]
+        most = max(most, grouper._open[0].held)
+    assert most <= 13
+    assert max(waits) == 1_200 * MS
+    grouper.finish()
+    assert grouper.counts[1].silence == (2000 * MS, 6900 * MS, 50)
+    assert grouper.counts[1].scans_without == 50
+
+
+def test_a_scan_follows_the_message_that_makes_it_certain() -> None:
+    def completed(rule: Rule, *topics: Sequence[int]) -> list[tuple[int, int]]:
+        """The stamp of each scan, and that of the message that completed it."""
+        grouper: Grouper[Message] = Grouper(rule, len(topics))
+        return [
+            (group.lead.stamp_ns // MS, each.stamp_ns // MS)
+            for each in of_stamps(*topics)
+            for group in grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each)
+        ]
+
+    both = range(0, 500, 100)
+    assert completed(Recent(span_ns=200 * MS), both) == [(each, each) for each in both]
+    assert completed(Recent(span_ns=200 * MS), both, both) == [(each, each) for each in both]
+    assert completed(Recent(span_ns=MS), both, range(30, 500, 100)) == [(at, at + 30) for at in both]
+    assert completed(Interval(100 * MS), both) == [(each, each + 100) for each in both[:-1]]
+    # Messages of equal stamps cannot have closer ones; a later lead cannot be closer than one that came.
+    assert completed(Nearest(windows_ns=(0, 50 * MS)), both, both) == [(each, each) for each in both]
+    assert completed(Nearest(windows_ns=(0, 50 * MS)), both, range(30, 500, 100)) == [
+        (at, at + 100) for at in both[:-1]
+    ]
+    assert completed(Nearest(windows_ns=(0, 50 * MS)), both, range(-30, 470, 100)) == [
+        (at, at + 70) for at in both[:-1]
+    ]
+
+
+@pytest.mark.parametrize("kind", RULES)
+@pytest.mark.parametrize("leads", [range(0), range(0, 2_000, 100), range(50_000, 60_000, 100)], ids=str)
+def test_what_is_held_does_not_grow_with_the_recording(kind: str, leads: range) -> None:
+    grouper: Grouper[Message] = Grouper(RULES[kind], 3)
+    most = 0
+    found = 0
+    for each in of_stamps(leads, range(0, 60_000, 50), range(0, 60_000, 70)):
+        found += len(grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each))
+        most = max(most, grouper._open[0].held)
+    # A second of each topic, the time of a scan, and the interval.
+    assert most <= 60
+    assert found + len(grouper.finish()) == sum(len(by_cell) for by_cell in [cells(leads, RULES[kind])])
+
+
+def cells(leads: range, rule: Rule) -> set[int]:
+    """The scans that leading messages have."""
+    return {(each - leads[0]) * MS // rule.every_ns if rule.every_ns else each for each in leads}
+
+
+@pytest.mark.parametrize("kind", RULES)
+def test_stamps_that_stand_still_are_waited_for_only_so_long(kind: str) -> None:
+    grouper: Grouper[Message] = Grouper(RULES[kind], 3)
+    messages = [Message(number % 2, 0, number * 50 * MS, 0, number // 2) for number in range(100)]
+    waits = []
+    for each in messages:
+        groups = grouper.add(each.source, 0, each.log_time_ns, 100, each)
+        waits += [each.log_time_ns - group.lead.since_ns for group in groups]
+    assert waits
+    assert max(waits) <= 1_300 * MS
+
+
+def jumps_of(messages: Sequence[Message], rule: Rule = RULES["recent"], **options: int) -> list[tuple[int, int, int]]:
+    """The topic, the stamp in milliseconds and the milliseconds of each jump that is counted."""
+    sources = 1 + max(each.source for each in messages)
+    grouper: Grouper[Message] = Grouper(rule, sources, **options)
+    groups_of(grouper, messages)
+    return [
+        (source, jump.stamp_ns // MS, jump.by_ns // MS)
+        for source, counts in enumerate(grouper.counts)
+        for jump in counts.jumps
+    ]
+
+
+@pytest.mark.parametrize(
+    ("moments", "jumps"),
+    [
+        # Out of order by up to a second, and more.
+        ([(0, 0), (1000, 10), (0, 20), (1000, 30)], []),
+        ([(0, 0), (1001, 10), (0, 20)], [(0, 0, -1011)]),
+        # Ahead by two seconds more than ten times as far as the log times, and more.
+        ([(0, 0), (3000, 100)], []),
+        ([(0, 0), (3001, 100)], [(0, 3001, 2901)]),
+        # The recorder stood still, or its clock was set; it records what is played ten times as fast.
+        ([(0, 0), (100, 60_000), (200, 60_000)], []),
+        ([(0, 0), (60_000, 6_000), (120_000, 12_000)], []),
+        ([(0, 0), (60_000, 60_000)], []),
+        # Away and back again.
+        ([(0, 0), (90_000, 100), (200, 200)], [(0, 90_000, 89_900), (0, 200, -89_900)]),
+    ],
+)
+def test_a_stamp_jumps_by_far_more_than_its_log_time(
+    moments: list[tuple[int, int]], jumps: list[tuple[int, int, int]]
+) -> None:
+    messages = [Message(0, stamp * MS, log * MS) for stamp, log in moments]
+    assert jumps_of(messages) == jumps
+
+
+def test_topics_of_one_clock_may_be_delayed_differently() -> None:
+    for behind, are_one in ((2000, True), (2001, False)):
+        messages = [*of_stamps([0, 100]), Message(1, (100 - behind) * MS, 100 * MS), Message(1, 0, 150 * MS)]
+        grouper: Grouper[Message] = Grouper(RULES["recent"], 2)
+        for each in messages:
+            grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each)
+        assert (len(grouper._open) == 1) is are_one
+    # A window that is given says how far clocks are apart.
+    apart = [Message(source, (at + 42 * source) * SECOND, at * SECOND) for at in range(100) for source in (0, 1)]
+    grouper = Grouper(Nearest(windows_ns=(0, 42_000 * MS)), 2, apart_ns=42_000 * MS)
+    found = groups_of(grouper, apart)
+    assert [len(members) for _, members in found] == [1] * 42 + [2] * 58
+
+
+def test_a_topic_that_is_late_for_a_while_comes_back_to_the_leads() -> None:
+    late = range(3_000, 10_000, 100)
+    messages = of_stamps(range(0, 10_000, 100))
+    messages += [Message(1, (at - 1_400 * (at in late)) * MS, at * MS) for at in range(0, 10_000, 10)]
+    messages.sort(key=lambda each: each.log_time_ns)
+    grouper: Grouper[Message] = Grouper(Recent(span_ns=100 * MS), 2)
+    found = groups_of(grouper, messages)
+    assert len(found) == 100
+    assert all(len(members) >= 9 for _, members in found[1:25])
+    assert all(len(members) >= 9 for _, members in found[-25:])
+
+
+def test_a_series_that_nothing_continues_ends() -> None:
+    grouper: Grouper[Message] = Grouper(Recent(span_ns=5 * SECOND), 1)
+    for at in range(0, 1_000, 100):
+        grouper.add(0, at * MS, at * MS, 100, Message(0, at * MS, at * MS))
+    held = []
+    for at in range(1_000, 13_000, 100):
+        grouper.add(0, at * MS - 3600 * SECOND, at * MS, 100, Message(0, at * MS, at * MS))
+        held.append(grouper._open[0].held)
+    # Ten seconds after the last message.
+    assert held[:100] == [10] * 100
+    assert held[100] == 50
+    assert len(grouper._open) == 1
+
+
+def test_of_many_series_those_end_that_nothing_continues_for_longest() -> None:
+    grouper: Grouper[Message] = Grouper(Recent(span_ns=5 * SECOND), 1)
+    for number in range(200):
+        at = number * 10 * MS
+        # Every second stamp is of another clock.
+        stamp_ns = at if number % 2 == 0 else at + number * 100 * SECOND
+        grouper.add(0, stamp_ns, at, 100, Message(0, stamp_ns, at))
+        assert len(grouper._open) <= 4
+    assert grouper._open[0].held == 100
+    grouper.finish()
+    assert grouper.counts[0].jumped == 199
+    assert grouper.counts[0].used == 200
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 2), st.integers(-(2**62), 2**62) | st.integers(0, 50), st.integers(0, 5_000)),
+        max_size=60,
+    ),
+    st.sampled_from([
+        Nearest(windows_ns=(0, 5, 2**61)), Recent(span_ns=10), Recent(count=2), Interval(7, 3), Recent(7, 2, count=3),
+    ]),
+)  # fmt: skip
+def test_every_message_is_accounted_for(drawn: list[tuple[int, int, int]], rule: Rule) -> None:
+    grouper: Grouper[Message] = Grouper(rule, 3)
+    messages = [Message(source, stamp, log * MS) for source, stamp, log in sorted(drawn, key=lambda each: each[2])]
+    found = groups_of(grouper, messages)
+    leads = [each for each in messages if each.source == 0]
+    assert len(found) <= len(leads)
+    assert all(at.source == 0 and at in members for at, members in found)
+    if not rule.every_ns:
+        assert len(found) == len(leads)
+    if rule.once:
+        assert sum(len(members) for _, members in found) == sum(counts.used for counts in grouper.counts)
+    for source, counts in enumerate(grouper.counts):
+        assert counts.messages == sum(each.source == source for each in messages)
+        assert counts.used + counts.unmatched == counts.messages
+
+
+def test_memory_has_a_limit_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
+    packets = of_stamps(range(100))
+    for rule in (Recent(span_ns=10 * SECOND), Interval(50 * MS), Recent(count=50)):
+        with pytest.raises(UsageError, match="points of 21 messages") as caught:
+            groups_of(Grouper(rule, 1), packets)
+        assert "accumulate" in str(caught.value.hint)
+
+
+def test_a_silent_topic_makes_no_scan_wait_beyond_that_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
+    grouper: Grouper[Message] = Grouper(Nearest(windows_ns=(0, MS)), 2)
+    messages = of_stamps(range(100), [0])
+    found = []
+    for number, each in enumerate(messages):
+        found += grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each)
+        assert grouper._open[0].held <= 20
+        assert len(found) >= number - 21
+    found += grouper.finish()
+    assert [group.lead.stamp_ns // MS for group in found] == [*range(100)]
+    # Messages that no lead is there for are forgotten at once.
+    others = of_stamps([], range(100))
+    assert groups_of(Grouper(Nearest(windows_ns=(0, MS)), 2), others) == []
+
+
+def test_an_old_series_gives_its_memory_to_the_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
+    old, new = range(0, 150, 10), range(1_000_000, 1_000_150, 10)
+    messages = [Message(0, at * MS, number * 10 * MS) for number, at in enumerate([*old, *new])]
+    grouper: Grouper[Message] = Grouper(Recent(span_ns=SECOND), 1)
+    found = groups_of(grouper, messages)
+    assert [len(members) for _, members in found] == [*range(1, 16), *range(1, 16)]

@@ -1,8 +1,8 @@
 """Groups messages that belong together: in the order of the recording, within bounds of memory.
 
-A `Grouper` takes one message after the other and returns the messages of a scan as soon as it is certain which they are.
-The result depends only on the order and the times of the messages. `rules` has which stamps belong to a scan, `series`
-when that is certain and what can be forgotten.
+A `Grouper` takes one message after the other, and returns the messages of a scan as soon as it is certain which these
+are. The result depends only on the order and the times of the messages. `rules` has which stamps belong to a scan,
+`series` when that is certain and what can be forgotten.
 
 A stamp that jumps, back or ahead, by far more than the log times did, begins another series: messages from before and
 after it are in no scan together, and the messages that still come from before it continue theirs.
@@ -44,7 +44,7 @@ class Grouper(Generic[Item]):
     sources
         The number of topics; topic 0 leads.
     apart_ns
-        How far the stamps of two topics differ at most, nanoseconds, if the user knows of it.
+        How far the clocks of two topics differ at most, nanoseconds, if the user knows of it.
 
     Attributes
     ----------

@@ -34,8 +34,8 @@ class Entry(Generic[Item]):
         The number of its topic; topic 0 leads.
     key
         Its place in its topic.
-    log_time_ns
-        When it was logged.
+    since_ns
+        Since when its scan waits, if it leads: its log time, or that of the first leading message of its interval.
     size
         Its size, bytes.
     item
@@ -46,7 +46,7 @@ class Entry(Generic[Item]):
 
     source: int
     key: Key
-    log_time_ns: int
+    since_ns: int
     size: int
     item: Item
     used: bool = False

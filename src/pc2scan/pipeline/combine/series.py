@@ -84,7 +84,7 @@ class Series(Generic[Item]):
     counts
         The counts of each topic, which several series share.
     apart_ns
-        How far the stamps of two topics may differ, at least.
+        How far the clocks of two topics differ, if that is known.
     first
         The times of the first message.
 
@@ -102,14 +102,16 @@ class Series(Generic[Item]):
         self._rule = rule
         self._counts = counts
         self._apart_ns = _APART_NS + apart_ns
+        self._patience_ns = PATIENCE_NS + apart_ns
         self._held: list[list[Entry[Item]]] = [[] for _ in counts]
         #: The leading messages of the scans that are not made yet, sorted.
         self._leads: list[Entry[Item]] = []
         self._last: list[Moment | None] = [None] * len(counts)
         #: The first place of each topic that a message may still come for.
         self._coming: list[Key] = [_BEFORE_ALL] * len(counts)
-        #: Log times and stamps of the messages that are not expected by now to have all come, both rising.
-        self._recent: deque[Moment] = deque()
+        #: The highest stamps of the last second of log time, both times rising; and the highest of all.
+        self._recent = deque([first])
+        self._highest = first
         self._begin_ns: int | None = None
         #: The end of the last interval whose scan is made.
         self._over: Key = _BEFORE_ALL
@@ -139,22 +141,25 @@ class Series(Generic[Item]):
         self.size += size
         self._coming[source] = max(coming, (stamp_ns, key[1] + 1))
         self._last[source] = self.newest = moment
-        if not self._recent or stamp_ns > self._recent[-1].stamp_ns:
+        if stamp_ns > self._highest.stamp_ns:
+            self._highest = moment
             self._recent.append(moment)
         if source == 0:
             self._lead(entry)
 
     def closed(self, log_time_ns: int) -> list[Group[Item]]:
         """Return the scans that are certain by now, and forget what no other scan needs."""
-        while self._recent and log_time_ns - self._recent[0].log_time_ns > PATIENCE_NS:
+        while self._recent and log_time_ns - self._recent[0].log_time_ns > self._patience_ns:
             place = (self._recent.popleft().stamp_ns + 1, 0)
             self._coming = [max(place, each) for each in self._coming]
         groups: list[Group[Item]] = []
         while self._leads:
-            # If stamps do not go on with the log times, nothing is certain by them.
-            is_late = log_time_ns - self._leads[0].log_time_ns > PATIENCE_NS + self._rule.reach_ns
+            lead = self._leads[0]
+            # If stamps do not go on with the log times, nothing becomes certain by them.
+            waits_ns = log_time_ns - max(lead.since_ns, self._highest.log_time_ns)
+            is_late = waits_ns > self._patience_ns + self._rule.reach_ns
             coming = [_AFTER_ALL] * len(self._coming) if is_late else self._coming
-            members = self._rule.members(self._leads, self._held, coming, self._end_ns(self._leads[0].stamp_ns))
+            members = self._rule.members(self._leads, self._held, coming, self._end_ns(lead.stamp_ns))
             if members is None:
                 break
             groups.append(self._close(members))
@@ -198,6 +203,7 @@ class Series(Generic[Item]):
             if same is not None:
                 if same.key > entry.key:
                     return
+                entry.since_ns = same.since_ns
                 self._leads.remove(same)
         insort(self._leads, entry, key=KEY)
 
