@@ -78,27 +78,31 @@ def check_held(grouper: Grouper[Message], messages: Sequence[Message], rule: Rul
     now_ns = messages[-1].log_time_ns
     for series in grouper._open:
         own = [entry.item for held in series._held for entry in held]
-        if not own or rule.every_ns:
+        if not own:
             continue
         clock = own[0].clock
         assert {each.clock for each in own} == {clock}
         assert series.size == 100 * len(own)
         past = [m.stamp_ns for m in messages if m.clock == clock and (m.source == 0 or m.log_time_ns < now_ns - SECOND)]
-        next_ns = min([lead.stamp_ns for lead in series._leads] or [max(past, default=-(1 << 80))])
+        first = min([lead.key for lead in series._leads] or [(max(past, default=-(1 << 80)), 0)])
+        begin_ns = min((m.stamp_ns for m in messages if m.clock == clock and m.source == 0), default=first[0])
         for each in own:
-            later = sum(m.source == each.source and each.key < m.key and m.stamp_ns < next_ns for m in own)
+            later = sum(m.source == each.source and each.key < m.key <= first for m in own)
             if isinstance(rule, Nearest):
-                assert each.stamp_ns >= next_ns - (rule.windows_ns[each.source] if each.source else 0)
+                assert each.stamp_ns >= first[0] - (rule.windows_ns[each.source] if each.source else 0)
             elif isinstance(rule, Recent):
-                assert later < rule.count if rule.count else each.stamp_ns > next_ns - rule.span_ns
+                assert later < rule.count if rule.count else each.stamp_ns > first[0] - rule.span_ns
+            else:
+                phase_ns = (first[0] - begin_ns + rule.begins_before_ns) % rule.every_ns
+                assert each.stamp_ns >= first[0] - phase_ns
 
 
-@pytest.mark.parametrize("part", range(5))
+@pytest.mark.parametrize("part", range(4))
 @pytest.mark.parametrize(
     "clocks", [{}, {"jumps": True}, {"wrong": 2}], ids=["one clock", "jumps of all", "single wrong stamps"]
 )
 def test_groups_are_those_of_the_rule(part: int, clocks: dict[str, Any]) -> None:
-    for seed in range(50 * part, 50 * part + 50):
+    for seed in range(30 * part, 30 * part + 30):
         rng = random.Random(seed)
         stream = drawn_stream(rng, **clocks)
         check(stream, drawn_rule(rng, stream.sources), seed)
@@ -265,7 +269,7 @@ def test_topics_of_one_clock_may_be_delayed_differently() -> None:
     assert [len(members) for _, members in found] == [1] * 42 + [2] * 58
 
 
-def test_a_topic_that_is_late_for_a_while_comes_back_to_the_leads() -> None:
+def test_a_topic_that_is_late_for_a_while_comes_back() -> None:
     late = range(3_000, 10_000, 100)
     messages = of_stamps(range(0, 10_000, 100))
     messages += [Message(1, (at - 1_400 * (at in late)) * MS, at * MS) for at in range(0, 10_000, 10)]
