@@ -70,14 +70,15 @@ class Grouper(Generic[Item]):
             If the messages of one scan take more than `MAX_HELD_BYTES`.
         """
         self.counts[source].messages += 1
-        series = self._continued(source, Moment(stamp_ns, log_time_ns))
-        series.add(source, Moment(stamp_ns, log_time_ns), size, item)
+        moment = Moment(stamp_ns, log_time_ns)
+        series = self._continued(source, moment)
+        series.add(source, moment, size, item)
         groups: list[Group[Item]] = []
         for each in self._open:
             groups += each.closed(log_time_ns)
         if len(self._open) > 1:
             groups += self._ended(series, log_time_ns)
-        if sum(each.size for each in self._open) > MAX_HELD_BYTES:
+        if sum(map(attrgetter("size"), self._open)) > MAX_HELD_BYTES:
             groups += self._relieved(series, stamp_ns)
         return groups
 
@@ -90,16 +91,15 @@ class Grouper(Generic[Item]):
     def _continued(self, source: int, moment: Moment) -> Series[Item]:
         """Return the series that a message belongs to; count a jump if its topic's stamps do not go on."""
         before, last = self._series[source], self._last[source]
-        strays = [(each.strays_ns(source, moment), each) for each in self._open]
-        # Of several series of its clock that of the leading topic, because the others have no scans.
-        continued = [
-            (far_ns, each is not self._series[0], each is not before, number)
-            for number, (far_ns, each) in enumerate(strays)
-            if far_ns is not None
-        ]
-        if continued:
-            found = self._open[min(continued)[-1]]
-        else:
+        found, least = None, None
+        for each in self._open:
+            far_ns = each.strays_ns(source, moment)
+            if far_ns is not None:
+                # Of several series of its clock that of the leading topic, because the others have no scans.
+                order = (far_ns, each is not self._series[0], each is not before)
+                if least is None or order < least:
+                    found, least = each, order
+        if found is None:
             found = Series(self._rule, self.counts, self._apart_ns, moment)
             self._open.append(found)
         if last is not None and found is not before and not follows(moment, last):

@@ -103,6 +103,8 @@ class Series(Generic[Item]):
         self._counts = counts
         self._apart_ns = _APART_NS + apart_ns
         self._patience_ns = PATIENCE_NS + apart_ns
+        #: How long a scan waits if stamps do not go on.
+        self._longest_ns = self._patience_ns + rule.reach_ns
         self._held: list[list[Entry[Item]]] = [[] for _ in counts]
         #: The leading messages of the scans that are not made yet, sorted.
         self._leads: list[Entry[Item]] = []
@@ -124,9 +126,14 @@ class Series(Generic[Item]):
         own = self._last[source]
         if own is not None and moment.stamp_ns < own.stamp_ns - _BACK_NS:
             return None
-        known = [self.newest] if own is None else [own, self.newest]
-        off = [abs(drift_ns(moment, each)) for each in known if follows(moment, each, self._apart_ns, self._apart_ns)]
-        return max(0, min(off) - self._apart_ns) if off else None
+        least_ns = None
+        for each in (self.newest, own):
+            if each is not None and follows(moment, each, self._apart_ns, self._apart_ns):
+                off_ns = abs(drift_ns(moment, each))
+                if off_ns <= self._apart_ns:
+                    return 0
+                least_ns = off_ns if least_ns is None else min(least_ns, off_ns)
+        return None if least_ns is None else least_ns - self._apart_ns
 
     def add(self, source: int, moment: Moment, size: int, item: Item) -> None:
         """Take a message, which was logged after those before."""
@@ -149,15 +156,17 @@ class Series(Generic[Item]):
 
     def closed(self, log_time_ns: int) -> list[Group[Item]]:
         """Return the scans that are certain by now, and forget what no other scan needs."""
+        past: Moment | None = None
         while self._recent and log_time_ns - self._recent[0].log_time_ns > self._patience_ns:
-            place = (self._recent.popleft().stamp_ns + 1, 0)
+            past = self._recent.popleft()
+        if past is not None:
+            place = (past.stamp_ns + 1, 0)
             self._coming = [max(place, each) for each in self._coming]
         groups: list[Group[Item]] = []
         while self._leads:
             lead = self._leads[0]
             # If stamps do not go on with the log times, nothing becomes certain by them.
-            waits_ns = log_time_ns - max(lead.since_ns, self._highest.log_time_ns)
-            is_late = waits_ns > self._patience_ns + self._rule.reach_ns
+            is_late = log_time_ns - max(lead.since_ns, self._highest.log_time_ns) > self._longest_ns
             coming = [_AFTER_ALL] * len(self._coming) if is_late else self._coming
             members = self._rule.members(self._leads, self._held, coming, self._end_ns(lead.stamp_ns))
             if members is None:
@@ -236,7 +245,8 @@ class Series(Generic[Item]):
         first = self._leads[0].key if self._leads else max(self._coming[0], self._over)
         end_ns = self._end_ns(first[0])
         for source, held in enumerate(self._held):
-            self._drop(source, self._rule.needless(held, source, first, end_ns))
+            if held and (count := self._rule.needless(held, source, first, end_ns)):
+                self._drop(source, count)
 
     def _drop(self, source: int, count: int) -> None:
         """Drop the first messages of a topic."""
