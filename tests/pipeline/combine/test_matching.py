@@ -17,7 +17,7 @@ from pc2scan.pipeline.combine.rules import Entry, Interval, Nearest, Recent
 from .streams_of_stamps import MS, SECOND, Message, by_the_rule, drawn_rule, drawn_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from pc2scan.pipeline.combine.rules import Rule
 
@@ -180,9 +180,9 @@ def test_a_scan_follows_the_message_that_makes_it_certain() -> None:
 
 @pytest.mark.parametrize("rule", [Interval(100), Recent(100, span_ns=1), Recent(100, count=1)])
 def test_an_interval_is_certain_when_its_end_may_come_next(rule: Rule) -> None:
-    lead: Entry[str] = Entry(0, (30, 0), 0, 100, "lead")
-    assert rule.members([lead], [[lead]], [(100, 0)], 100) == [lead]
-    assert rule.members([lead], [[lead]], [(99, 1)], 100) is None
+    lead: Entry[str] = Entry(0, (30, 0), 0, 100, "lead", end_ns=100)
+    assert rule.members([lead], [[lead]], [(100, 0)]) == [lead]
+    assert rule.members([lead], [[lead]], [(99, 1)]) is None
 
 
 @pytest.mark.parametrize("kind", RULES)
@@ -254,23 +254,57 @@ def test_topics_of_one_clock_may_be_delayed_differently() -> None:
         for each in messages:
             grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each)
         assert (len(grouper._open) == 1) is are_one
-    # A window that is given says how far clocks are apart.
-    apart = [Message(source, (at + 42 * source) * SECOND, at * SECOND) for at in range(100) for source in (0, 1)]
-    grouper = Grouper(Nearest(windows_ns=(0, 42_000 * MS)), 2, apart_ns=42_000 * MS)
-    found = groups_of(grouper, apart)
-    assert [len(members) for _, members in found] == [1] * 42 + [2] * 58
 
 
-def test_a_topic_that_is_late_for_a_while_comes_back() -> None:
-    late = range(3_000, 10_000, 100)
+@pytest.mark.parametrize(("ahead", "sizes"), [(42, [1] * 42 + [2] * 58), (-42, [2] * 58 + [1] * 42)])
+def test_a_given_window_says_how_far_clocks_are_apart(ahead: int, sizes: list[int]) -> None:
+    apart = [
+        Message(source, (at + ahead * source) * SECOND, at * SECOND + source) for at in range(100) for source in (0, 1)
+    ]
+    grouper: Grouper[Message] = Grouper(Nearest(windows_ns=(0, 42 * SECOND)), 2, apart_ns=42 * SECOND)
+    assert [len(members) for _, members in groups_of(grouper, apart)] == sizes
+    assert [counts.jumped for counts in grouper.counts] == [0, 0]
+
+
+@pytest.mark.parametrize(
+    "stamp_of",
+    [
+        # It lags behind more and more.
+        lambda at: at // 2,
+        # Its messages wait for three seconds, and only the first of them and the new ones come.
+        lambda at: 3_000 + (at - 6_000) // 100 if 3_000 <= at < 6_000 else at,
+    ],
+    ids=["it lags", "it stalls"],
+)
+def test_a_topic_goes_on_with_its_own_stamps_or_with_others(stamp_of: Callable[[int], int]) -> None:
+    messages = [Message(0, at * MS, at * MS) for at in range(0, 10_000, 100)]
+    messages += [
+        Message(1, stamp_of(at) * MS, (max(at, 5_990) if at > 3_000 else at) * MS) for at in range(0, 9_900, 90)
+    ]
+    grouper: Grouper[Message] = Grouper(RULES["recent"], 2)
+    for each in sorted(messages, key=lambda each: each.log_time_ns):
+        grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each)
+    assert len(grouper._open) == 1
+    assert [counts.jumped for counts in grouper.counts] == [0, 0]
+
+
+def test_a_topic_whose_clock_is_set_comes_back_to_the_leads() -> None:
     messages = of_stamps(range(0, 10_000, 100))
-    messages += [Message(1, (at - 1_400 * (at in late)) * MS, at * MS) for at in range(0, 10_000, 10)]
+    messages += [Message(1, (at + (600 if at < 3_000 else -600)) * MS, at * MS) for at in range(0, 10_000, 10)]
     messages.sort(key=lambda each: each.log_time_ns)
     grouper: Grouper[Message] = Grouper(Recent(span_ns=100 * MS), 2)
     found = groups_of(grouper, messages)
-    assert len(found) == 100
-    assert all(len(members) >= 9 for _, members in found[1:25])
-    assert all(len(members) >= 9 for _, members in found[-25:])
+    assert [len(members) for _, members in found[7:25]] == [11] * 18
+    assert [len(members) for _, members in found[40:90]] == [11] * 50
+    assert grouper.counts[1].jumped == 1
+
+
+def test_a_message_out_of_order_makes_no_scan_wait() -> None:
+    grouper: Grouper[Message] = Grouper(Recent(span_ns=SECOND), 2)
+    found = []
+    for source, stamp, log in ((1, 100, 100), (1, 50, 101), (0, 100, 102)):
+        found += grouper.add(source, stamp * MS, log * MS, 100, Message(source, stamp * MS, log * MS))
+    assert [[each.stamp_ns // MS for each in group.members] for group in found] == [[100, 50, 100]]
 
 
 def test_a_series_that_nothing_continues_ends() -> None:
@@ -320,7 +354,7 @@ def test_every_message_is_accounted_for(drawn: list[tuple[int, int, int]], rule:
     assert all(at.source == 0 and at in members for at, members in found)
     if not rule.every_ns:
         assert len(found) == len(leads)
-    if rule.once:
+    if not isinstance(rule, Recent):
         assert sum(len(members) for _, members in found) == sum(counts.used for counts in grouper.counts)
     for source, counts in enumerate(grouper.counts):
         assert counts.messages == sum(each.source == source for each in messages)

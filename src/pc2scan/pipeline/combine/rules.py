@@ -36,6 +36,8 @@ class Entry(Generic[Item]):
         Its place in its topic.
     since_ns
         Since when its scan waits, if it leads: its log time, or that of the first leading message of its interval.
+    end_ns
+        The end of the interval that it is in, if it leads.
     size
         Its size, bytes.
     item
@@ -50,6 +52,7 @@ class Entry(Generic[Item]):
     size: int
     item: Item
     used: bool = False
+    end_ns: int = 0
 
     @property
     def stamp_ns(self) -> int:
@@ -70,15 +73,12 @@ class Rule(ABC):
         The length of an interval, of whose leading messages the last one leads a scan; 0: each leads one.
     begins_before_ns
         How long before the first leading message an interval begins.
-    once
-        Whether a message is in at most one scan.
     gathers
-        Whether a scan has all messages of a time, and not one of each topic.
+        Whether a scan has all messages of a time. Otherwise it has one of each topic, which is in no other scan.
     """
 
     every_ns: int = 0
     begins_before_ns: int = 0
-    once: ClassVar[bool] = False
     gathers: ClassVar[bool] = True
 
     @property
@@ -92,7 +92,7 @@ class Rule(ABC):
 
     def end_ns(self, stamp_ns: int, begin_ns: int) -> int:
         """Return the end of the interval that a stamp is in; the end itself is in the next one."""
-        return stamp_ns + self.every_ns - (stamp_ns - begin_ns) % self.every_ns if self.every_ns else stamp_ns
+        return stamp_ns + self.every_ns - (stamp_ns - begin_ns) % self.every_ns
 
     @abstractmethod
     def members(
@@ -100,7 +100,6 @@ class Rule(ABC):
         leads: Sequence[Entry[Item]],
         held: Sequence[Sequence[Entry[Item]]],
         coming: Sequence[Key],
-        end_ns: int,
     ) -> list[Entry[Item]] | None:
         """Return the messages of the first scan that is to be made, sorted by topic and stamp.
 
@@ -112,8 +111,6 @@ class Rule(ABC):
             The messages of each topic, sorted.
         coming
             The first place of each topic that a message may still come for.
-        end_ns
-            The end of the interval that the first leading message is in.
 
         Returns
         -------
@@ -155,7 +152,6 @@ class Nearest(Rule):
     """
 
     windows_ns: tuple[int, ...] = ()
-    once: ClassVar[bool] = True
     gathers: ClassVar[bool] = False
 
     @property
@@ -168,7 +164,6 @@ class Nearest(Rule):
         leads: Sequence[Entry[Item]],
         held: Sequence[Sequence[Entry[Item]]],
         coming: Sequence[Key],
-        end_ns: int,  # noqa: ARG002  # there are no intervals
     ) -> list[Entry[Item]] | None:
         """Return the messages of the first scan; see `Rule.members`."""
         found = [leads[0]]
@@ -183,7 +178,7 @@ class Nearest(Rule):
 
     def needless(self, held: Sequence[Entry[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
-        return bisect_left(held, (first[0] - self.windows_ns[source], 0) if source else first, key=KEY)
+        return _before(held, (first[0] - self.windows_ns[source], 0) if source else first)
 
 
 def _partner(
@@ -252,51 +247,53 @@ class Recent(Rule):
         leads: Sequence[Entry[Item]],
         held: Sequence[Sequence[Entry[Item]]],
         coming: Sequence[Key],
-        end_ns: int,
     ) -> list[Entry[Item]] | None:
         """Return the messages of the first scan; see `Rule.members`."""
         last = leads[0].key
-        if any(place <= last for place in coming) or (self.every_ns and coming[0] < (end_ns, 0)):
+        if self.every_ns and coming[0] < (leads[0].end_ns, 0):
             return None
+        for place in coming:
+            if place <= last:
+                return None
         found: list[Entry[Item]] = []
         for own in held:
             end = bisect_right(own, last, key=KEY)
-            found += own[self._begin(own, last, end) : end]
+            begin = max(0, end - self.count) if self.count else _before(own, (last[0] - self.span_ns + 1, 0))
+            found += own[begin:end]
         return found
 
     def needless(self, held: Sequence[Entry[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
-        return self._begin(held, first, bisect_right(held, first, key=KEY))
-
-    def _begin(self, held: Sequence[Entry[Item]], last: Key, end: int) -> int:
-        """Return the index of the first message of a scan that is led from a place."""
         if self.count:
-            return max(0, end - self.count)
-        return bisect_left(held, (last[0] - self.span_ns + 1, 0), key=KEY)
+            return max(0, bisect_right(held, first, key=KEY) - self.count) if len(held) > self.count else 0
+        return _before(held, (first[0] - self.span_ns + 1, 0))
 
 
 @dataclass(frozen=True)
 class Interval(Rule):
     """A scan has the messages of an interval that has a leading message; the last of these leads it."""
 
-    once: ClassVar[bool] = True
-
     def members(
         self,
-        leads: Sequence[Entry[Item]],  # noqa: ARG002  # the interval has it
+        leads: Sequence[Entry[Item]],
         held: Sequence[Sequence[Entry[Item]]],
         coming: Sequence[Key],
-        end_ns: int,
     ) -> list[Entry[Item]] | None:
         """Return the messages of the first scan; see `Rule.members`."""
-        if any(place < (end_ns, 0) for place in coming):
-            return None
+        begin, end = (leads[0].end_ns - self.every_ns, 0), (leads[0].end_ns, 0)
+        for place in coming:
+            if place < end:
+                return None
         found: list[Entry[Item]] = []
         for own in held:
-            begin = bisect_left(own, (end_ns - self.every_ns, 0), key=KEY)
-            found += own[begin : bisect_left(own, (end_ns, 0), key=KEY)]
+            found += own[bisect_left(own, begin, key=KEY) : bisect_left(own, end, key=KEY)]
         return found
 
     def needless(self, held: Sequence[Entry[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
-        return bisect_left(held, (end_ns - self.every_ns, 0), key=KEY)
+        return _before(held, (end_ns - self.every_ns, 0))
+
+
+def _before(held: Sequence[Entry[Item]], place: Key) -> int:
+    """Return how many messages are before a place; mostly none is."""
+    return bisect_left(held, place, key=KEY) if held and held[0].key < place else 0

@@ -126,27 +126,26 @@ class Series(Generic[Item]):
         own = self._last[source]
         if own is not None and moment.stamp_ns < own.stamp_ns - _BACK_NS:
             return None
-        least_ns = None
+        apart_ns, least_ns = self._apart_ns, None
         for each in (self.newest, own):
-            if each is not None and follows(moment, each, self._apart_ns, self._apart_ns):
-                off_ns = abs(drift_ns(moment, each))
-                if off_ns <= self._apart_ns:
+            if each is not None and follows(moment, each, apart_ns, apart_ns):
+                off_ns = max(0, abs(drift_ns(moment, each)) - apart_ns)
+                if not off_ns:
                     return 0
                 least_ns = off_ns if least_ns is None else min(least_ns, off_ns)
-        return None if least_ns is None else least_ns - self._apart_ns
+        return least_ns
 
     def add(self, source: int, moment: Moment, size: int, item: Item) -> None:
         """Take a message, which was logged after those before."""
         stamp_ns, log_time_ns = moment
-        held, coming = self._held[source], self._coming[source]
+        held = self._held[source]
         end = bisect_left(held, (stamp_ns + 1, 0), key=KEY)
-        key = coming if coming[0] == stamp_ns else (stamp_ns, 0)
-        if end and held[end - 1].stamp_ns == stamp_ns:
-            key = (stamp_ns, held[end - 1].key[1] + 1)
+        number = held[end - 1].key[1] + 1 if end and held[end - 1].stamp_ns == stamp_ns else 0
+        key = (stamp_ns, number)
         entry = Entry(source, key, log_time_ns, size, item)
         held.insert(end, entry)
         self.size += size
-        self._coming[source] = max(coming, (stamp_ns, key[1] + 1))
+        self._coming[source] = max(self._coming[source], (stamp_ns, number + 1))
         self._last[source] = self.newest = moment
         if stamp_ns > self._highest.stamp_ns:
             self._highest = moment
@@ -161,17 +160,19 @@ class Series(Generic[Item]):
             past = self._recent.popleft()
         if past is not None:
             place = (past.stamp_ns + 1, 0)
-            self._coming = [max(place, each) for each in self._coming]
+            for source, each in enumerate(self._coming):
+                if each < place:
+                    self._coming[source] = place
         groups: list[Group[Item]] = []
         while self._leads:
-            lead = self._leads[0]
-            # If stamps do not go on with the log times, nothing becomes certain by them.
-            is_late = log_time_ns - max(lead.since_ns, self._highest.log_time_ns) > self._longest_ns
-            coming = [_AFTER_ALL] * len(self._coming) if is_late else self._coming
-            members = self._rule.members(self._leads, self._held, coming, self._end_ns(lead.stamp_ns))
-            if members is None:
+            members = self._rule.members(self._leads, self._held, self._coming)
+            if members is not None:
+                groups.append(self._close(members))
+            elif log_time_ns - max(self._leads[0].since_ns, self._highest.log_time_ns) > self._longest_ns:
+                # Stamps do not go on with the log times, so nothing becomes certain by them.
+                groups.append(self._close_now())
+            else:
                 break
-            groups.append(self._close(members))
         self._forget()
         return groups
 
@@ -179,10 +180,7 @@ class Series(Generic[Item]):
         """Close the first scan with the messages that it has now, and forget what no other needs; None without any."""
         if not self._leads:
             return None
-        end_ns = self._end_ns(self._leads[0].stamp_ns)
-        members = self._rule.members(self._leads, self._held, [_AFTER_ALL] * len(self._coming), end_ns)
-        assert members is not None  # nothing comes after all
-        group = self._close(members)
+        group = self._close_now()
         self._forget()
         return group
 
@@ -207,13 +205,13 @@ class Series(Generic[Item]):
         if self._rule.every_ns:
             if entry.key < self._over:
                 return
-            end_ns = self._end_ns(entry.stamp_ns)
-            same = next((each for each in self._leads if self._end_ns(each.stamp_ns) == end_ns), None)
-            if same is not None:
-                if same.key > entry.key:
+            entry.end_ns = self._end_ns(entry.stamp_ns)
+            for number, same in enumerate(self._leads):
+                if same.end_ns == entry.end_ns:
+                    if same.key < entry.key:
+                        entry.since_ns = same.since_ns
+                        self._leads[number] = entry
                     return
-                entry.since_ns = same.since_ns
-                self._leads.remove(same)
         insort(self._leads, entry, key=KEY)
 
     def _end_ns(self, stamp_ns: int) -> int:
@@ -221,11 +219,17 @@ class Series(Generic[Item]):
         begin_ns = self._rule.begin_ns(stamp_ns) if self._begin_ns is None else self._begin_ns
         return self._rule.end_ns(stamp_ns, begin_ns)
 
+    def _close_now(self) -> Group[Item]:
+        """Make the group of the first leading message with the messages that are there."""
+        members = self._rule.members(self._leads, self._held, [_AFTER_ALL] * len(self._coming))
+        assert members is not None  # nothing comes after all
+        return self._close(members)
+
     def _close(self, members: list[Entry[Item]]) -> Group[Item]:
         """Make the group of the first leading message."""
         lead = self._leads.pop(0)
         if self._rule.every_ns:
-            self._over = (self._end_ns(lead.stamp_ns), 0)
+            self._over = (lead.end_ns, 0)
         there = {entry.source for entry in members}
         for source, counts in enumerate(self._counts):
             counts.scan(lead.stamp_ns, has_it=source in there)
@@ -233,7 +237,7 @@ class Series(Generic[Item]):
             if not entry.used:
                 entry.used = True
                 self._counts[entry.source].used += 1
-            if self._rule.once:
+            if not self._rule.gathers:
                 held = self._held[entry.source]
                 at = bisect_left(held, entry.key, key=KEY)
                 del held[at]
@@ -242,10 +246,13 @@ class Series(Generic[Item]):
 
     def _forget(self) -> None:
         """Drop the messages that no scan needs."""
-        first = self._leads[0].key if self._leads else max(self._coming[0], self._over)
-        end_ns = self._end_ns(first[0])
+        if self._leads:
+            first, end_ns = self._leads[0].key, self._leads[0].end_ns
+        else:
+            first = max(self._coming[0], self._over)
+            end_ns = self._end_ns(first[0]) if self._rule.every_ns else 0
         for source, held in enumerate(self._held):
-            if held and (count := self._rule.needless(held, source, first, end_ns)):
+            if count := self._rule.needless(held, source, first, end_ns):
                 self._drop(source, count)
 
     def _drop(self, source: int, count: int) -> None:
