@@ -96,7 +96,7 @@ class Grouper(Generic[Item]):
             far_ns = each.strays_ns(source, moment)
             if far_ns is not None:
                 # Of several series of its clock that of the leading topic, because the others have no scans.
-                order = (far_ns, each is not self._series[0], each is not before)
+                order = (far_ns, each is not self._series[0])
                 if least is None or order < least:
                     found, least = each, order
         if found is None:
