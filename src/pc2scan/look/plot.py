@@ -12,10 +12,9 @@ import numpy as np
 from pc2scan.core import kernel
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import rule_of
-from pc2scan.errors import UsageError
+from pc2scan.errors import UsageError, visible
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import file_output
-from pc2scan.shown import plain
 
 from .opened import opened, title_of
 from .shots import take_shots
@@ -140,7 +139,7 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
         inches = [min(_HIGHEST, max(_LOWEST, _WIDTH * height / across)) for height in heights]
         size = (_WIDTH + _BESIDE) * columns, sum(inches) + _AROUND
         figure = Figure(size, layout="constrained", dpi=150)
-        figure.suptitle(plain(title), fontsize=11)
+        figure.suptitle(visible(title), fontsize=11)
         axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
         for column, (shot, points) in enumerate(zip(taken.shots, placed, strict=True)):
             _draw(axes[0, column], axes[1, column], shot, points, taken.params, limits)
@@ -210,10 +209,10 @@ def _draw(
     for limit in (params.min_height, params.max_height):
         if low < limit < high:
             side.axhline(limit, c=_BAND, lw=0.9)
-    above.set_title(f"{plain(shot.topic)}\n{shot.moment}", fontsize=8)
+    above.set_title(f"{visible(shot.topic)}\n{shot.moment}", fontsize=8)
     above.set_ylabel("y (m)", fontsize=8)
     side.set_ylabel("z (m)", fontsize=8)
-    side.set_xlabel(f"x (m) in {plain(shot.place.frame_id)}", fontsize=8)
+    side.set_xlabel(f"x (m) in {visible(shot.place.frame_id)}", fontsize=8)
 
 
 def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:
