@@ -92,8 +92,10 @@ def visible(text: str, most: int | None = _MAX_LINE, *, ascii_only: bool = False
             c if c.isprintable() and (c.isascii() or not ascii_only) else c.encode("unicode_escape").decode()
             for c in text
         )
-    if "##" in text:
-        text = text.replace("##", r"\x23\x23")
+    if "##" in text and "[" in text:
+        import re  # noqa: PLC0415  # hardly any text
+
+        text = re.sub(r"##(?=\w*\[)", r"\\x23\\x23", text)
     begin = text.lstrip()
     return f"{text[: -len(begin)]}\\x3a{begin[1:]}" if begin.startswith("::") else text
 

@@ -20,9 +20,10 @@ def test_a_terminal_is_told_nothing_that_it_would_act_upon() -> None:
         ("::error::x", r"\x3a:error::x"),
         ("  ::set-output name=a::b", r"  \x3a:set-output name=a::b"),
         ("a ##[error]b", r"a \x23\x23[error]b"),
-        ("###vso[task.setvariable variable=PATH]x", r"\x23\x23#vso[task.setvariable variable=PATH]x"),
+        ("###vso[task.setvariable variable=PATH]x", r"#\x23\x23vso[task.setvariable variable=PATH]x"),
         ("##teamcity[buildStop]", r"\x23\x23teamcity[buildStop]"),
         ("std::string /a::b #1", "std::string /a::b #1"),
+        ("  0.1 to 0.2 m  ####", "  0.1 to 0.2 m  ####"),
     ],
 )
 def test_commands_of_ci_systems_are_shown_not_obeyed(text: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -39,7 +39,7 @@ def export(
             click_type=TyperPath(path_type=str),
         ),
     ],
-    written: Annotated[
+    format: Annotated[  # noqa: A002  # the name of the option
         FORMATS | None,
         typer.Option(
             "--format",
@@ -93,7 +93,7 @@ def export(
     place = named or folder
     assert place is not None
     form = ExportOptions(
-        format=written,
+        format=format,
         poses=PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic),
         converting=conversion.projection.is_given or options.scan.may_combine,
         overwrite=overwrite,

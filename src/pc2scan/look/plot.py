@@ -37,7 +37,7 @@ __all__ = ["FORMATS", "Plotted", "plot"]
 FORMATS = ("png", "svg", "pdf")
 
 #: Maximum number of columns of a figure; more are too small to read.
-_MOST_FRAMES = 24
+_MOST_CLOUDS = 24
 
 #: Okabe and Ito's colours, which colour-blind people can distinguish; the same as on pages.
 _COLOURS = {"used": "#0072b2", "height": "#e69f00", "other": "#9aa7b3"}
@@ -56,7 +56,15 @@ _OUTLIERS = 0.01
 
 
 class Plotted(NamedTuple):
-    """Notes about a figure, and the damage of the recording."""
+    """What is known about a figure.
+
+    Attributes
+    ----------
+    notes
+        Notes about the options and the figure.
+    damage
+        The damage in the parts of the recording that were read.
+    """
 
     notes: list[str]
     damage: tuple[Damage, ...]
@@ -67,7 +75,7 @@ def plot(
     destination: Path,
     options: ConvertOptions,
     *,
-    frames: int = 1,
+    clouds: int = 1,
     at: Sequence[TimeBound] = (),
     overwrite: bool = False,
 ) -> Plotted:
@@ -81,8 +89,8 @@ def plot(
         The figure; its suffix, one of `FORMATS`, decides its format.
     options
         The options of a conversion: topics, parameters, frames, filters, ``start`` and ``end``.
-    frames
-        How many moments of each topic are shown, evenly spread.
+    clouds
+        Number of clouds of each topic, side by side, evenly spread over the recording.
     at
         Moments to show instead.
     overwrite
@@ -103,8 +111,8 @@ def plot(
         raise UsageError(
             f"has {shown}, a figure is one of {', '.join(f'.{name}' for name in FORMATS)}", path=destination
         )
-    if not 1 <= frames <= _MOST_FRAMES:
-        raise UsageError(f"frames is {frames}, it must be from 1 to {_MOST_FRAMES}")
+    if not 1 <= clouds <= _MOST_CLOUDS:
+        raise UsageError(f"`clouds` is {clouds}, it must be from 1 to {_MOST_CLOUDS}")
     refuse_overlap(
         [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
         [OutputPath(destination)],
@@ -115,7 +123,7 @@ def plot(
     ):
         at_ns = recording.log_times(at)
         taken = take_shots(
-            recording.reader, recording.buffer, options, count=frames, at_ns=at_ns, others=recording.others
+            recording.reader, recording.buffer, options, count=clouds, at_ns=at_ns, others=recording.others
         )
         deliver(_figure(taken, title_of(sources), kind))
         return Plotted(taken.notes, recording.damage)
