@@ -12,7 +12,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
-from pc2scan.errors import DecodeError, TopicError, UsageError, stamp_text
+from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.names import did_you_mean
@@ -115,7 +115,7 @@ class TopicCheck:
 
     def lines(self, asked: tuple[str, ...]) -> Iterator[str]:
         """Yield the text of a report, with the verdicts of these consumers, or of all."""
-        yield f"{self.topic}: {self._summary()}"
+        yield f"{leading(self.topic)}: {self._summary()}"
         if self.first is not None:
             scan = self.first
             yield (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.core.unproject import UnprojectParams, unproject
-from pc2scan.errors import MessageError, UsageError, stamp_text
+from pc2scan.errors import MessageError, UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.pipeline.beforehand import Unconnected, idle_cut
@@ -163,7 +163,7 @@ class Scan(Stamped):
     def __repr__(self) -> str:
         returns = np.count_nonzero(self.valid)
         return (
-            f"<Scan on {self.topic} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
+            f"<Scan on {visible(self.topic)} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
             f"{len(self.ranges)} beams, {returns} with a return>"
         )
 
