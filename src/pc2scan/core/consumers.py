@@ -9,28 +9,34 @@ Sources of the rules, in C++ (floats of the message are float32, literals float6
   ``HandleRangefinder`` (sensor_bridge.cc), ``LocalTrajectoryBuilder2D::AddRangeData`` (cartographer).
 - gmapping: ``initMapper``, ``getOdomPose`` and ``addScan`` (slam_gmapping.cpp), ``RangeSensor`` (openslam,
   rangesensor.cpp), ``setLaserParameters``, ``computeActiveArea`` (scanmatcher.cpp).
-- AMCL: ``AmclNode::updateFilter`` and its message filter (nav2_amcl, amcl_node.cpp).
+- AMCL: ``AmclNode::updateFilter``, ``addNewScanner`` and its message filter (nav2_amcl, amcl_node.cpp).
 - Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap ignores infinite ranges: it accepts
   what laser_geometry accepts, ``range < range_max``.
-- MRPT: ``fromROS`` (ros2bridge, laser_scan.cpp).
+- MRPT: ``fromROS`` of two bridges (laser_scan.cpp): that of MRPT 2.5, in Debian and Ubuntu, and mrpt_ros_bridge 3.2.
 
-The arithmetic is that of the consumers, in plain Python: float64 operations on float32 operands, rounded to float32
-where the C++ result is a float, which is the float32 result (see `pc2scan.core.params.beam_count`).
+The arithmetic is that of the consumers: float64 operations on float32 operands, rounded to float32 where the C++ result
+is a float, which is the float32 result (see `pc2scan.core.params.beam_count`); NumPy's float32 for sums of all beams.
+A division of a float by a whole number is a float division. Cartographer and Nav2 add up the angles of the beams in a
+float, AMCL adds the first two angles in a float, and MRPT divides floats. slam_toolbox and gmapping compute the angles
+of their beams in doubles.
 """
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .layout import SYMMETRIC_BEAMS, symmetric_sector
 from .params import float32
 from .verdicts import Scan, ScanTransforms, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
     from .verdicts import Outcome
 
@@ -45,12 +51,22 @@ _GMAPPING_TILT = 0.001
 #: slam_toolbox's default of ``max_laser_range``, metres.
 _KARTO_RANGE = 25.0
 
-#: MRPT asserts ``ranges.size() > 1``.
-_MRPT_BEAMS = 2
+#: The types in which MRPT's bridges multiply, after divisions of floats: 2.5's, and mrpt_ros_bridge's from 3.2.
+_MRPT_TYPES = (np.float64, np.float32)
 
 #: Beams that are off by more than this share of an increment count as shifted. Smaller differences are roundings of a
 #: driver's angles. The limit is pc2scan's own: the consumers have none.
 _OFF = 0.1
+
+#: Roundings of the consumer's own count only if they move a beam by more than this share of an increment: it is then
+#: closer to a neighbour's direction than to its own.
+_DRIFTED = 0.5
+
+#: A scan's frame that has turned or moved on the robot by more than this since the first scan is misplaced by consumers
+#: that keep its first pose: radians, and metres. A joint that stands still trembles by less; at a range of 10 m, two
+#: degrees are 0.35 m.
+_TURNED = math.radians(2.0)
+_MOVED = 0.1
 
 #: Beams that are off by more than this many increments count as misplaced.
 _SHIFTED = 1.0 + _OFF
@@ -204,6 +220,8 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "`no_return=inf`, or `range_max=100.0`: pc2scan convert `preset=slam_toolbox`",
         )
     kept = _kept_angles("slam_toolbox", scan, first)
+    if kept.outcome == "accepted":
+        kept = _kept_pose("slam_toolbox", placed, angle=True)
     if kept.outcome != "accepted" or placed.up is None or placed.up > 0 or not scan.beams:
         return kept
     # If the sensor is upside down, Karto reads beam i in the place of beam N - 1 - i.
@@ -270,7 +288,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
         )
     if scan.infinite and scan.range_max == math.inf:
         return _infinite_hits("cartographer", scan)
-    return Verdict("cartographer")
+    return _added_up("cartographer", scan)
 
 
 def _gmapping(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
@@ -341,7 +359,7 @@ def _half_open(scan: Scan, placed: ScanTransforms) -> Verdict:
     )
 
 
-def _amcl(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
+def _amcl(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
     if scan.range_max <= 0:
         return Verdict(
             "amcl",
@@ -351,60 +369,145 @@ def _amcl(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
             "> 0",
             "give a positive `range_max`: pc2scan convert `preset=amcl`",
         )
-    return Verdict("amcl")
+    # AMCL looks up the directions of the beams anew for each scan, but not the place of the sensor.
+    kept = _kept_pose("amcl", placed, angle=False)
+    if kept.outcome != "accepted" or not has_angles(scan) or not scan.beams:
+        return kept
+    # AMCL's increment is the difference of two angles, of which one is a float's sum.
+    increment = float32(scan.angle_min + scan.angle_increment) - scan.angle_min
+    return _off(
+        "amcl",
+        scan,
+        (scan.beams - 1) * math.remainder(increment - scan.angle_increment, _TWO_PI),
+        "the increment is the float32 sum angle_min + angle_increment, less angle_min",
+        f"angle_increment {scan.angle_increment:.9g}, read as {increment:.9g} for {scan.beams} ranges",
+        "an increment that does not change",
+        "fewer beams: give `beams`, or a larger `angle_increment`",
+        least=_DRIFTED,
+    )
 
 
 def _nav2(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
-    return _infinite_hits("nav2", scan) if scan.infinite and scan.range_max == math.inf else Verdict("nav2")
+    if scan.infinite and scan.range_max == math.inf:
+        return _infinite_hits("nav2", scan)
+    return _added_up("nav2", scan)
+
+
+def _added_up(consumer: str, scan: Scan) -> Verdict:
+    """Return the verdict of a consumer that adds the increment to a float, from beam to beam."""
+    if not has_angles(scan):
+        return Verdict(consumer)
+    return _off(
+        consumer,
+        scan,
+        _drift(scan.angle_min, scan.angle_increment, scan.beams),
+        "the angles are a float32 sum: angle += angle_increment from beam to beam",
+        f"{scan.beams} ranges by {scan.angle_increment:.9g}",
+        "roundings that add up to less than half an increment",
+        "fewer beams: give `beams`, or a larger `angle_increment`",
+        least=_DRIFTED,
+    )
+
+
+@lru_cache(maxsize=64)
+def _drift(angle_min: float, angle_increment: float, beams: int) -> float:
+    """Return the largest rounding, radians, of angles that are added up in float32."""
+    if not beams:
+        return 0.0
+    steps = np.full(beams, angle_increment, np.float32)
+    steps[0] = angle_min
+    with np.errstate(over="ignore"):
+        off = np.add.accumulate(steps).astype(np.float64)
+    off -= angle_min + np.arange(beams) * angle_increment
+    return float(np.abs(off).max())
 
 
 def _mrpt(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
-    if scan.beams < _MRPT_BEAMS:
+    if scan.beams < SYMMETRIC_BEAMS[0]:
         return Verdict(
             "mrpt",
             "aborts",
-            "ASSERT(ranges.size() > 1)",
+            "ASSERT(ranges.size() > 2)",
             f"{scan.beams} ranges",
-            f"at least {_MRPT_BEAMS}",
+            f"at least {SYMMETRIC_BEAMS[0]}",
             "more beams",
         )
-    off = _mrpt_off(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
-    half = (scan.beams - 1) * abs(scan.angle_increment) / 2
+    number, off = _mrpt_off(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
+    allowed = "angles of the beams"
+    if has_angles(scan):
+        allowed = "angle_min {:.9g}, angle_max {:.9g}".format(
+            *symmetric_sector((scan.beams - 1) * abs(scan.angle_increment) / 2)
+        )
     return _off(
         "mrpt",
         scan,
         off,
         "angles run from -(angle_max - angle_min) / 2 to + that, in equal steps; angle_increment is not read, and "
-        "each beam takes the range at its index, truncated",
+        "each beam takes the range at its index, a truncated quotient with the roundings of float32",
         f"angle_min {scan.angle_min:.9g}, angle_max {scan.angle_max:.9g}",
-        f"a sector around 0: {-half:.6g} to {half:.6g}",
+        allowed,
         "pc2scan convert `preset=mrpt`, or `geometry=symmetric`",
+        which=f"{number:,} of {scan.beams:,} beams",
     )
 
 
 @lru_cache(maxsize=64)
-def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> float:
-    """Return the largest angle between MRPT's beams and a scan's, radians; inf if MRPT reads outside of the ranges."""
+def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> tuple[int, float]:
+    """Return how many of MRPT's beams have the range of another direction, and the largest angle between the two.
+
+    In radians; inf if MRPT reads outside of the ranges. Of several bridges, the worst.
+    """
     aperture = float32(angle_max - angle_min)
     if not (math.isfinite(aperture) and math.isfinite(angle_increment)) or aperture == 0:
-        return math.inf
+        return beams, math.inf
     number = np.arange(beams)
-    step, half, inverse = aperture / (beams - 1), 0.5 * aperture, (beams - 1) / aperture
-    # In MRPT's order of operations: the truncated value is often a whole number except for rounding.
-    taken = np.trunc(inverse * ((-half - angle_min) + step * number))
-    taken += np.where(taken < 0, beams, np.where(taken >= beams, -beams, 0))
-    if taken.min() < 0 or taken.max() >= beams:
-        return math.inf
-    off = (-half + step * number) - (angle_min + taken * angle_increment)
-    return float(np.abs(off - _TWO_PI * np.rint(off / _TWO_PI)).max())
+    seen = aperture * (number / (beams - 1) - 0.5)
+    counts, largest = [], []
+    for kind in _MRPT_TYPES:
+        taken = _mrpt_indexes(angle_min, aperture, beams, kind)
+        # False for NaN, too.
+        if not (taken.min() >= 0 and taken.max() < beams):
+            return beams, math.inf
+        off = seen - (angle_min + taken * angle_increment)
+        off = np.abs(off - _TWO_PI * np.rint(off / _TWO_PI))
+        counts.append(int((off > _OFF * abs(angle_increment)).sum()))
+        largest.append(float(off.max()))
+    return max(counts), max(largest)
 
 
-def _off(consumer: str, scan: Scan, off: float, rule: str, observed: str, allowed: str, cure: str) -> Verdict:
-    """Return the verdict on a scan whose beams are off by up to ``off``, radians."""
+def _mrpt_indexes(angle_min: float, aperture: float, beams: int, kind: type[np.floating[Any]]) -> NDArray[np.float64]:
+    """Return the index of the range that each of MRPT's beams takes; NaN and numbers outside of the ranges, too.
+
+    In MRPT's order of operations: the truncated value is often a whole number except for roundings.
+    """
+    last, number = np.float32(beams - 1), np.arange(beams).astype(kind)
+    with np.errstate(all="ignore"):
+        step, inverse = kind(np.float32(aperture) / last), kind(last / np.float32(aperture))
+        half = kind(0.5) * kind(aperture)
+        taken: NDArray[np.float64] = np.trunc(inverse * ((-half - kind(angle_min)) + step * number)).astype(np.float64)
+    return taken + np.where(taken < 0, beams, np.where(taken >= beams, -beams, 0))
+
+
+def _off(
+    consumer: str,
+    scan: Scan,
+    off: float,
+    rule: str,
+    observed: str,
+    allowed: str,
+    cure: str,
+    *,
+    which: str = "beams",
+    least: float = _OFF,
+) -> Verdict:
+    """Return the verdict on a scan of which some beams are off by up to ``off``, radians.
+
+    It is accepted up to ``least``, a share of the increment.
+    """
     share = abs(off) / abs(scan.angle_increment) if scan.angle_increment else math.inf if off else 0.0
-    if share <= _OFF:
+    if share <= least:
         return Verdict(consumer)
-    turned = f"beams off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"
+    turned = f"{which} off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"
     if off == math.inf:
         turned = "it reads beyond the end of the ranges"
     outcome: Outcome = "shifted" if share <= _SHIFTED else "misplaced"
@@ -445,6 +548,21 @@ def _kept_angles(consumer: str, scan: Scan, first: Scan) -> Verdict:
         f"a beam off by {math.degrees(off):.3g} deg",
         f"angle_min {first.angle_min:.9g}, angle_increment {first.angle_increment:.9g}",
         "give all scans the same angles (pc2scan convert does, to scans made from clouds)",
+    )
+
+
+def _kept_pose(consumer: str, placed: ScanTransforms, *, angle: bool) -> Verdict:
+    """Return the verdict of a consumer that keeps where the scan's frame was on the robot at first."""
+    if placed.moved <= _MOVED and not (angle and abs(placed.turned) > _TURNED):
+        return Verdict(consumer)
+    turned = f"turned by {math.degrees(placed.turned):.3g} deg, and " if angle else ""
+    return Verdict(
+        consumer,
+        "misplaced",
+        f"the {'pose' if angle else 'place'} of the scan's frame on the robot at the first scan is kept for all",
+        f"since then the frame {placed.frame_id!r} has {turned}moved by {placed.moved:.2f} m",
+        f"up to {f'{math.degrees(_TURNED):g} deg and ' if angle else ''}{_MOVED:g} m",
+        "a frame that is fixed on the robot: for scans made from clouds, pc2scan convert `target_frame=base_link`",
     )
 
 
