@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -123,11 +124,10 @@ def added_up(scan: Scan) -> str:
 
 @cache
 def drift(low: float, step: float, beams: int) -> float:
-    angle, off = f(low), 0.0
-    for i in range(beams):
-        off = max(off, abs(float(angle) - (float(f(low)) + i * float(f(step)))))
-        angle = angle + f(step)
-    return off
+    increment = f(step)
+    angles = list(accumulate(range(1, beams), lambda angle, _: angle + increment, initial=f(low)))
+    right = float(f(low)) + np.arange(beams) * float(increment)
+    return float(np.abs(np.array(angles[:beams], np.float64) - right).max(initial=0.0))
 
 
 def infinite_hits(scan: Scan) -> str:
@@ -218,19 +218,18 @@ def mrpt_off(low: float, high: float, n: int, increment: float) -> list[float]:
     inf where one of them reads outside of the ranges.
     """
     step, aperture = float(f(increment)), float(f(high) - f(low))
-    if aperture == 0:
-        # 0 * inf is no index.
+    if abs(aperture) < (n - 1) / float(np.finfo(f).max):
+        # (N - 1) / aperture is inf, and 0 * inf is no index.
         return [math.inf]
-    off = [0.0] * n
+    # CSinCosLookUpTableFor2DScans
+    seen = -0.5 * aperture + np.arange(n) * (aperture / (n - 1))
+    off = np.zeros(n)
     for indexes in mrpt_2_5(low, high, n), mrpt_ros_bridge_3_2(low, high, n):
-        for i_mrpt, i_ros in enumerate(indexes):
-            if not 0 <= i_ros < n:
-                return [math.inf]
-            # CSinCosLookUpTableFor2DScans
-            seen = -0.5 * aperture + i_mrpt * (aperture / (n - 1))
-            between = seen - (float(f(low)) + i_ros * step)
-            off[i_mrpt] = max(off[i_mrpt], abs(math.remainder(between, 2 * math.pi)))
-    return off
+        if not 0 <= min(indexes) <= max(indexes) < n:
+            return [math.inf]
+        between = np.abs(seen - (float(f(low)) + np.array(indexes) * step)) % (2 * math.pi)
+        off = np.maximum(off, np.minimum(between, 2 * math.pi - between))
+    return off.tolist()
 
 
 def wrapped(i_ros: int, n: int) -> int:
@@ -252,7 +251,9 @@ def mrpt_ros_bridge_3_2(low: float, high: float, n: int) -> list[int]:
     aperture = f(high) - f(low)
     ang_step, inv_ang_step = aperture / f(n - 1), f(n - 1) / aperture
     fov05 = f(0.5) * aperture
-    return [wrapped(int(inv_ang_step * (-fov05 - f(low) + ang_step * f(i))), n) for i in range(n)]
+    quotients = inv_ang_step * (-fov05 - f(low) + ang_step * np.arange(n).astype(f))
+    assert quotients.dtype == f
+    return [wrapped(int(quotient), n) for quotient in quotients.tolist()]
 
 
 RULES: dict[str, Callable[[Scan, Scan | None, ScanTransforms], str]] = {

@@ -51,8 +51,8 @@ _GMAPPING_TILT = 0.001
 #: slam_toolbox's default of ``max_laser_range``, metres.
 _KARTO_RANGE = 25.0
 
-#: The types in which MRPT's bridges multiply, after divisions of floats: 2.5's, and mrpt_ros_bridge's from 3.2.
-_MRPT_TYPES = (np.float64, np.float32)
+#: MRPT's bridges, and the types in which they multiply after divisions of floats.
+_MRPT_BRIDGES: dict[str, type[np.floating[Any]]] = {"MRPT 2.5": np.float64, "mrpt_ros_bridge 3.2": np.float32}
 
 #: Beams that are off by more than this share of an increment count as shifted. Smaller differences are roundings of a
 #: driver's angles. The limit is pc2scan's own: the consumers have none.
@@ -227,7 +227,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
     # If the sensor is upside down, Karto reads beam i in the place of beam N - 1 - i.
     return _off(
         "slam_toolbox",
-        scan,
+        scan.angle_increment,
         math.remainder(first.angle_min + last_beam(first), _TWO_PI),
         "ranges of a sensor that is upside down are taken in reverse order, at the same angles",
         f"angle_min {first.angle_min:.9g}, the last beam at {last_beam(first):.9g}",
@@ -288,7 +288,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
         )
     if scan.infinite and scan.range_max == math.inf:
         return _infinite_hits("cartographer", scan)
-    return _added_up("cartographer", scan)
+    return _summed("cartographer", scan)
 
 
 def _gmapping(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
@@ -322,38 +322,39 @@ def _gmapping(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "give a finite `range_max`: pc2scan convert `preset=gmapping`",
         )
     kept = _kept_angles("gmapping", scan, first)
-    return kept if kept.outcome != "accepted" else _half_open(scan, placed)
+    if kept.outcome != "accepted" or not scan.beams:
+        return kept
+    down = placed.up is not None and placed.up <= 0
+    return _half_open(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams, down=down)
 
 
-def _half_open(scan: Scan, placed: ScanTransforms) -> Verdict:
-    """Return the verdict of gmapping on the places of a scan's beams.
+@lru_cache(maxsize=64)
+def _half_open(angle_min: float, angle_max: float, angle_increment: float, beams: int, *, down: bool) -> Verdict:
+    """Return the verdict of gmapping on the places of a scan's beams; ``down`` if the sensor is upside down.
 
     It orders beams by growing angle, and places beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle between
     ``angle_min`` and ``angle_max``; for a sensor that is upside down, as seen from below.
     """
-    if not scan.beams:
-        return Verdict("gmapping")
-    step = abs(scan.angle_increment)
-    middle = float32(float32(scan.angle_min + scan.angle_max) / 2)
-    down = placed.up is not None and placed.up <= 0
-    reverse = scan.angle_min < scan.angle_max if down else scan.angle_min > scan.angle_max
+    step = abs(angle_increment)
+    middle = float32(float32(angle_min + angle_max) / 2)
+    reverse = angle_min < angle_max if down else angle_min > angle_max
     off = max(
         (
             middle
-            + (-1 if down else 1) * ((scan.beams - 1 - beam if reverse else beam) - scan.beams / 2) * step
-            - (scan.angle_min + beam * scan.angle_increment)
-            for beam in (0, scan.beams - 1)
+            + (-1 if down else 1) * ((beams - 1 - beam if reverse else beam) - beams / 2) * step
+            - (angle_min + beam * angle_increment)
+            for beam in (0, beams - 1)
         ),
         key=abs,
     )
-    steps = scan.beams - 2 if reverse else scan.beams
-    wanted = float32(scan.angle_min + steps * scan.angle_increment)
+    steps = beams - 2 if reverse else beams
+    wanted = float32(angle_min + steps * angle_increment)
     return _off(
         "gmapping",
-        scan,
+        angle_increment,
         off,
         "beam i is placed at (i - len(ranges) / 2) * angle_increment from the middle between angle_min and angle_max",
-        f"angle_max {scan.angle_max:.9g}",
+        f"angle_max {angle_max:.9g}",
         f"angle_max {wanted:.9g}",
         f"advertise angle_max = angle_min + {steps} * angle_increment: pc2scan convert `preset=gmapping`",
     )
@@ -373,15 +374,21 @@ def _amcl(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
     kept = _kept_pose("amcl", placed, angle=False)
     if kept.outcome != "accepted" or not has_angles(scan) or not scan.beams:
         return kept
-    # AMCL's increment is the difference of two angles, of which one is a float's sum.
-    increment = float32(scan.angle_min + scan.angle_increment) - scan.angle_min
+    return _added_once(scan.angle_min, scan.angle_increment, scan.beams)
+
+
+@lru_cache(maxsize=64)
+def _added_once(angle_min: float, angle_increment: float, beams: int) -> Verdict:
+    """Return the verdict of AMCL on its increment: the difference of two angles, of which one is a sum of floats."""
+    increment = float32(angle_min + angle_increment) - angle_min
+    rounding = math.remainder(increment - angle_increment, _TWO_PI) if math.isfinite(increment) else math.inf
     return _off(
         "amcl",
-        scan,
-        (scan.beams - 1) * math.remainder(increment - scan.angle_increment, _TWO_PI),
+        angle_increment,
+        (beams - 1) * rounding if beams > 1 else 0.0,
         "the increment is the float32 sum angle_min + angle_increment, less angle_min",
-        f"angle_increment {scan.angle_increment:.9g}, read as {increment:.9g} for {scan.beams} ranges",
-        "an increment that does not change",
+        f"angle_increment {angle_increment:.9g}, read as {increment:.9g} for {beams} ranges",
+        "a rounding that adds up to less than half an increment",
         "fewer beams: give `beams`, or a larger `angle_increment`",
         least=_DRIFTED,
     )
@@ -390,36 +397,33 @@ def _amcl(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
 def _nav2(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
     if scan.infinite and scan.range_max == math.inf:
         return _infinite_hits("nav2", scan)
-    return _added_up("nav2", scan)
+    return _summed("nav2", scan)
 
 
-def _added_up(consumer: str, scan: Scan) -> Verdict:
+def _summed(consumer: str, scan: Scan) -> Verdict:
     """Return the verdict of a consumer that adds the increment to a float, from beam to beam."""
-    if not has_angles(scan):
+    if not has_angles(scan) or not scan.beams:
         return Verdict(consumer)
-    return _off(
-        consumer,
-        scan,
-        _drift(scan.angle_min, scan.angle_increment, scan.beams),
-        "the angles are a float32 sum: angle += angle_increment from beam to beam",
-        f"{scan.beams} ranges by {scan.angle_increment:.9g}",
-        "roundings that add up to less than half an increment",
-        "fewer beams: give `beams`, or a larger `angle_increment`",
-        least=_DRIFTED,
-    )
+    return _added_up(consumer, scan.angle_min, scan.angle_increment, scan.beams)
 
 
 @lru_cache(maxsize=64)
-def _drift(angle_min: float, angle_increment: float, beams: int) -> float:
-    """Return the largest rounding, radians, of angles that are added up in float32."""
-    if not beams:
-        return 0.0
+def _added_up(consumer: str, angle_min: float, angle_increment: float, beams: int) -> Verdict:
     steps = np.full(beams, angle_increment, np.float32)
     steps[0] = angle_min
     with np.errstate(over="ignore"):
         off = np.add.accumulate(steps).astype(np.float64)
     off -= angle_min + np.arange(beams) * angle_increment
-    return float(np.abs(off).max())
+    return _off(
+        consumer,
+        angle_increment,
+        float(np.abs(off).max()),
+        "the angles are a float32 sum: angle += angle_increment from beam to beam",
+        f"{beams} ranges by {angle_increment:.9g}",
+        "roundings that add up to less than half an increment",
+        "fewer beams: give `beams`, or a larger `angle_increment`",
+        least=_DRIFTED,
+    )
 
 
 def _mrpt(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
@@ -432,47 +436,48 @@ def _mrpt(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
             f"at least {SYMMETRIC_BEAMS[0]}",
             "more beams",
         )
-    number, off = _mrpt_off(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
-    allowed = "angles of the beams"
-    if has_angles(scan):
-        allowed = "angle_min {:.9g}, angle_max {:.9g}".format(
-            *symmetric_sector((scan.beams - 1) * abs(scan.angle_increment) / 2)
-        )
-    return _off(
-        "mrpt",
-        scan,
-        off,
-        "angles run from -(angle_max - angle_min) / 2 to + that, in equal steps; angle_increment is not read, and "
-        "each beam takes the range at its index, a truncated quotient with the roundings of float32",
-        f"angle_min {scan.angle_min:.9g}, angle_max {scan.angle_max:.9g}",
-        allowed,
-        "pc2scan convert `preset=mrpt`, or `geometry=symmetric`",
-        which=f"{number:,} of {scan.beams:,} beams",
-    )
+    return _mrpt_sector(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
 
 
 @lru_cache(maxsize=64)
-def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> tuple[int, float]:
-    """Return how many of MRPT's beams have the range of another direction, and the largest angle between the two.
+def _mrpt_sector(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> Verdict:
+    """Return the verdict of MRPT on the places of a scan's beams."""
+    found = {name: _mrpt_off(angle_min, angle_max, angle_increment, beams, name) for name in _MRPT_BRIDGES}
+    number, off = (max(values) for values in zip(*found.values(), strict=True))
+    misread = [name for name, (count, _) in found.items() if count]
+    allowed = "angles of the beams"
+    if math.isfinite(angle_increment) and angle_increment:
+        low, high = symmetric_sector((beams - 1) * abs(angle_increment) / 2)
+        allowed = f"angle_min {low:.9g}, angle_max {high:.9g}"
+    return _off(
+        "mrpt",
+        angle_increment,
+        off,
+        "angles run from -(angle_max - angle_min) / 2 to + that, in equal steps; angle_increment is not read, and "
+        "each beam takes the range at its index, a truncated quotient with the roundings of float32",
+        f"angle_min {angle_min:.9g}, angle_max {angle_max:.9g}" + (f", in {misread[0]}" if len(misread) == 1 else ""),
+        allowed,
+        "pc2scan convert `preset=mrpt`, or `geometry=symmetric`",
+        which=f"{number:,} of {beams:,} beams",
+    )
 
-    In radians; inf if MRPT reads outside of the ranges. Of several bridges, the worst.
+
+def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int, bridge: str) -> tuple[int, float]:
+    """Return how many beams of MRPT have the range of another direction, and the largest angle between the two.
+
+    In radians; inf if the bridge reads outside of the ranges.
     """
     aperture = float32(angle_max - angle_min)
     if not (math.isfinite(aperture) and math.isfinite(angle_increment)) or aperture == 0:
         return beams, math.inf
-    number = np.arange(beams)
-    seen = aperture * (number / (beams - 1) - 0.5)
-    counts, largest = [], []
-    for kind in _MRPT_TYPES:
-        taken = _mrpt_indexes(angle_min, aperture, beams, kind)
-        # False for NaN, too.
-        if not (taken.min() >= 0 and taken.max() < beams):
-            return beams, math.inf
-        off = seen - (angle_min + taken * angle_increment)
-        off = np.abs(off - _TWO_PI * np.rint(off / _TWO_PI))
-        counts.append(int((off > _OFF * abs(angle_increment)).sum()))
-        largest.append(float(off.max()))
-    return max(counts), max(largest)
+    taken = _mrpt_indexes(angle_min, aperture, beams, _MRPT_BRIDGES[bridge])
+    # False for NaN, too.
+    if not (taken.min() >= 0 and taken.max() < beams):
+        return beams, math.inf
+    seen = aperture * (np.arange(beams) / (beams - 1) - 0.5)
+    off = seen - (angle_min + taken * angle_increment)
+    off = np.abs(off - _TWO_PI * np.rint(off / _TWO_PI))
+    return int((off > _OFF * abs(angle_increment)).sum()), float(off.max())
 
 
 def _mrpt_indexes(angle_min: float, aperture: float, beams: int, kind: type[np.floating[Any]]) -> NDArray[np.float64]:
@@ -490,7 +495,7 @@ def _mrpt_indexes(angle_min: float, aperture: float, beams: int, kind: type[np.f
 
 def _off(
     consumer: str,
-    scan: Scan,
+    angle_increment: float,
     off: float,
     rule: str,
     observed: str,
@@ -500,11 +505,11 @@ def _off(
     which: str = "beams",
     least: float = _OFF,
 ) -> Verdict:
-    """Return the verdict on a scan of which some beams are off by up to ``off``, radians.
+    """Return the verdict on a scan of which beams are off by up to ``off``, radians.
 
     It is accepted up to ``least``, a share of the increment.
     """
-    share = abs(off) / abs(scan.angle_increment) if scan.angle_increment else math.inf if off else 0.0
+    share = abs(off) / abs(angle_increment) if angle_increment else math.inf if off else 0.0
     if share <= least:
         return Verdict(consumer)
     turned = f"{which} off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"

@@ -11,7 +11,7 @@ import numpy as np
 
 from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
-from pc2scan.core.verdicts import OUTCOMES, Outcome, Scan, ScanTransforms, Verdict, are_returns
+from pc2scan.core.verdicts import OUTCOMES, Outcome, Scan, ScanTransforms, Verdict
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.shown import agreeing, counted
 
@@ -152,7 +152,7 @@ class ScanTopic:
         ):
             if wrong:
                 tally.add(stamp_ns)
-        self._filling.add(message.frame_id, are_returns(message.ranges, scan.range_min, scan.range_max), stamp_ns)
+        self._filling.add(message.frame_id, scan, message.ranges, stamp_ns)
         self._stamps.add(stamp_ns, log_time_ns)
 
     @property
