@@ -50,13 +50,15 @@ class ScanFilling:
 
     def add(self, frame_id: str, scan: Scan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
         """Add the next scan, and its ranges, float32, shape (beams,), metres."""
-        if not scan.returns or (frame_id not in self._last and len(self._last) == _MOST_FRAMES):
+        if not scan.returns:
+            return
+        self._few = self._few and scan.returns < _FEW * scan.beams
+        if frame_id not in self._last and len(self._last) == _MOST_FRAMES:
             return
         self._returns += scan.returns
         self._beams += scan.beams
         self._pairs += frame_id in self._last
         last, self._last[frame_id] = self._last.get(frame_id), None
-        self._few = self._few and scan.returns < _FEW * scan.beams
         if scan.returns >= _PART * scan.beams:
             return
         returns = self._last[frame_id] = are_returns(ranges, scan.range_min, scan.range_max)
