@@ -110,7 +110,7 @@ def test_symmetric_beams_have_0_in_their_middle(half: float, beams: int) -> None
     layout = symmetric_layout(-half, half, 0.0, beams)
     assert layout.count == beams
     # They begin 20 float32 steps earlier than they end, so that the roundings of MRPT's indexes do not count.
-    assert 0 < -(layout.angle_min + layout.angle_max) <= 20 * np.spacing(np.float32(layout.angle_max))
+    assert 0 < -(layout.angle_min + layout.angle_max) <= 20 * np.spacing(np.float32(-layout.angle_min))
     assert layout.angle_max == pytest.approx((beams - 1) * layout.angle_increment / 2, abs=5e-6)
     if layout.full_circle:
         assert layout.angle_max == pytest.approx(PI - layout.angle_increment / 2, abs=6e-6)
