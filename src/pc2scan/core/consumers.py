@@ -446,8 +446,9 @@ def _mrpt_sector(angle_min: float, angle_max: float, angle_increment: float, bea
     number, off = (max(values) for values in zip(*found.values(), strict=True))
     misread = [name for name, (count, _) in found.items() if count]
     allowed = "angles of the beams"
-    if math.isfinite(angle_increment) and angle_increment:
-        low, high = symmetric_sector((beams - 1) * abs(angle_increment) / 2)
+    half = (beams - 1) * abs(angle_increment) / 2
+    if 0 < half <= math.pi:
+        low, high = symmetric_sector(half)
         allowed = f"angle_min {low:.9g}, angle_max {high:.9g}"
     return _off(
         "mrpt",

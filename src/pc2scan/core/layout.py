@@ -184,14 +184,14 @@ def symmetric_sector(half: float) -> tuple[float, float]:
     sums and differences are float32 values, too. The shift is less than a tenth of an increment with up to
     `SYMMETRIC_BEAMS` beams; with 1,000 beams, it is a thousandth.
     """
-    # The distance of two neighbours in float64 is 2 ** 29 times smaller than in float32.
-    grid = math.ulp(half) * 2**30
-    middle, shift = round(half / grid) * grid, 5 * grid
-    return float32(-(middle + shift)), float32(middle - shift)
+    last = float32(half)
+    grid = 2 * (_float32_beside(last, 1) - last)
+    last, shift = round(last / grid) * grid, 5 * grid
+    return float32(-(last + shift)), float32(last - shift)
 
 
 def _float32_beside(value: float, steps: int) -> float:
-    """Return the float32 that is ``steps`` steps from a positive one."""
+    """Return the float32 that is ``steps`` steps from one that is positive or 0."""
     (bits,) = struct.unpack("<I", struct.pack("<f", value))
     beside: float = struct.unpack("<f", struct.pack("<I", bits + steps))[0]
     return beside
