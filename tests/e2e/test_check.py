@@ -137,7 +137,7 @@ def test_beams_that_mrpt_misreads_are_counted(tmp_path: Path) -> None:
     assert done.status == 1
     assert "mrpt          shifted\n" in done.stdout
     assert "71 of 181 beams off by up to 1 deg (1 of an increment)" in done.stdout
-    assert "allowed: angle_min -1.57079744, angle_max 1.57079506" in done.stdout
+    assert "allowed: angle_min -1.57079768, angle_max 1.5707953\n" in done.stdout
 
 
 def test_a_sector_to_one_side_cannot_be_made_for_mrpt(tmp_path: Path) -> None:

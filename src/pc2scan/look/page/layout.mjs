@@ -96,7 +96,10 @@ export function halfOpenLayout(angleMin, angleMax, increment, beams) {
   return { ...layout, angleMax: fround(layout.angleMin + layout.count * layout.increment) };
 }
 
-/** The least and the largest number of beams of `symmetricLayout` that MRPT reads right. */
+/**
+ * The least and the largest number of beams of `symmetricLayout` that MRPT reads right.
+ * @type {[number, number]}
+ */
 export const SYMMETRIC_BEAMS = [3, 100_000];
 
 /**
