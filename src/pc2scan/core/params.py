@@ -300,10 +300,15 @@ class ProjectionParams:
     def _check_symmetry(self, layout: BeamLayout) -> None:
         least, most = SYMMETRIC_BEAMS
         if not least <= layout.count <= most:
+            given = self.beams and self.beams != "auto"
+            made = (
+                f"beams is {layout.count:,}"
+                if given
+                else f"angle_increment is {self.angle_increment} rad, which makes {layout.count:,} beams"
+            )
             raise ParameterError(
-                f"the symmetric geometry has {least} to {most:,} beams, which MRPT reads right; angle_increment "
-                f"{self.angle_increment:.6g} rad makes {layout.count:,}",
-                name="beams" if self.beams and self.beams != "auto" else "angle_increment",
+                f"{made}; the symmetric geometry has {least} to {most:,} beams, which MRPT reads right",
+                name="beams" if given else "angle_increment",
             )
         if not layout.full_circle:
             off = abs(self.angle_min + self.angle_max)
