@@ -43,6 +43,62 @@ def test_the_ground_is_found_and_nothing_that_stands_on_it(place: str, sensor: s
     assert lost <= 0.01 * beams
 
 
+def lost_beams(cloud: Labelled) -> tuple[int, int]:
+    """How many beams of one degree have a return of an object, and how many lost the nearest by half a metre or more.
+
+    Returns lower than the limit on the page, with noise, are no objects.
+    """
+    found = ground_of(cloud.points)
+    distance = np.hypot(cloud.points[:, 0], cloud.points[:, 1])
+    beams = np.floor(np.degrees(np.arctan2(cloud.points[:, 1], cloud.points[:, 0]))).astype(int) + 180
+    high = ~cloud.ground & (cloud.above > 0.16 + 0.008 * distance)
+    nearest, kept = np.full(361, np.inf), np.full(361, np.inf)
+    np.minimum.at(nearest, beams[high], distance[high])
+    np.minimum.at(kept, beams[high & ~found], distance[high & ~found])
+    had = np.isfinite(nearest)
+    return int(had.sum()), int(np.count_nonzero(kept[had] > nearest[had] + 0.5))
+
+
+#: Places with objects, and the largest share of beams that may lose one. A box of 0.2 m is higher than the limit by so
+#: little that few beams count.
+OBJECTS = {
+    **{f"boxes of {height} m": 0.05 for height in (0.2, 0.3, 0.4, 0.6)},
+    **{f"{kind} {seed}": 0.02 for kind in ("scattered boxes", "boxes in a room") for seed in (1, 3)},
+}
+RINGS = ["16 rings", "32 rings", "64 rings", "128 rings"]
+HEIGHTS = [0.4, 1.0, 1.8]
+
+
+@pytest.mark.parametrize("lidar", HEIGHTS)
+@pytest.mark.parametrize("sensor", RINGS)
+def test_boxes_are_not_ground(sensor: str, lidar: float) -> None:
+    total = missing = 0
+    for place, share in OBJECTS.items():
+        cloud = labelled(place, sensor, lidar=lidar)
+        had, lost = lost_beams(cloud)
+        assert lost <= max(1, share * had), place
+        assert ground_of(cloud.points)[cloud.ground].mean() > 0.999, place
+        total, missing = total + had, missing + lost
+    assert missing <= 0.01 * total
+
+
+@pytest.mark.parametrize("lidar", HEIGHTS)
+@pytest.mark.parametrize("sensor", RINGS)
+@pytest.mark.parametrize(
+    ("place", "least"),
+    [
+        ("kerbs of 0.1 m", 0.98), ("kerbs of 0.15 m", 0.95), ("kerbs of 0.2 m", 0.78), ("narrow sidewalks", 0.90),
+        ("waves", 0.98), *((f"slope of {degrees} degrees", 0.97) for degrees in (5, 10, 14)),
+    ],
+)  # fmt: skip
+def test_kerbs_waves_and_slopes_are_ground(place: str, least: float, sensor: str, lidar: float) -> None:
+    cloud = labelled(place, sensor, lidar=lidar)
+    x, y, z = cloud.points.T
+    # Level ground needs no test; between two rings the ground may rise by half a metre at most.
+    raised = cloud.ground & (np.hypot(x, y) < 40) & (np.abs(z) > 0.04) & (z < 0.5)
+    assert ground_of(cloud.points)[raised].mean() > least
+
+
 @pytest.mark.parametrize("sensor", ["16 rings", "64 rings", "camera"])
 def test_stairs_are_climbed_by_three_steps_at_most(sensor: str) -> None:
     cloud = labelled("stairs", sensor, pitch=10.0 if sensor == "camera" else 0.0)
