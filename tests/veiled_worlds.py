@@ -79,7 +79,7 @@ def _turned(segments: tuple[Segment, ...], degrees: float) -> tuple[Segment, ...
 
 
 def _posts(*places: tuple[float, float]) -> tuple[Segment, ...]:
-    """Posts of 5 cm, at distances and directions in degrees."""
+    """Posts of 5 cm, at distances and in directions, degrees."""
     found: tuple[Segment, ...] = ()
     for distance, direction in places:
         x, y = distance * math.cos(math.radians(direction)), distance * math.sin(math.radians(direction))
@@ -109,6 +109,19 @@ _PILLARS = _turned(
 )
 _ALL_ROUND = _posts((0.8, 100), (1.2, 20), (1.7, 250), (2.1, 65), (2.4, 310), (2.9, 165), (2.2, 130))
 
+
+def _store(seed: int) -> Plan:
+    """A hall full of boxes and posts, so that there are many edges."""
+    random = np.random.default_rng(seed)
+    boxes: tuple[Segment, ...] = ()
+    for angle in np.arange(0, 360, 12):
+        away, width, depth = random.uniform((1.5, 0.1, 0.1), (8, 0.6, 0.6)).tolist()
+        turn = math.radians(angle + random.uniform(-4, 4))
+        x, y = away * math.cos(turn), away * math.sin(turn)
+        boxes += _box(x, x + width, y, y + depth)
+    return Plan(_HALL + boxes, _posts(*random.uniform((0.8, 0), (4, 360), (10, 2)).tolist()))
+
+
 #: What the robot stands in.
 PLANS = {
     "empty room": Plan(_ROOM),
@@ -117,6 +130,9 @@ PLANS = {
     "room with posts": Plan(_ROOM, _ALL_ROUND),
     "furnished room": Plan(_ROOM + _FURNITURE),
     "corridor with doors": Plan(_CORRIDOR + _DOORS, _posts((2.5, 10), (4, -172), (6.5, 6))),
+    "store 1": _store(1),
+    "store 2": _store(2),
+    "store 3": _store(3),
     "hall with pillars": Plan(_HALL + _PILLARS, _posts((3, 80), (4.5, 200), (2.5, 330))),
 }
 
