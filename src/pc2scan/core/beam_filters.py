@@ -26,6 +26,10 @@ _APART = 0.1
 _PARALLEL = math.tan(math.radians(15.0))
 #: The most beams from a return to the next one that it is compared with.
 _REACH = 3
+#: The largest width of a lidar's beam, radians: so wide are mixed pixels at an edge. A line must be longer.
+_WIDTH = 0.006
+#: How many returns a line needs at most.
+_MOST = 10
 #: How far from the line through two others a return may be, metres: five times the noise of a lidar.
 _NOISE = 0.1
 
@@ -65,7 +69,8 @@ class _Beside(NamedTuple):
     nearer, farther
         Whether the next return is nearer or farther, much more than a wall explains.
     aligned
-        Whether they are on a line with the next two returns.
+        Whether they are on a line with the next two returns; with more of them in fine scans, where two may be at the
+        same edge.
     """
 
     nearer: NDArray[np.bool_]
@@ -85,12 +90,12 @@ def _beside(
     # be up to twice as large as the one before it, or nothing.
     change = (1 / first - 1 / second) * (apart / np.maximum(apart_there, 1))
     found, noise = 1 / returns - 1 / first, _NOISE / returns**2
-    aligned = (found >= np.minimum(0, 2 * change) - noise) & (found <= np.maximum(0, 2 * change) + noise)
-    return _Beside(
-        known & (returns - first > limit),
-        known & (first - returns > limit),
-        known & (apart_there <= _REACH) & aligned,
-    )
+    alike = (found >= np.minimum(0, 2 * change) - noise) & (found <= np.maximum(0, 2 * change) + noise)
+    alike &= known & (apart_there <= _REACH)
+    aligned = alike
+    for _ in range(2, min(_MOST, math.ceil(_WIDTH / abs(increment)))):
+        aligned = alike & aligned[one]
+    return _Beside(known & (returns - first > limit), known & (first - returns > limit), aligned)
 
 
 def _next(beams: NDArray[np.intp], step: int, count: int, closed: bool) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

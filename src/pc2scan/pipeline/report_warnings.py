@@ -152,7 +152,9 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
             explanation += f": {topic.advice}"
         explained[explanation] += points.rejected.get(name, 0)
     explanation, count = explained.most_common(1)[0]
-    return f"{count / points.total:.0%} of all points were {explanation}" if count else "the clouds have no points"
+    if count:
+        return f"{count / points.total:.0%} of all points were {explanation}"
+    return "all of their beams were removed" if points.used else "the clouds have no points"
 
 
 def _joined_warnings(topic: TopicReport) -> Iterator[str]:

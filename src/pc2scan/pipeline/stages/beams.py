@@ -128,7 +128,11 @@ class Speckles:
     def remedy(self) -> str:
         """What to type if it removes too many returns."""
         milder = dataclasses.asdict(self) | {"max_range_difference": 2 * self.max_range_difference}
-        given = (f"{each.name}={value}" for each in fields(self) if (value := milder[each.name]) != each.default)
+        given = (
+            f"{each.name}={str(value).removesuffix('.0')}"
+            for each in fields(self)
+            if (value := milder[each.name]) != each.default
+        )
         return f"`remove='{self.name} {' '.join(given)}'` removes fewer"
 
 
