@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pytest
 
+from labelled_worlds import labelled
 from mounted_worlds import write_clouds
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.in_process import run_command
 from pc2scan.cli.spelling import as_typed
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.project import project
 from pc2scan.messages.laserscan import decode_laserscan
 from veiled_worlds import LIDARS, PLANS, Kind, Scan, Veiled, scan_of, veiled
 
@@ -144,6 +146,19 @@ def test_scans_whose_every_beam_is_sparse_are_explained(tmp_path: Path) -> None:
     assert ended.status == 4
     assert "1 of 1 scan on /scan has no return at all: all of their beams were removed" in ended.messages
     assert "720 of 720 beams (100%) were removed as sparse; they have fewer returns than --min-points" in ended.messages
+
+
+@pytest.mark.parametrize(("lidar", "height"), [("16 rings", 1.0), ("32 rings", 1.8), ("64 rings", 1.8)])
+def test_beams_end_on_boxes_where_the_ground_is_removed(lidar: str, height: float, tmp_path: Path) -> None:
+    cloud = labelled("boxes of 0.3 m", lidar, lidar=height)
+    high = ~cloud.ground & (cloud.above > 0.16 + 0.008 * np.hypot(cloud.points[:, 0], cloud.points[:, 1]))
+    params = ProjectionParams(min_height=LOWEST, max_height=HIGHEST, angle_increment=math.tau / 360)
+    boxes, nearest = (project(cloud.points[those], params).ranges for those in (~cloud.ground, high))
+    (scan,) = converted(write_clouds(tmp_path / "in.mcap", [cloud.points]), 360, "--ground", "remove").scans
+    seen = np.isfinite(nearest)
+    # Nothing but boxes is in the scan, and at most one beam lost its box.
+    assert np.count_nonzero(scan[seen] > nearest[seen] + 0.5) <= 1
+    assert not np.isfinite(scan[~np.isfinite(boxes)]).any()
 
 
 @pytest.mark.parametrize(
