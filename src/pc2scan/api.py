@@ -217,8 +217,8 @@ def convert(
     filters
         Further filters, as objects.
     remove
-        Beams to remove from scans, by the rules of laser_filters: ``shadows`` or ``speckles``, also with parameters,
-        ``"speckles filter_window=3"``; or several of these.
+        Beams to remove from scans: ``shadows`` (mixed pixels) or ``speckles``, also with the parameters of
+        laser_filters, ``"shadows window=2"`` or ``"speckles filter_window=3"``; or several of these.
     keep_used
         A topic to which the points that the scans' beams read are written: PointCloud2 with all of their fields and the
         beam's index. For a scan of several messages: where they were projected, with the fields that all messages have,

@@ -62,11 +62,15 @@ class ProjectedScan:
         How many points are used and rejected.
     intensities
         (N,) float32, 0 without a return; (0,) if no intensities were requested.
+    removed
+        How many beams have ``returns``, and how many of these are ``sparse``: they have no range, because they have
+        fewer returns than ``params.min_points`` or ``params.kth``. None if these are 1 or 0.
     """
 
     ranges: NDArray[np.float32]
     counts: PointCounts
     intensities: NDArray[np.float32]
+    removed: dict[str, int] | None = None
 
 
 class Part(NamedTuple):
@@ -156,8 +160,7 @@ class Projector:
             begin += found.used
         with np.errstate(all="ignore"):
             both = np.concatenate(values) if lit else None
-            ranges, shown = self._reduced(bins[:begin], returns[:begin], both)
-        return ProjectedScan(ranges, counts, shown)
+            return self._reduced(bins[:begin], returns[:begin], both, counts)
 
     @property
     def reads_nearest(self) -> bool:
@@ -250,8 +253,7 @@ class Projector:
         counts = PointCounts.of_projection(x.size, rejected)
         values = None if intensities is None else intensities.reshape(-1)[numbers[: counts.used]]
         with np.errstate(all="ignore"):
-            ranges, lit = self._reduced(bins[: counts.used], returns[: counts.used], values)
-        return ProjectedScan(ranges, counts, lit)
+            return self._reduced(bins[: counts.used], returns[: counts.used], values, counts)
 
     def read(
         self,
@@ -295,9 +297,9 @@ class Projector:
         return found
 
     def _reduced(
-        self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return ranges and intensities (none without ``values``) of beams, from returns in the order of the cloud."""
+        self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None, points: PointCounts
+    ) -> ProjectedScan:
+        """Return the scan of returns in the order of the cloud, with intensities if there are values."""
         from .reduce import extremes, means, surfaces, winners  # noqa: PLC0415  # few conversions reduce otherwise
 
         params = self.params
@@ -305,6 +307,10 @@ class Projector:
         found = np.full(counts.size, self._empty, np.float32)
         lit = np.zeros(0 if values is None else counts.size, np.float32)
         seen = counts >= max(params.min_points, params.kth)
+        removed = None
+        if max(params.min_points, params.kth) > 1:
+            every = int(np.count_nonzero(counts))
+            removed = {"returns": every, "sparse": every - int(np.count_nonzero(seen))}
         if params.reduce == "mean":
             found[seen] = means(bins, returns, counts)[seen]
             if values is not None:
@@ -322,7 +328,7 @@ class Projector:
             found[seen] = returns[winner]
             if values is not None:
                 lit[seen] = values[winner]
-        return found, lit
+        return ProjectedScan(found, points, lit, removed)
 
 
 def _coordinates(
