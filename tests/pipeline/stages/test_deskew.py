@@ -74,6 +74,23 @@ def test_every_point_is_where_one_lookup_with_two_times_puts_it(target: str, sta
         np.testing.assert_allclose(found[place], expected, rtol=0, atol=1e-6 + 1e-7 * abs(expected).max())
 
 
+@pytest.mark.parametrize("unit", [1, 1_000, 1_000_000, 1_000_000_000])
+@pytest.mark.parametrize("times", [[20_000_000], [20_000_000, 20_400_000], [0, 999_000], [5_000_000, 105_000_000]])
+def test_absolute_times_are_those_after_the_stamp(times: list[int], unit: int) -> None:
+    xyz = np.arange(3 * len(times)).reshape(-1, 3) + 1.0
+    # A driver writes 0 for points without a return.
+    values = np.array([*((T0 + time) / unit for time in times), 0.0])
+    stage = Deskew(frames(rate=30), "odom", PointTime())
+    relative, absolute = (
+        moving_of(stage, points(some, these))
+        for some, these in ((xyz, np.array(times)), (np.concatenate([xyz, np.full((1, 3), np.nan)]), values))
+    )
+    expected = np.stack(relative.place(relative.points)[0].xyz(), axis=1)
+    found = np.stack(absolute.place(absolute.points)[0].xyz(), axis=1)[:-1]
+    # At 1.5 m/s and 1 rad/s, in the 0.24 us that a float64 of seconds since 1970 resolves.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
+
+
 #: Half the width of the beams below, metres at the farthest corner: not even exact scans are nearer to the walls.
 HALF_A_BEAM = 10 * math.pi / 3600
 

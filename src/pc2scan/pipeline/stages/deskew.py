@@ -72,7 +72,7 @@ class PointTime:
     field
         The field with the times. Empty: the first of `TIME_FIELDS` that the cloud has.
     unit
-        ``s``, ``ms``, ``us`` or ``ns``. Empty: nanoseconds for integers; for other numbers, their span decides.
+        ``s``, ``ms``, ``us`` or ``ns``. Empty: the numbers decide; see `offset_and_unit`.
     turn
         How the lidar turned, if its points have no times. None: the times are in ``field``.
     """
