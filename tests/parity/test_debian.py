@@ -18,6 +18,7 @@ import pytest
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid
+from pc2scan.core.unproject import unproject
 from pc2scan.errors import MessageError, TransformError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
@@ -292,6 +293,19 @@ def test_zeros_and_times_that_are_not_finite(up: bool, pose: tuple[float, ...], 
             assert_same_floats(found[:, :3], expected[:, :3])
             assert found[:, 3].tobytes() == expected[:, 3].tobytes()
         assert (refused > 0) == deskewed
+
+
+def test_laser_geometry_keeps_directions_by_the_ends_alone(oracle: Path) -> None:
+    # docs/exactness.md: of scans that differ in their increments alone, the later ones get the directions of the first.
+    ranges = np.arange(1, 6, dtype=np.float32)
+    asked = [(-1.0, 1.0, 0.5), (-1.0, 1.0, 0.25), (-1.0, 1.5, 0.25), (-1.0, 1.0, 0.25)]
+    commands = [f"P {' '.join(value.hex() for value in numbers)} {hexadecimal(ranges)}" for numbers in asked]
+    ours = [
+        unproject(ranges, ranges[:0], angle_min=low, angle_increment=step, range_min=0.0, range_max=100.0)
+        for low, _, step in asked
+    ]
+    theirs = [bytes.fromhex(answer) for answer in ask(oracle, [], commands)]
+    assert theirs == [ours[k].points.tobytes() for k in (0, 0, 2, 3)]
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -249,7 +249,7 @@ class Track(NamedTuple):
         """
         rows = self.rows.copy() if rows is None else rows
         any_time = np.zeros(len(rows), np.int64)
-        kernel.follow(any_time, _ALWAYS, np.array([target_from_fixed.pose]), rows)
+        kernel.follow(any_time, _ALWAYS, _as_matrix(target_from_fixed), rows)
         values = self.points.field(self.time_field)
         transform = MovingTransform(values, self.offset, self.unit, self.node_times, rows, self.timed)
         motion = _motion(rows, reference, self.gap_ns)
@@ -478,6 +478,13 @@ def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...] | int, gap_n
     else:
         row = _IDENTITY.copy()
         for transform in reversed(reference):
-            kernel.follow(_ONCE, _ALWAYS, np.array([transform.pose]), row)
+            kernel.follow(_ONCE, _ALWAYS, _as_matrix(transform), row)
     turned, moved = kernel.apart(rows, row)
     return Motion(math.sqrt(moved), 2 * math.asin(min(1.0, math.sqrt(turned) / math.sqrt(8))), gap_ns / 1e9)
+
+
+def _as_matrix(transform: Rigid) -> NDArray[np.float64]:
+    """Return a pose, (1, 7), that does not scale: tf2 multiplies two lookups as matrices; see `kernel.follow`."""
+    pose = np.array([transform.pose])
+    pose[0, 3:] /= np.linalg.norm(pose[0, 3:])
+    return pose
