@@ -101,9 +101,14 @@ class Projector:
     ----------
     params
         The projection's parameters; the caller handles ``target_frame``.
+
+    Attributes
+    ----------
+    reads_nearest
+        Whether beams read the closest return, so that the scan of several parts is the minimum of their scans.
     """
 
-    __slots__ = ("_beams", "_empty", "_is_limited", "_limit", "_rule", "_rule_of_any_height", "params")
+    __slots__ = ("_beams", "_empty", "_is_limited", "_limit", "_rule", "_rule_of_any_height", "params", "reads_nearest")
 
     def __init__(self, params: ProjectionParams) -> None:
         if params.beams == "auto":
@@ -113,6 +118,7 @@ class Projector:
                 hint="`beams=720`, or `ProjectionParams.at_resolution`",
             )
         self.params = params
+        self.reads_nearest = params.reduce == "min" and params.min_points == 1
         self._rule = rule_of(params)
         self._rule_of_any_height = np.concatenate([[-math.inf, math.inf], self._rule[2:]])
         self._beams = params.length
@@ -159,21 +165,21 @@ class Projector:
             ranges, shown = self._reduced(bins[:begin], returns[:begin], both)
         return ProjectedScan(ranges, counts, shown)
 
-    @property
-    def reads_nearest(self) -> bool:
-        """Whether beams read the closest return, so that the scan of several parts is the minimum of their scans."""
-        return self.params.reduce == "min" and self.params.min_points == 1
-
     def nearest(self, part: Part) -> ProjectedScan:
         """Project a part for `nearest_of`: beams without a return read infinity; intensities are ignored."""
-        return self._nearest(part, math.inf)
+        return self._nearest(*self._checked(part), self._rule_for(part), math.inf)
 
-    def _nearest(self, part: Part, empty: float) -> ProjectedScan:
+    def _nearest(
+        self,
+        arrays: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
+        transform: NDArray[np.float32] | MovingTransform | None,
+        rule: NDArray[np.float64],
+        empty: float,
+    ) -> ProjectedScan:
         """Return the closest return of each beam, and ``empty`` for beams without one."""
         ranges = np.empty(self._beams, _FLOAT32)
-        arrays, transform = self._checked(part)
-        rejected = kernel.project(*arrays, self._rule_for(part), transform, ranges, self._limit, empty)
-        return ProjectedScan(ranges, PointCounts.of_projection(part.x.size, rejected), _NO_VALUES)
+        rejected = kernel.project(*arrays, rule, transform, ranges, self._limit, empty)
+        return ProjectedScan(ranges, PointCounts.of_projection(arrays[0].size, rejected), _NO_VALUES)
 
     def nearest_of(self, scans: Sequence[ProjectedScan]) -> ProjectedScan:
         """Return the scan of several parts, the same as `together`, if beams read the closest return."""
@@ -253,10 +259,10 @@ class Projector:
         ValueError
             If the shapes differ, or have not one or two dimensions.
         """
-        part = Part(x, y, z, target_from_source, intensities)
         if self.reads_nearest and intensities is None:
-            return self._nearest(part, self._empty)
-        counts, bins, returns, numbers = self._gathered(part)
+            transform = _for_loops(target_from_source)
+            return self._nearest(_coordinates(x, y, z, None), transform, self._rule, self._empty)
+        counts, bins, returns, numbers = self._gathered(Part(x, y, z, target_from_source, intensities))
         values = None if intensities is None else intensities.reshape(-1)[numbers]
         with np.errstate(all="ignore"):
             ranges, lit = self._reduced(bins, returns, values)

@@ -485,6 +485,7 @@ def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...] | int, gap_n
 
 def _as_matrix(transform: Rigid) -> NDArray[np.float64]:
     """Return a pose, (1, 7), that does not scale: tf2 multiplies two lookups as matrices; see `kernel.follow`."""
-    pose = np.array([transform.pose])
-    pose[0, 3:] /= np.linalg.norm(pose[0, 3:])
-    return pose
+    x, y, z, i, j, k, r = transform.pose
+    # Not 0: the product of thousands of quaternions that are a little too short may underflow.
+    length = math.sqrt(i * i + j * j + k * k + r * r) or 1.0
+    return np.array([(x, y, z, i / length, j / length, k / length, r / length)])
