@@ -144,7 +144,11 @@ class Account(Protocol):
     """Counts the results of all messages."""
 
     def note(self, message: Read) -> None:
-        """Count a message. Raises a `MessageError` if it is certain that no other message can be used."""
+        """Count a message."""
+        ...
+
+    def finish(self) -> None:
+        """Raise a `MessageError` if, in the end, no message could be used."""
         ...
 
     def early_warnings(self) -> Sequence[str]:
@@ -426,6 +430,8 @@ def _accounted(source: Source) -> Generator[Read]:
                 source.account.note(message)
             yield message
             del message
+    if source.account is not None:
+        source.account.finish()
 
 
 def _warn_of_damage(damage: tuple[Damage, ...], warned: int) -> int:
