@@ -73,12 +73,14 @@ class Grouper(Generic[Item]):
         moment = Moment(stamp_ns, log_time_ns)
         series = self._continued(source, moment)
         series.add(source, moment, size, item)
-        groups: list[Group[Item]] = []
-        for each in self._open:
-            groups += each.closed(log_time_ns)
-        if len(self._open) > 1:
+        if len(self._open) == 1:
+            groups = series.closed(log_time_ns)
+            held = series.size
+        else:
+            groups = [group for each in self._open for group in each.closed(log_time_ns)]
             groups += self._ended(series, log_time_ns)
-        if sum(map(attrgetter("size"), self._open)) > MAX_HELD_BYTES:
+            held = sum(each.size for each in self._open)
+        if held > MAX_HELD_BYTES:
             groups += self._relieved(series, stamp_ns)
         return groups
 
