@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,14 +12,14 @@ from hypothesis import strategies as st
 
 from pc2scan.errors import UsageError
 from pc2scan.pipeline.combine import matching
-from pc2scan.pipeline.combine.counts import SourceCounts
+from pc2scan.pipeline.combine.counts import NO_RUN, SourceCounts
 from pc2scan.pipeline.combine.matching import Grouper
 from pc2scan.pipeline.combine.rules import Entry, Interval, Nearest, Recent
 
 from .streams_of_stamps import MS, SECOND, Message, by_the_rule, drawn_rule, drawn_stream
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.pipeline.combine.rules import Rule
 
@@ -70,8 +71,20 @@ def check(stream: Stream, rule: Rule, seed: int) -> None:
         own = [each for each in stream.messages if each.source == source]
         used = {each for _, members in expected for each in members if each.source == source}
         assert (counts.messages, counts.used, counts.unmatched) == (len(own), len(used), len(own) - len(used))
-        assert counts.scans_without == sum(source not in {m.source for m in members} for _, members in expected)
+        lacking = {lead: source not in {m.source for m in members} for lead, members in expected}
+        assert counts.scans_without == sum(lacking.values())
+        assert counts.silence.number == longest_row(lacking)
+        if rule.gathers:
+            # The others let go of messages as soon as they are in a scan, so not quite in the order of the stamps.
+            assert counts.left.number == longest_row({each: each not in used for each in own})
     assert grouper._open == []
+
+
+def longest_row(which: Mapping[Message, bool]) -> int:
+    """The most messages in a row, of one clock and by their stamps, that something is true of."""
+    ordered = sorted(which, key=lambda each: (each.clock, each.key))
+    rows = groupby(ordered, key=lambda each: (each.clock, which[each]))
+    return max((len(list(row)) for (_, is_true), row in rows if is_true), default=0)
 
 
 def check_held(grouper: Grouper[Message], messages: Sequence[Message], rule: Rule) -> None:
@@ -357,9 +370,12 @@ def test_stamps_may_go_on_more_slowly_than_log_times() -> None:
 
 def test_of_two_equal_silences_the_first_is_the_longest() -> None:
     counts = SourceCounts()
-    for stamp_ns, has_it in enumerate([False, False, True, False, False, True, False]):
-        counts.scan(stamp_ns, has_it=has_it)
-    assert counts.silence == (0, 1, 2)
+    for stamps in ((0, 1), (3, 4), (6,)):
+        silence, left = NO_RUN, NO_RUN
+        for stamp_ns in stamps:
+            silence, left = counts.lack(stamp_ns, silence), counts.leave(stamp_ns, left)
+    assert counts.silence == counts.left == (0, 1, 2)
+    assert counts.scans_without == counts.unmatched == 5
 
 
 def test_a_series_that_nothing_continues_ends() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,7 +11,7 @@ import pytest
 
 import pc2scan
 from pc2scan.bags.destinations import open_writer, plan_destination
-from pc2scan.errors import UsageError
+from pc2scan.errors import ResultError, UsageError, stamp_text
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
@@ -131,6 +132,50 @@ def test_scans_are_made_while_the_leading_lidar_speaks(
     assert len(done.stamps) == (end - begin) * scans
     assert all(begin <= stamp < end for stamp in done.stamps)
     assert done.sizes[-2] == size
+
+
+@pytest.mark.parametrize(
+    ("speaks", "options", "left"),
+    [
+        ((0, 2), {}, "130 of 150 messages of /rear are in no scan on /scan; 130 in a row, from {2.03} to {14.93}"),
+        ((10, 15), {}, "100 of 150 messages of /rear are in no scan on /scan; 100 in a row, from {0.03} to {9.93}"),
+        (
+            (0, 2), {"every": 1, "accumulate": "2clouds"},
+            "146 of 150 messages of /rear are in no scan on /scan; 131 in a row, from {1.93} to {14.93}",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_lost_while_the_leading_lidar_is_silent_is_said(
+    speaks: tuple[int, int], options: dict[str, Any], left: str, tmp_path: Path
+) -> None:
+    found = [*clouds("/front", tenths(*speaks)), *clouds("/rear", tenths(0, 15, 0.03))]
+    source = recorded(tmp_path / "d.mcap", sorted(found, key=lambda each: each.at))
+    report = made(source, **BOTH, **options).report
+    expected = re.sub(r"\{(.*?)\}", lambda at: stamp_text(T0 + round(float(at[1]) * 1e9)), left)
+    (warning,) = (each for each in report.warnings if "messages of /rear" in each)
+    assert warning == f"{expected}. Scans are made for messages of the leading topic; `lead` chooses another one"
+    assert not any("messages of /rear" in each for each in report.notes)
+    assert not any("messages of /front" in each for each in report.warnings)
+    (entry,) = (topic for topic in report.as_dict()["topics"] if topic["topic"] == "/rear")
+    assert entry["joined"]["longest_unmatched"]["messages"] == int(expected.partition("; ")[2].partition(" ")[0])
+
+
+def test_a_lead_without_messages_is_named_as_the_cause(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/rear", tenths(0, 5)))
+    with pytest.raises(ResultError, match="the leading topic has none, so those of /rear are in no scan") as caught:
+        made(source, **BOTH)
+    assert "lead" in str(caught.value.hint)
+
+
+def test_messages_left_out_on_purpose_are_a_note(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30)))
+    report = made(source, topics="/front:=/scan", every=10, accumulate="2clouds").report
+    (note,) = (each for each in report.notes if "in no scan" in each)
+    assert note == (
+        "294 of 300 messages of /front are in no scan on /scan; 98 in a row, from 1700000000.000000000 to "
+        "1700000009.700000000"
+    )
+    assert not any("in no scan" in each for each in report.warnings)
 
 
 def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-__all__ = ["Jump", "SourceCounts"]
+__all__ = ["NO_RUN", "Jump", "Run", "SourceCounts"]
 
 #: How many jumps of a topic are listed; all of them are counted.
 _MAX_LISTED = 3
@@ -26,6 +26,26 @@ class Jump(NamedTuple):
     by_ns: int
 
 
+class Run(NamedTuple):
+    """Scans or messages in a row, of one clock: the stamps of the first and the last, and their number."""
+
+    first_ns: int
+    last_ns: int
+    number: int
+
+    def and_one(self, stamp_ns: int) -> Run:
+        """Return the run with one more."""
+        return Run(self.first_ns if self.number else stamp_ns, stamp_ns, self.number + 1)
+
+    def as_dict(self, what: str) -> dict[str, int] | None:
+        """Return the run as JSON types; None if there is none."""
+        first, last, number = self
+        return {"first_stamp_ns": first, "last_stamp_ns": last, what: number} if number else None
+
+
+NO_RUN = Run(0, 0, 0)
+
+
 @dataclass(slots=True)
 class SourceCounts:
     """Counts of the messages of one topic.
@@ -36,8 +56,8 @@ class SourceCounts:
         All messages, those in a scan, and those in no scan.
     scans_without
         Scans without a message of this topic.
-    silence
-        The longest run of such scans: the stamps of its first and its last scan, and their number.
+    silence, left
+        The longest run of such scans, and that of messages in no scan.
     jumps, jumped
         The first jumps of its stamps, and the number of all.
     """
@@ -46,32 +66,36 @@ class SourceCounts:
     used: int = 0
     unmatched: int = 0
     scans_without: int = 0
-    silence: tuple[int, int, int] = (0, 0, 0)
+    silence: Run = NO_RUN
+    left: Run = NO_RUN
     jumps: list[Jump] = field(default_factory=list)
     jumped: int = 0
-    _run: tuple[int, int, int] = field(default=(0, 0, 0), repr=False)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the counts as JSON types."""
         names = ("messages", "used", "unmatched", "scans_without", "jumped")
-        first, last, scans = self.silence
-        longest = {"first_stamp_ns": first, "last_stamp_ns": last, "scans": scans} if scans else None
         return {
             **{name: getattr(self, name) for name in names},
             "jumps": [jump._asdict() for jump in self.jumps],
-            "longest_silence": longest,
+            "longest_silence": self.silence.as_dict("scans"),
+            "longest_unmatched": self.left.as_dict("messages"),
         }
 
-    def scan(self, stamp_ns: int, *, has_it: bool) -> None:
-        """Count a scan."""
-        if has_it:
-            self._run = (0, 0, 0)
-            return
+    def lack(self, stamp_ns: int, before: Run) -> Run:
+        """Count a scan without a message of this topic; return the run of them that goes on."""
         self.scans_without += 1
-        first, _, count = self._run
-        self._run = (first if count else stamp_ns, stamp_ns, count + 1)
-        if self._run[2] > self.silence[2]:
-            self.silence = self._run
+        run = before.and_one(stamp_ns)
+        if run.number > self.silence.number:
+            self.silence = run
+        return run
+
+    def leave(self, stamp_ns: int, before: Run) -> Run:
+        """Count a message that is in no scan; return the run of them that goes on."""
+        self.unmatched += 1
+        run = before.and_one(stamp_ns)
+        if run.number > self.left.number:
+            self.left = run
+        return run
 
     def jump(self, stamp_ns: int, by_ns: int) -> None:
         """Count a jump of the stamps."""

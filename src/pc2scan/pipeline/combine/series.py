@@ -14,6 +14,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
+from .counts import NO_RUN
 from .rules import KEY, Entry
 
 if TYPE_CHECKING:
@@ -114,6 +115,9 @@ class Series(Generic[Item]):
         #: The highest stamps of the last second of log time, both times rising; and the highest of all.
         self._recent = deque([first])
         self._highest = first
+        #: Of each topic, the scans without it, and the messages in no scan, that came last in a row.
+        self._silence = [NO_RUN for _ in counts]
+        self._left = [NO_RUN for _ in counts]
         self._begin_ns: int | None = None
         #: The end of the last interval whose scan is made.
         self._over: Key = _BEFORE_ALL
@@ -232,7 +236,7 @@ class Series(Generic[Item]):
             self._over = (lead.end_ns, 0)
         there = {entry.source for entry in members}
         for source, counts in enumerate(self._counts):
-            counts.scan(lead.stamp_ns, has_it=source in there)
+            self._silence[source] = NO_RUN if source in there else counts.lack(lead.stamp_ns, self._silence[source])
         for entry in members:
             if not entry.used:
                 entry.used = True
@@ -242,7 +246,7 @@ class Series(Generic[Item]):
                 held = self._held[entry.source]
                 at = bisect_left(held, entry.key, key=KEY)
                 del held[at]
-                self.size -= entry.size
+                self._let_go(entry)
         return Group(lead, tuple(members))
 
     def _forget(self) -> None:
@@ -260,7 +264,11 @@ class Series(Generic[Item]):
         """Drop the first messages of a topic."""
         held = self._held[source]
         for entry in held[:count]:
-            self.size -= entry.size
-            if not entry.used:
-                self._counts[source].unmatched += 1
+            self._let_go(entry)
         del held[:count]
+
+    def _let_go(self, entry: Entry[Item]) -> None:
+        """Count a message that is not held any more."""
+        source = entry.source
+        self.size -= entry.size
+        self._left[source] = NO_RUN if entry.used else self._counts[source].leave(entry.stamp_ns, self._left[source])
