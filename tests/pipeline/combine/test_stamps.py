@@ -145,7 +145,7 @@ def test_scans_are_made_while_the_leading_lidar_speaks(
         ),
     ],
 )  # fmt: skip
-def test_what_is_lost_while_the_leading_lidar_is_silent_is_said(
+def test_what_is_lost_while_the_lead_is_silent_is_said(
     speaks: tuple[int, int], options: dict[str, Any], left: str, tmp_path: Path
 ) -> None:
     found = [*clouds("/front", tenths(*speaks)), *clouds("/rear", tenths(0, 15, 0.03))]
@@ -194,6 +194,12 @@ def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
         (entry,) = (topic for topic in done.report.as_dict()["topics"] if topic["topic"] == "/front")
         assert entry["joined"]["jumped"] == 1
         assert entry["joined"]["jumps"] == [{"stamp_ns": T0 + 10 * SECOND - HOUR, "by_ns": -HOUR}]
+
+
+def test_a_cloud_joins_the_scan_whose_stamp_is_nearest(tmp_path: Path) -> None:
+    found = [*clouds("/front", [0.5, 0.5, 0.57]), *clouds("/rear", [0.55])]
+    done = made(recorded(tmp_path / "d.mcap", found), **BOTH, window=0.06)
+    assert list(zip(done.stamps, done.sizes, strict=True)) == [(0.5, 1), (0.5, 1), (0.57, 2)]
 
 
 def test_a_first_stamp_one_day_ahead_is_a_scan_of_its_own(tmp_path: Path) -> None:
