@@ -189,6 +189,8 @@ def test_a_scan_follows_the_message_that_makes_it_certain() -> None:
     both = range(0, 500, 100)
     assert completed(Recent(span_ns=200 * MS), both) == [(each, each) for each in both]
     assert completed(Recent(span_ns=200 * MS), both, both) == [(each, each) for each in both]
+    twice = [0, 0, 100, 100]
+    assert completed(Recent(span_ns=200 * MS), twice, twice) == [(each, each) for each in twice]
     assert completed(Recent(span_ns=MS), both, range(30, 500, 100)) == [(at, at + 30) for at in both]
     assert completed(Interval(100 * MS), both) == [(each, each + 100) for each in both[:-1]]
     # Messages of equal stamps cannot have closer ones; a later lead cannot be closer than one that came.
@@ -273,9 +275,10 @@ def test_a_stamp_jumps_by_far_more_than_its_log_time(
     assert len(grouper._open) == (2 if jumps else 1)
 
 
-def test_topics_of_one_clock_may_be_delayed_differently() -> None:
+@pytest.mark.parametrize("late", [0, 10])
+def test_topics_of_one_clock_may_be_delayed_differently(late: int) -> None:
     for behind, are_one in ((2000, True), (2001, False)):
-        messages = [*of_stamps([0, 100]), Message(1, (100 - behind) * MS, 100 * MS), Message(1, 0, 150 * MS)]
+        messages = [*of_stamps([0, 100]), Message(1, (100 - behind) * MS, (100 + late) * MS), Message(1, 0, 150 * MS)]
         grouper: Grouper[Message] = Grouper(RULES["recent"], 2)
         for each in messages:
             grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each)
@@ -323,6 +326,46 @@ def test_a_topic_whose_clock_is_set_comes_back_to_the_leads() -> None:
     assert [len(members) for _, members in found[7:25]] == [11] * 18
     assert [len(members) for _, members in found[40:90]] == [11] * 50
     assert grouper.counts[1].jumped == 1
+
+
+def test_a_topic_whose_clock_is_set_joins_the_leads() -> None:
+    # It is 2.5 s behind, and then 0.8 s: within 2 s of its own stamps before, and of those of the leading topic.
+    messages = [Message(1, (at - (2_500 if at < 5_000 else 800)) * MS, at * MS) for at in range(0, 10_000, 100)]
+    messages += [Message(0, at * MS, at * MS) for at in range(1_000, 10_000, 100)]
+    grouper: Grouper[Message] = Grouper(Recent(span_ns=100 * MS), 2)
+    found = groups_of(grouper, sorted(messages, key=lambda each: each.log_time_ns))
+    assert [len(members) for _, members in sorted(found)] == [1] * 32 + [2] * 50 + [1] * 8
+
+
+def test_a_topic_that_lags_stays_with_the_leads() -> None:
+    # The third topic, 3 s behind, is nearer to it in the end, but it goes on with its own stamps.
+    messages = [Message(0, at * MS, at * MS) for at in range(0, 30_000, 100)]
+    messages += [Message(1, at * 9 // 10 * MS, at * MS) for at in range(50, 30_000, 100)]
+    messages += [Message(2, (at - 3_000) * MS, at * MS) for at in range(0, 30_000, 100)]
+    grouper: Grouper[Message] = Grouper(RULES["few"], 3)
+    for each in sorted(messages, key=lambda each: each.log_time_ns):
+        grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each)
+        assert grouper._series[1] in {None, grouper._series[0]}
+    assert len(grouper._open) == 2
+
+
+def test_topics_that_are_played_fast_are_of_one_clock() -> None:
+    # Ten times as fast, and one topic pauses.
+    messages = [Message(0, 10 * at * MS, at * MS) for at in range(0, 1_000, 100)]
+    messages += [Message(1, -300 * MS, 0), Message(1, 11_900 * MS, 1_000 * MS)]
+    grouper: Grouper[Message] = Grouper(RULES["recent"], 2)
+    for each in sorted(messages, key=lambda each: each.log_time_ns):
+        grouper.add(each.source, each.stamp_ns, each.log_time_ns, 100, each)
+    assert len(grouper._open) == 1
+
+
+def test_another_clock_does_not_join_silent_leads() -> None:
+    # It jumps by 8 s while the leading topic is silent, which its stamps might reach in this time.
+    messages = [Message(1, (at + 8_000 * (at >= 1_000)) * MS, at * MS) for at in range(50, 3_000, 100)]
+    messages += [Message(0, at * MS, at * MS) for at in [*range(0, 1_000, 100), *range(2_500, 12_000, 100)]]
+    grouper: Grouper[Message] = Grouper(Recent(span_ns=100 * MS), 2)
+    found = groups_of(grouper, sorted(messages, key=lambda each: each.log_time_ns))
+    assert [len(members) for _, members in found] == [1] + [2] * 9 + [1] * 95
 
 
 def test_a_message_out_of_order_makes_no_scan_wait() -> None:

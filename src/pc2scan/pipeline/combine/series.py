@@ -131,7 +131,7 @@ class Series(Generic[Item]):
         if own is not None and moment.stamp_ns < own.stamp_ns - _BACK_NS:
             return None
         # Nearly every message is of the clock of the one before, and there may be thousands in a second.
-        if moment.stamp_ns >= newest.stamp_ns - apart_ns and -apart_ns <= drift_ns(moment, newest) <= apart_ns:
+        if -apart_ns <= drift_ns(moment, newest) <= apart_ns:
             return 0
         known = (newest,) if own is None else (newest, own)
         off = [abs(drift_ns(moment, each)) for each in known if follows(moment, each, apart_ns, apart_ns)]
