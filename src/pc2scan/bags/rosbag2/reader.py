@@ -175,6 +175,8 @@ class Rosbag2Reader(MergedReader):
         known = [damage.messages_lost for damage in self._log.found if damage.loses]
         if stored is None or declared is None or None in known:
             return
+        # What the files themselves lack by their own damage is noted there.
+        known += [damage.messages_lost for damage in super().damage if damage.messages_lost]
         missing = declared - stored - sum(filter(None, known))
         details = ""
         if not known and all(connection.message_count is not None for connection in self.connections):
