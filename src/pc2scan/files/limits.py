@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import RecordingError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["MAX_CONNECTIONS", "MAX_FILE_RATIO", "MAX_MAP_CELLS", "MAX_UNPACKED", "allowed_bytes", "refuse_connections"]
+    from pc2scan.model import Connection
+
+__all__ = ["MAX_CONNECTIONS", "MAX_FILE_RATIO", "MAX_MAP_CELLS", "MAX_UNPACKED", "ConnectionLimit", "allowed_bytes"]
 
 #: Size to which any chunk or message may be decompressed, even if it is stored in few bytes.
 MAX_UNPACKED = 32 << 20
@@ -20,8 +23,8 @@ MAX_FILE_RATIO = 1000
 #: Cells of a map: 410 m by 410 m at 5 cm. Two bytes each while scans are drawn.
 MAX_MAP_CELLS = 64 << 20
 
-#: Connections of a recording, of all its files and parts together. MCAP's ids allow 65,535.
-MAX_CONNECTIONS = 100_000
+#: Connections of a recording: as many as MCAP has numbers for. One takes up to 3 kB of memory in a conversion.
+MAX_CONNECTIONS = 65_536
 
 
 def allowed_bytes(stored: int) -> int:
@@ -29,19 +32,63 @@ def allowed_bytes(stored: int) -> int:
     return MAX_UNPACKED + 2 * stored
 
 
-def refuse_connections(count: int, path: Path) -> None:
-    """Raise if a recording has more connections than are allowed.
+class ConnectionLimit:
+    """Counts the connections of a recording and their descriptions as they are found, and refuses too many.
 
-    Whatever collects connections calls it as they come: with or without an index, in a chunk, a database or
-    metadata.yaml, and for all files of a recording together.
+    Everything that collects connections asks it: readers with or without an index, and readers of several files or
+    parts.
 
-    Raises
-    ------
-    RecordingError
-        If there are more than `MAX_CONNECTIONS`.
+    Parameters
+    ----------
+    path
+        The recording.
+    size
+        Its bytes.
     """
-    if count > MAX_CONNECTIONS:
-        raise RecordingError(
-            f"has more than {MAX_CONNECTIONS:,} connections (a topic has one for each publisher), no more can be read",
-            path=path,
-        )
+
+    def __init__(self, path: Path, size: int = 0) -> None:
+        self._path = path
+        self._size = size
+        self._count = self._bytes = 0
+
+    def add(self, described: int = 0, *, count: int = 1) -> None:
+        """Count connections that take so many bytes to describe, with their definitions.
+
+        Raises
+        ------
+        RecordingError
+            If there are more than `MAX_CONNECTIONS`, or their descriptions are larger than `allowed_bytes`.
+        """
+        self._add(described, count, MAX_CONNECTIONS)
+
+    def add_file(self, connections: Sequence[Connection], size: int) -> None:
+        """Count the connections of a file or a part of ``size`` bytes.
+
+        Those that several files share count in each, because each reader keeps its own; so files of any size may repeat
+        them, a kilobyte for each. Definitions that connections share count once.
+
+        Raises
+        ------
+        RecordingError
+            If there are more, or their descriptions are larger than `allowed_bytes`.
+        """
+        self._size += size
+        definitions = {id(own.definition.data): own.definition.data for own in connections}
+        described = sum(map(len, definitions.values())) + sum(len(own.qos) for own in connections)
+        self._add(described, len(connections), MAX_CONNECTIONS + self._size // 1000)
+
+    def _add(self, described: int, count: int, most: int) -> None:
+        self._count += count
+        self._bytes += described
+        if self._count > most:
+            raise RecordingError(
+                f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is "
+                "read",
+                path=self._path,
+            )
+        if self._bytes > (allowed := allowed_bytes(self._size)):
+            raise RecordingError(
+                f"describes its connections in more than {allowed:,} bytes, the largest size for a recording of "
+                f"{self._size:,} bytes",
+                path=self._path,
+            )

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags.qos import latches
 from pc2scan.errors import RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC
-from pc2scan.files.limits import MAX_CONNECTIONS, refuse_connections
+from pc2scan.files.limits import MAX_CONNECTIONS, ConnectionLimit
 from pc2scan.model import Connection, Definition
 from pc2scan.shown import counted
 
@@ -141,7 +141,7 @@ def _read_connections(
     }
     total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
     unsound, *_ = counts.pop(None, (0,))
-    refuse_connections(len(counts), database.path)
+    ConnectionLimit(database.path).add(count=len(counts))
     if index is not None and (trouble := index_trouble(database.query, index, total, times_sum)):
         raise database.damage(trouble)
     if unsound:
@@ -174,6 +174,7 @@ def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
     columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
     kinds = kinds_of([name for name in names if name in available])
     found: dict[int, list[str]] = {}
+    limit = ConnectionLimit(database.path, database.size)
     for topic_id, kind, *values in database.stored(
         database.query(f"SELECT id, {kinds}, {columns} FROM topics ORDER BY id")  # noqa: S608 - constants
     ):
@@ -184,7 +185,7 @@ def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
             continue
         note_kinds(database, noted, f"row {topic_id} of topics", kind)
         found[topic_id] = values
-        refuse_connections(len(found), database.path)
+        limit.add(sum(map(len, values)))
     return found
 
 
