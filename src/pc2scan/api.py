@@ -563,7 +563,7 @@ def view(
     sources
         A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     clouds
-        Number of clouds of each topic on the page, evenly spread over the recording.
+        Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.
     at
         A time, or several, whose clouds are shown instead; in the forms of ``start``.
     params, preset, params_file, node, topics, start, end, **parameters

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
 from pc2scan.remote.urls import is_url
+from pc2scan.threads import MAX_JOBS
 
 from .summary import BEGINNINGS
 
@@ -58,9 +59,10 @@ class BatchOptions:
     scratch_size: int | None = None
 
     def __post_init__(self) -> None:
-        for name in ("jobs", "retries"):
-            if getattr(self, name) < 0:
-                raise UsageError(f"`{name}` is {getattr(self, name)}, it must not be negative")
+        if not 0 <= self.jobs <= MAX_JOBS:
+            raise UsageError(f"`jobs` is {self.jobs:,}, it must be from 0 to {MAX_JOBS:,}")
+        if self.retries < 0:
+            raise UsageError(f"`retries` is {self.retries}, it must not be negative")
         if isinstance(self.dask, str) and "://" not in self.dask:
             raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
         if isinstance(self.dask, str) and self.jobs:

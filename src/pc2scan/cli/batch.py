@@ -51,8 +51,8 @@ class BatchGroup(Group):
             "-j",
             min=0,
             metavar="N",
-            help="Number of recordings at a time, each in its own process; the output does not depend on it.  "
-            "[default: number of cores, as memory allows]",
+            help="Number of recordings at a time, up to 1,024, each in its own process; the output does not depend on "
+            "it.  [default: number of cores, as memory allows]",
             show_default=False,
             rich_help_panel=_BATCH,
         ),

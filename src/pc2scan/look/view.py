@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Page", "page_of", "view"]
 
+#: Clouds and scans of a topic on one page. All of them are in memory until the page is written, and share its size.
+_MOST_CLOUDS = 1_000
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Page:
@@ -129,7 +132,7 @@ def page_of(
     options
         The options of a conversion: topics, parameters, frames, ``start`` and ``end``.
     clouds
-        How many moments of each topic are shown, evenly spread.
+        How many moments of each topic are shown, evenly spread: from 1 to 1,000.
     at
         Moments to show instead.
     preset
@@ -144,8 +147,8 @@ def page_of(
     RecordingError
         If no message can be read.
     """
-    if clouds < 1:
-        raise UsageError(f"clouds is {clouds}, it must be 1 or more")
+    if not 1 <= clouds <= _MOST_CLOUDS:
+        raise UsageError(f"`clouds` is {clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
     with opened(sources, options) as recording:
         reader, _, buffer = recording
         at_ns = recording.log_times(at)
