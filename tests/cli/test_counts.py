@@ -30,7 +30,7 @@ REFUSED = {
         "min_points is 99,999,999,999,999,999,999, it must be at most 2,147,483,647"
     ),
     "convert -o a.bag --beams 10000000": "beams is 10,000,000, it must be from 2 to 4,000,000",
-    "convert -o a.bag --accumulate 100000000clouds": "--accumulate is '100000000clouds', it must be 1 to 100,000 clouds",
+    "convert -o a.bag --accumulate 999999clouds": "--accumulate is '999999clouds', it must be 1 to 100,000 clouds",
 }
 
 
