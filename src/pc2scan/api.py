@@ -378,7 +378,7 @@ def batch(
         Number of recordings converted at a time; 0: one for each core, as far as the memory is enough. The outputs do
         not depend on it.
     retries
-        How often a recording is tried again if its process died.
+        How often a recording is tried again if its process died: up to 100 times.
     force
         Convert recordings again whose results are up to date.
     checksum

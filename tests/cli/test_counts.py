@@ -20,9 +20,10 @@ HALL = str(ROOT / "fixtures" / "hall.bag")
 
 REFUSED = {
     "view -o a.html --clouds 10000000": "--clouds is 10,000,000, it must be from 1 to 1,000",
-    "plot --frames 10000000 -o a.png": "frames is 10000000, it must be from 1 to 24",
+    "plot --frames 10000000 -o a.png": "--clouds is 10000000, it must be from 1 to 24",
     "convert -o a.bag --jobs 1000000": "--jobs is 1,000,000, it must be from 0 to 1,024",
     "batch -o out --jobs 1000000": "--jobs is 1,000,000, it must be from 0 to 1,024",
+    "batch -o out --retries 1000000": "--retries is 1,000,000, it must be from 0 to 100",
     "convert -o a.bag --reduce kth --kth 99999999999999999999": (
         "kth is 99,999,999,999,999,999,999, it must be at most 2,147,483,647"
     ),
@@ -42,6 +43,50 @@ def test_a_count_beyond_its_range_names_the_range(words: str, tmp_path: Path, mo
     assert ended.status == 2
     assert f"error: {REFUSED[words]}" in ended.messages
     assert list(tmp_path.iterdir()) == []
+
+
+CUTS = {
+    "--start 1000000000000000000000000000000": "outside of the recording: --start is 1000000000000000000000.",
+    "--end 0": "outside of the recording: --end is 1700000000.000000000",
+    "--start 0.3 --end 0.1": "the cut is empty: start is not before end",
+}
+
+
+@pytest.mark.parametrize("command", ["convert -o a.bag", "view -o a.html", "plot -o a.png"])
+@pytest.mark.parametrize("cut", CUTS)
+def test_a_cut_without_messages_is_wrong_usage(
+    cut: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name, *options = command.split()
+    ended = run_command([name, HALL, *options, *cut.split()])
+    assert ended.status == 2
+    assert CUTS[cut] in ended.messages
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("tolerance", ["inf", "1e308", "1e30"])
+@pytest.mark.parametrize(
+    "command", ["convert -o a.bag", "convert -o a.bag --deskew --fixed-frame odom", "view -o a.html"]
+)
+def test_a_tolerance_without_limit_takes_any_transform(
+    command: str, tolerance: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name, *options = command.split()
+    long = ["--target-frame", "base_link", "--min-height", "0.2", "--transform-tolerance"]
+    results = set()
+    for given in (tolerance, "3600"):
+        ended = run_command([name, HALL, *options, *long, given])
+        (made,) = tmp_path.iterdir()
+        results.add((ended.status, made.read_bytes()))
+        made.unlink()
+    assert len(results) == 1
+
+
+def test_a_size_of_files_is_text_also_in_python(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match=r"split is 5 \(int\), it must be text, or None"):
+        pc2scan.convert(HALL, tmp_path / "a.bag", split=5)  # type: ignore[arg-type]
 
 
 def peak_of(work: Callable[[], object]) -> int:

@@ -15,11 +15,14 @@ from bags import mcap_files, rosbag1_files
 from bags.rosbag2_files import write_storage
 from hostile.bounded import run_bounded
 from pc2scan.bags.opening import open_recording
+from pc2scan.bags.rosbag2.reader import Rosbag2Reader
 from pc2scan.errors import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from pc2scan.bags.reader import Reader
 
 #: The limit in these tests.
 MOST = 8
@@ -128,6 +131,23 @@ def test_every_reader_keeps_the_limit_of_connections(
             return
         with closing(open_recording(source)) as reader:
             assert len(reader.connections) == MOST
+
+
+def test_a_directory_of_too_many_topics_is_not_opened_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pc2scan.files.limits.MAX_CONNECTIONS", MOST)
+    for part in range(9):
+        write_storage(tmp_path / f"a_{part}.mcap", [("/0", 0)] + [(f"/{part}_{number}", number) for number in range(3)])
+    opened = []
+    open_file = Rosbag2Reader._open
+
+    def counted(self: Rosbag2Reader, file: Path, *, verify: bool) -> Reader:
+        opened.append(file.name)
+        return open_file(self, file, verify=verify)
+
+    monkeypatch.setattr(Rosbag2Reader, "_open", counted)
+    with pytest.raises(RecordingError, match="has more than 8 connections"):
+        open_recording(tmp_path)
+    assert opened == ["a_0.mcap", "a_1.mcap", "a_2.mcap"]
 
 
 def test_messages_of_more_topics_than_are_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

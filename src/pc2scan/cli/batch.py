@@ -63,7 +63,8 @@ class BatchGroup(Group):
         typer.Option(
             min=0,
             metavar="N",
-            help="How often a recording is tried again if its process was killed, for instance for lack of memory.",
+            help="How often a recording is tried again if its process was killed, for instance for lack of memory; up "
+            "to 100 times.",
             rich_help_panel=_BATCH,
         ),
     ] = 1

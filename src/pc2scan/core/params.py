@@ -39,6 +39,9 @@ MAX_BEAMS = 4_000_000
 #: The largest number of returns of a beam that `kth` and `min_points` may name.
 _MOST_RETURNS = 2**31 - 1
 
+#: Nanoseconds between any two stamps are fewer, because their seconds are uint32; added to a stamp, it is an int64.
+_FOREVER_NS = 2**62
+
 #: The choices of text parameters.
 CHOICES: dict[str, tuple[str, ...]] = {
     "geometry": ("upstream", "centered", "half-open", "symmetric"),
@@ -371,6 +374,11 @@ class ProjectionParams:
         """The beams that the scan's message advertises; with ``beams`` auto, those of ``angle_increment``."""
         beams = 0 if self.beams == "auto" else self.beams
         return _LAYOUTS[self.geometry](self.angle_min, self.angle_max, self.angle_increment, beams)
+
+    @property
+    def tolerance_ns(self) -> int:
+        """``transform_tolerance`` in nanoseconds; at most `_FOREVER_NS`."""
+        return round(min(self.transform_tolerance * 1e9, _FOREVER_NS))
 
     @property
     def length(self) -> int:

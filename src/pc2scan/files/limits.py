@@ -50,6 +50,7 @@ class ConnectionLimit:
         self._path = path
         self._size = size
         self._count = self._bytes = 0
+        self._topics: set[str] = set()
 
     def add(self, described: int = 0, *, count: int = 1) -> None:
         """Count connections that take so many bytes to describe, with their definitions.
@@ -65,7 +66,8 @@ class ConnectionLimit:
         """Count the connections of a file or a part of ``size`` bytes.
 
         Those that several files share count in each, because each reader keeps its own; so files of any size may repeat
-        them, a kilobyte for each. Definitions that connections share count once.
+        them, a kilobyte for each. Definitions that connections share count once. Topics that differ between files
+        count as in one file, before all files are open.
 
         Raises
         ------
@@ -76,19 +78,24 @@ class ConnectionLimit:
         definitions = {id(own.definition.data): own.definition.data for own in connections}
         described = sum(map(len, definitions.values())) + sum(len(own.qos) for own in connections)
         self._add(described, len(connections), MAX_CONNECTIONS + self._size // 1000)
+        self._topics.update(own.topic for own in connections)
+        self._refuse_more(len(self._topics), MAX_CONNECTIONS)
 
     def _add(self, described: int, count: int, most: int) -> None:
         self._count += count
         self._bytes += described
-        if self._count > most:
-            raise RecordingError(
-                f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is "
-                "read",
-                path=self._path,
-            )
+        self._refuse_more(self._count, most)
         if self._bytes > (allowed := allowed_bytes(self._size)):
             raise RecordingError(
                 f"describes its connections in more than {allowed:,} bytes, the largest size for a recording of "
                 f"{self._size:,} bytes",
+                path=self._path,
+            )
+
+    def _refuse_more(self, count: int, most: int) -> None:
+        if count > most:
+            raise RecordingError(
+                f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is "
+                "read",
                 path=self._path,
             )

@@ -277,7 +277,7 @@ def info(
             buffer, warnings = read_transforms([reader, *others], asked)
         elif any(topic.msgtype in CLOUDS for topic in topics):
             buffer = read_some_transforms(reader, asked, start_ns or 0)
-        tolerance_ns = round(ProjectionParams().transform_tolerance * 1e9)
+        tolerance_ns = ProjectionParams().tolerance_ns
         places = Frames(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
         clouds, scans = _samples(reader, topics, samples, start_ns, end_ns, places, buffer)
         return Info(

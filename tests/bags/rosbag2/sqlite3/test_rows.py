@@ -32,6 +32,7 @@ WRONG_TIMES = {
     "1.5": "timestamp 1.5",
     "'tomorrow'": "timestamp 'tomorrow'",
     "x'00ff'": "timestamp x'00ff'",
+    "x''": "timestamp x''",
     "NULL": "timestamp NULL",
 }
 

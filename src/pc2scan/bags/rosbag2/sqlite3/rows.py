@@ -53,7 +53,7 @@ def note_unsound(database: Database, noted: DamageLog, count: int, topics: Mappi
     """Note the rows of ``messages`` that are not sound, of which there are ``count``; topics have names by id."""
     # Not the values themselves, which may be long.
     short = ", ".join(
-        f"CASE WHEN typeof({column}) IN ('text', 'blob') THEN substr({column}, 1, {_SHOWN}) ELSE {column} END"
+        f"CASE WHEN length(CAST({column} AS BLOB)) > {_SHOWN} THEN substr({column}, 1, {_SHOWN}) ELSE {column} END"
         for column in _COLUMNS
     )
     rows = database.query(f"SELECT {short} FROM messages WHERE NOT ({SOUND}) LIMIT ?", (MAX_PLACES,))  # noqa: S608
