@@ -32,7 +32,7 @@ _LONGEST = 80
 _CHECKS: Mapping[str, tuple[Callable[[object], bool], str]] = {
     "bool": (lambda value: isinstance(value, bool), "True or False"),
     "int": (lambda value: isinstance(value, int) and not isinstance(value, bool), "a whole number"),
-    "str | None": (lambda value: value is None or isinstance(value, str), "text, or None"),
+    "str | None": (lambda value: value is None or isinstance(value, str), "a str, or None"),
     "Progress | None": (lambda value: value is None or callable(value), "a function, or None"),
 }
 

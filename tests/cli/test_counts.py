@@ -85,7 +85,7 @@ def test_a_tolerance_without_limit_takes_any_transform(
 
 
 def test_a_size_of_files_is_text_also_in_python(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match=r"split is 5 \(int\), it must be text, or None"):
+    with pytest.raises(TypeError, match=r"split is 5 \(int\), it must be a str, or None"):
         pc2scan.convert(HALL, tmp_path / "a.bag", split=5)  # type: ignore[arg-type]
 
 
