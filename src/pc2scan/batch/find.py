@@ -233,7 +233,7 @@ def _paths_in_list(path: Path, stores: Stores) -> list[Path] | None:
     if any(is_url(Path(line)) for line in named) or stores.is_remote(path):
         # A line that looks like a URL makes the file a list. In a list at a URL, all lines are URLs or relative to it.
         return [Path(stores.located(stores.beside(path, line))) for line in named]
-    paths = [path.parent / line for line in named]
+    paths = [Path(stores.beside(path, line)) for line in named]
     # At least one path of a list must exist. Otherwise the file is another text, named by mistake.
     return paths if any(map(os.path.lexists, paths)) else None
 

@@ -17,6 +17,7 @@ from secrets import token_hex
 from threading import Event, Thread
 from typing import TYPE_CHECKING
 
+from pc2scan.arguments import local_path
 from pc2scan.errors import DestinationError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.source import on_demand
 from pc2scan.remote.names import Names
@@ -88,10 +89,11 @@ class Stores:
         MissingError, RecordingError
             If nothing is there, or it cannot be listed.
         """
-        return self._listed(url_of(Path(text))) if is_url(Path(text)) else text
+        return self._listed(url_of(Path(text))) if is_url(Path(text)) else local_path(text)
 
     def beside(self, path: Path, name: str) -> str:
         """Resolve a path that a list of paths contains; if the list is at a URL, the result is a URL, too."""
+        name = local_path(name)
         if is_url(Path(name)) or not self.is_remote(path):
             return name if is_url(Path(name)) else str(path.parent / name)
         return f"{self.url_of(path).partition('?')[0].rpartition('/')[0]}/{name}"

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from typer.models import TyperPath
 
 from . import completion
 from .damage import show_damage
@@ -35,7 +34,7 @@ def export(
             metavar="OUT",
             help="The file to write. DIR/: a new folder with a file for each topic. For clouds: always a folder.",
             show_default=False,
-            click_type=TyperPath(path_type=str),
+            click_type=PathType(path_type=str),
         ),
     ],
     written: Annotated[

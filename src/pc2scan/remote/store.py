@@ -25,7 +25,7 @@ _VERSION = (
 )
 
 #: Stores in which an unfinished upload is visible. There, files get their names when they are complete.
-_GRADUAL = ("file", "memory")
+_GRADUAL = ("memory",)
 
 #: Timeouts in seconds: for a connection, and for the next bytes.
 _CONNECT_SECONDS, _READ_SECONDS = 10, 20
