@@ -9,6 +9,7 @@ import typer
 
 from . import completion
 from .damage import show_damage
+from .groups import PathType
 from .options.conversion import ConversionGroup
 from .options.frames import frame_option
 from .options.single import Json

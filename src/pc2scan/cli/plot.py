@@ -53,6 +53,7 @@ def plot(
             frames=frames,
             at=[TimeBound.parse(time) for time in at],
             overwrite=overwrite,
+            also_read=conversion.read_files(),
         )
     for note in drawn.notes:
         warn(note)

@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET  # only written, never parsed
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
-from .overlap import InputPath, OutputPath, refuse_overlap
+from .ownership import InputPath, OutputPath, refuse_overlap
 from .text_output import text_output
 
 if TYPE_CHECKING:

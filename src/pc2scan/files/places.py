@@ -37,7 +37,7 @@ LEFTOVERS = (PARTIAL, OLD)
 def working_names(dst: Path) -> tuple[Path, ...]:
     """Return the paths beside a destination that a run creates, renames and removes while it writes it.
 
-    No input may have one of them: see `pc2scan.files.overlap`.
+    No input may have one of them: see `pc2scan.files.ownership`.
     """
     return tuple(dst.with_name(dst.name + ending) for ending in (PARTIAL, OLD, LOCK)) if dst.name else ()
 
@@ -53,6 +53,10 @@ def check_place(dst: Path) -> None:
         exists = parent.exists()
     except OSError as err:
         raise DestinationError(f"its directory cannot exist: {err.strerror}", path=dst) from err
+    if not exists and parent.is_symlink():
+        raise DestinationError(
+            "its directory is a link that leads nowhere", path=dst, hint=f"ls -l {parent} shows where it leads"
+        )
     if not exists:
         from shlex import quote  # noqa: PLC0415  # few destinations are wrong
 
