@@ -10,9 +10,9 @@ import pytest
 from pc2scan.batch.identity import Identity
 from pc2scan.batch.manifest import (
     BEGUN,
+    Begun,
     Manifest,
     Record,
-    Begun,
     forget_begun,
     read_begun,
     read_manifest,

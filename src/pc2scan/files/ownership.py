@@ -31,7 +31,7 @@ import stat
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import DestinationError, OutputError
+from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .numbered import parts_among, parts_beside
 from .places import working_names
@@ -178,12 +178,12 @@ def refuse_others(
     if isinstance(found, str) and owned is not None and owned.below(folder.name).files:
         # An older version wrote no record into the folder, but the manifest lists its files.
         found = owned.below(folder.name)
+    away = "choose another name, or move it away"
     if isinstance(found, str):
-        raise _not_ours(folder, found, f"remove it yourself (rm -r {shlex.quote(str(folder))}), or choose another name")
+        hint = f"choose another name, or remove it yourself: rm -r {shlex.quote(str(folder))}"
+        raise _not_ours(folder, f"{found}, so it does not account for {name_list(present, 3)}", hint)
     if unnamed := [name for name in present if name not in found.files]:
-        raise _not_ours(
-            folder, f"its {found.name} does not name {unnamed[0]}", f"move {unnamed[0]} away, or choose another name"
-        )
+        raise _not_ours(folder, f"its {found.name} does not name {name_list(unnamed, 3)}", away)
     if written is not None:
         kept = ruling(
             present,
@@ -193,14 +193,12 @@ def refuse_others(
             as_left=lambda name, left: is_as_left(folder / name, left),
         ).kept
         if kept:
-            raise _not_ours(
-                folder, f"{kept[0]} was changed after it was written", f"move {kept[0]} away, or choose another name"
-            )
+            raise _not_ours(folder, f"{name_list(kept, 3)} was changed after it was written", away)
 
 
 def _not_ours(folder: Path, reason: str, hint: str) -> DestinationError:
     return DestinationError(
-        f"is a directory with something that no run of pc2scan has recorded ({reason}), and is not overwritten",
+        f"is a directory with something that pc2scan has not written, and is not overwritten: {reason}",
         path=folder,
         hint=hint,
     )

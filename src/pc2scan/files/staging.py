@@ -108,7 +108,7 @@ def staged(
 
     def check_again(partial: Path) -> None:
         # Other files may have been added since the beginning.
-        refuse_others(dst, owned, record_in, set(files_below(partial)))
+        refuse_others(dst, owned, record_in, set(files_below(partial)) if partial.is_dir() else ())
 
     with prepared(dst, check, check_again) as (partial, commit):
         yield partial
