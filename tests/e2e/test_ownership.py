@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
+from pc2scan.arguments import local_path, path_of
 from pc2scan.batch.options import BatchOptions
 from pc2scan.batch.run import run_batch
 from pc2scan.batch.work import convert_one
@@ -41,7 +42,7 @@ def contents(folder: Path) -> dict[str, bytes | str]:
     }
 
 
-def batch(sources: Path, out: Path, **words: Any) -> BatchReport:
+def batch(sources: Path, out: Path | str, **words: Any) -> BatchReport:
     """A batch whose jobs run in this process."""
 
     def executor(**_: object) -> Executor:
@@ -52,7 +53,8 @@ def batch(sources: Path, out: Path, **words: Any) -> BatchReport:
 
         return execute
 
-    return run_batch([str(sources)], out, {"min_height": -0.3, **words}, BatchOptions(), executor=executor)
+    destination = path_of("destination", out)
+    return run_batch([str(sources)], destination, {"min_height": -0.3, **words}, BatchOptions(), executor=executor)
 
 
 # --- All names of a file are one ---
@@ -145,8 +147,6 @@ def test_commands_never_replace_what_they_read(words: str, drive: Path) -> None:
     ],
 )
 def test_file_urls_are_read_as_their_standard_says(url: str, path: str) -> None:
-    from pc2scan.arguments import local_path
-
     assert local_path(url) == path
 
 
