@@ -177,14 +177,14 @@ def test_only_ranges_are_read(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_source_in_a_store_is_never_replaced(bucket: Any) -> None:
     before = {name: bucket.cat_file(name) for name in bucket.find("/bucket")}
     url = "memory://bucket/hall.bag"
-    cases: list[tuple[str, dict[str, Any]]] = [
-        (url, {}),
-        ("memory://bucket/x/../hall.bag", {}),
-        ("memory://bucket/hall.mcap", {"tf_from": url}),
+    cases: list[tuple[str, str, dict[str, Any]]] = [
+        (url, url, {}),
+        (url, "memory://bucket/x/../hall.bag", {}),
+        ("memory://bucket/hall.mcap", url, {"tf_from": url}),
     ]
-    for source, options in cases:
+    for source, destination, options in cases:
         with pytest.raises(DestinationError, match="is a source"):
-            pc2scan.convert(source, url, overwrite=True, **options, **HEIGHTS)
+            pc2scan.convert(source, destination, overwrite=True, **options, **HEIGHTS)
     # Nor one that has the name of a numbered file.
     bucket.pipe_file("/bucket/drive_2.bag", before["/bucket/hall.bag"])
     with pytest.raises(DestinationError, match="is a source"):
