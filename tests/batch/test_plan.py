@@ -128,6 +128,12 @@ def test_only_the_batchs_own_is_replaced() -> None:
     # Where it was written before is not where it is written now.
     elsewhere = planned(record=replace(RECORD, output="b_scan.bag"), there=WRITTEN)
     assert elsewhere.action == "refuse"
+    # Unless an earlier line names it, and it is as it was left.
+    later = replace(RECORD, output="b_scan.bag")
+    for there, action in ((WRITTEN, "convert"), (Identity((("a_scan.bag", 51, 9),)), "refuse")):
+        history = History.read([RECORD, later], frozenset())
+        plan = make_plan([FOUND], {FOUND.key: CHOICE}, history, out=OUT, present=_only("r/a_scan.bag", there))
+        assert [step.action for step in plan.steps] == [action]
     error = DestinationError("is a source")
     read = planned(record=None, there=Identity(), forbidden=lambda output: error if output == "r/a_scan.bag" else None)
     assert (read.action, read.error) == ("refuse", error)
@@ -235,5 +241,5 @@ def test_a_result_that_is_not_written_any_more_is_named() -> None:
     assert warning.startswith("r/a_scan.mcap is out of date: its recording is written to r/a_scan.bag now;")
 
 
-def _only(output: str) -> Any:
-    return lambda asked: WRITTEN if asked == output else Identity()
+def _only(output: str, there: Identity = WRITTEN) -> Any:
+    return lambda asked: there if asked == output else Identity()

@@ -90,9 +90,12 @@ class History:
             if record.output and (record.output in self.left or record.outcome == "died")
         }
 
-    def record(self, output: str) -> FileRecord | None:
-        """Return what is recorded about the files of an output, relative to its folder; None if nothing is."""
-        if output not in self.owned:
+    def record(self, output: str, there: Identity | None = None) -> FileRecord | None:
+        """Return what is recorded about the files of an output, relative to its folder; None if nothing is.
+
+        Of an output whose recording has had another one since, only if it is ``there`` as it was left.
+        """
+        if output not in self.owned and (there is None or not there.files or there != self.left.get(output)):
             return None
         name = PurePosixPath(output).name
         files: dict[str, Left | None] = {name: None}
@@ -238,7 +241,7 @@ def make_plan(
         choice = choices[each.key]
         record = history.records.get(each.key)
         output = outputs.get(each.key, "")
-        step = Step(each, "convert", "", choice, output, owned=history.record(output), record=record)
+        step = Step(each, "convert", "", choice, output, record=record)
         if choice.request is None:
             steps.append(replace(step, action="skip", why="the dataset file skips it"))
             continue
@@ -246,6 +249,7 @@ def make_plan(
             steps.append(replace(step, action="refuse", why=each.error.message, error=each.error))
             continue
         there = present(output)
+        step = replace(step, owned=history.record(output, there))
         why = "forced" if force else _reason(each, choice, output, history, there, checksum)
         error = None
         if why:

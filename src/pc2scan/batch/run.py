@@ -11,11 +11,11 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
+from pc2scan.files.journal import finished
 from pc2scan.files.numbered import parts_beside
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
 from pc2scan.files.places import made_folder
 from pc2scan.files.records import Record as FileRecord
-from pc2scan.files.recovery import finished
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.pipeline.scheduler import cores as all_cores
@@ -177,7 +177,7 @@ class _Batch:
             self._sources,
             self._out,
             known=_known_recordings(self._history, self._stores),
-            outputs=[path for output in self._history.owned for path in self._files_of(output)],
+            outputs=[path for output in {*self._history.owned, *self._history.left} for path in self._files_of(output)],
             stores=self._stores,
         )
         if not found:
@@ -362,7 +362,7 @@ class _Batch:
             destination=self._stores.url_of(folder / whole(Path(step.output).name if flat else step.output)),
             request=step.choice.request,
             size_bytes=step.found.identity.size_bytes,
-            owned=step.owned or FileRecord(),
+            owned=step.owned or FileRecord({}),
             checksum=self._options.checksum and not self._options.dry_run,
             dry_run=self._options.dry_run,
             shown=self._watch.shown is not None,

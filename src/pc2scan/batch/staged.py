@@ -337,7 +337,7 @@ class _StagedQueue(Queue):
             present = parts_among((name for name in listed if "/" not in name), target)
         else:
             present = [name for name in listed if name == target or name.startswith(f"{target}/")]
-        record = job.owned or Record()
+        record = job.owned or Record({})
         # Of an upload that was killed, only the name is known.
         begun = record.files.get(first_part(target) if is_numbered else target, _UNKNOWN) is None
         overwrite = job.request.output.overwrite or begun

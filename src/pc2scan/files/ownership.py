@@ -17,7 +17,7 @@ These are records:
   would differ between two exports of the same messages, and are lost by copying. CRC-32 recognises an edited file and,
   unlike SHA-256, takes no time beside writing it. It would not stop a forger; but whoever can write the record can
   remove the files, too.
-- The journal of a run that renames numbered files (`pc2scan.files.staged_parts`).
+- The journal of a run that renames numbered files (`pc2scan.files.journal`).
 
 Numbered files of a single conversion have no record: one beside them would be one more file for each recording. Those
 with numbers above the last one that a run writes stay, and a warning names them.
@@ -35,7 +35,6 @@ from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .numbered import parts_among, parts_beside
 from .places import working_names
-from .records import files_below, is_as_left
 from .same_file import file_ids, name_key, path_key, places
 
 if TYPE_CHECKING:
@@ -171,6 +170,8 @@ def refuse_others(
     DestinationError
         If there is anything that no record names, or that was changed and is not written by this run.
     """
+    from .records import files_below, is_as_left  # noqa: PLC0415  # few outputs replace a directory
+
     present = sorted(files_below(folder))
     if not present:
         return

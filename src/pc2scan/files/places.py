@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = [
+    "JOURNAL",
     "LEFTOVERS",
     "LOCK",
     "OLD",
@@ -29,6 +30,9 @@ __all__ = [
 PARTIAL = ".pc2scan-partial"
 OLD = ".pc2scan-old"
 LOCK = f"{PARTIAL}.lock"
+
+#: The name of the journal in the temporary directory of numbered files; see `pc2scan.files.journal`.
+JOURNAL = "files.json"
 
 #: Endings of the files that a killed run leaves beside its destination.
 LEFTOVERS = (PARTIAL, OLD)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import stat
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import OutputError
@@ -48,8 +46,7 @@ class Left(NamedTuple):
     crc: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(NamedTuple):
     """What earlier runs wrote into a folder, by their own account.
 
     Attributes
@@ -60,7 +57,7 @@ class Record:
         The name of the file with this record, for messages.
     """
 
-    files: Mapping[str, Left | None] = field(default_factory=dict)
+    files: Mapping[str, Left | None]
     name: str = "record"
 
     def below(self, folder: str) -> Record:
@@ -112,6 +109,8 @@ def write_record(folder: Path) -> None:
     OutputError
         If it cannot be written.
     """
+    import json  # noqa: PLC0415  # only exports have such a record
+
     try:
         files = {
             name: [(folder / name).stat().st_size, _crc_of(folder / name)]
@@ -127,6 +126,8 @@ def write_record(folder: Path) -> None:
 
 def read_record(folder: Path) -> Record | str:
     """Return the record in a folder; text if there is none that can be read: the reason."""
+    import json  # noqa: PLC0415  # only exports have such a record
+
     try:
         path = folder / RECORD
         if not stat.S_ISREG(path.lstat().st_mode) or path.stat().st_size > _MAX_RECORD_BYTES:

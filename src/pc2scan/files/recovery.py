@@ -1,62 +1,21 @@
-"""Undoes or completes what a killed run left: unfinished outputs, and old ones that it had set aside.
-
-Numbered files get their names one by one. So before the first gets its name, a journal lists the new files and those
-that are set aside. The first file appears last: if it is in place, all are, and the old ones are removed; otherwise the
-new ones are removed, and the old ones get their names again. Nothing is touched that the journal does not name.
-"""
+"""Undoes or completes what a killed run left: unfinished outputs, and old ones that it had set aside."""
 
 from __future__ import annotations
 
-import json
 import os
-import stat
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.errors import OutputError
 
-from .numbered import parts_among
-from .places import OLD, PARTIAL
-from .records import Left, Record, is_as_left
+from .places import JOURNAL, OLD, PARTIAL
+from .system import remove
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
-__all__ = ["JOURNAL", "Journal", "finished", "recover", "remove", "undo_parts"]
+    from .records import Record
 
-#: The name of the journal, in the temporary directory of the new files.
-JOURNAL = "files.json"
-
-
-class Journal(NamedTuple):
-    """What a run that renames numbered files is going to do.
-
-    Attributes
-    ----------
-    new
-        The new files by name, as they were written; the first one of the recording first.
-    aside
-        The names of old files that are set aside, and removed at the end.
-    """
-
-    new: Mapping[str, Left]
-    aside: tuple[str, ...]
-
-    def as_json(self) -> str:
-        """Return it as text."""
-        return json.dumps({"new": {name: list(left[:2]) for name, left in self.new.items()}, "aside": self.aside})
-
-    @classmethod
-    def read(cls, partial: Path) -> Journal | None:
-        """Return the journal in a temporary directory; None if there is no complete one."""
-        try:
-            if not stat.S_ISDIR(partial.lstat().st_mode) or not stat.S_ISREG((partial / JOURNAL).lstat().st_mode):
-                return None
-            noted = json.loads((partial / JOURNAL).read_bytes())
-            new = {str(name): Left(int(size), int(time)) for name, (size, time) in noted["new"].items()}
-            return cls(new, tuple(map(str, noted["aside"])))
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
-            return None
+__all__ = ["recover"]
 
 
 def recover(dst: Path, *, keep_journal: bool = False) -> Record | None:
@@ -80,16 +39,26 @@ def recover(dst: Path, *, keep_journal: bool = False) -> Record | None:
         If something cannot be removed or renamed.
     """
     try:
-        done = finished(dst)
-        if done is not None:
-            _remove_aside(dst)
-        else:
-            undo_parts(dst)
+        done = _recover_parts(dst)
         if done is None or not keep_journal:
             remove(dst.with_name(dst.name + PARTIAL))
         _recover_one(dst)
     except OSError as err:
         raise OutputError(f"the files of an interrupted run cannot be removed: {err.strerror}", path=dst) from err
+    return done
+
+
+def _recover_parts(dst: Path) -> Record | None:
+    """Undo or complete the replacement of numbered files; return the new ones if they are complete."""
+    if not os.path.lexists(dst.with_name(dst.name + PARTIAL) / JOURNAL):
+        return None
+    from . import journal  # noqa: PLC0415  # most recordings are one file
+
+    done = journal.finished(dst)
+    if done is not None:
+        journal.complete(dst)
+    else:
+        journal.undo(dst)
     return done
 
 
@@ -101,59 +70,3 @@ def _recover_one(dst: Path) -> None:
         remove(aside)
     elif os.path.lexists(aside):
         aside.rename(dst)
-
-
-def _remove_aside(dst: Path) -> None:
-    """Remove the old files that the journal of numbered files names."""
-    journal = _journal_of(dst)
-    for name in () if journal is None else journal.aside:
-        remove(dst.with_name(name + OLD))
-
-
-def undo_parts(dst: Path) -> None:
-    """Remove the new numbered files that have their names, and give the old ones theirs again, by the journal."""
-    journal = _journal_of(dst)
-    if journal is None:
-        return
-    partial = dst.with_name(dst.name + PARTIAL)
-    for name, left in journal.new.items():
-        path = dst.with_name(name)
-        # A file that is also in the directory is the new one only if the run died between link and unlink.
-        if is_as_left(path, left) and (not (partial / name).exists() or path.samefile(partial / name)):
-            path.unlink()
-    for name in journal.aside:
-        path, old = dst.with_name(name), dst.with_name(name + OLD)
-        if os.path.lexists(old) and not os.path.lexists(path):
-            old.rename(path)
-
-
-def _journal_of(dst: Path) -> Journal | None:
-    """Return the journal of a destination; None if there is none, or if it names anything but parts of it."""
-    journal = Journal.read(dst.with_name(dst.name + PARTIAL))
-    if journal is None:
-        return None
-    names = {*journal.new, *journal.aside}
-    return journal if journal.new and len(parts_among(names, dst.name)) == len(names) else None
-
-
-def finished(dst: Path) -> Record | None:
-    """Return the record of numbered files that all have their names; None if no journal says so."""
-    journal = _journal_of(dst)
-    if journal is None:
-        return None
-    first = next(iter(journal.new))
-    return Record(dict(journal.new), JOURNAL) if is_as_left(dst.with_name(first), journal.new[first]) else None
-
-
-def remove(path: Path) -> None:
-    """Delete a file or a directory if it exists; a symbolic link, not its target."""
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return
-    if stat.S_ISDIR(mode):
-        import shutil  # noqa: PLC0415  # it loads the compression modules
-
-        shutil.rmtree(path)
-    else:
-        path.unlink()

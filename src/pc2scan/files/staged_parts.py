@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError, name_list
 
+from .journal import Journal, undo
 from .numbered import part_number, parts_beside
 from .ownership import check_existing, exists_already, ruling
-from .places import OLD, check_length, check_place
+from .places import JOURNAL, OLD, check_length, check_place
 from .records import Record, is_as_left, left_now
-from .recovery import JOURNAL, Journal, remove, undo_parts
 from .staging import note_renaming, prepared, rename_file, sync
-from .system import sync_directory
+from .system import remove, sync_directory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -141,7 +141,7 @@ def _commit(partial: Path, dst: Path, owned: Record | None, *, overwrite: bool) 
             rename_file(partial / name, dst.with_name(name))
         sync_directory(dst.parent)
     except BaseException:
-        undo_parts(dst)
+        undo(dst)
         raise
     for name in aside:
         remove(dst.with_name(name + OLD))

@@ -11,10 +11,9 @@ from pc2scan.errors import DestinationError, OutputError
 
 from .ownership import check_existing, exists_already, refuse_others
 from .places import OLD, PARTIAL, check_new_folder, check_place, working_names
-from .records import files_below
-from .recovery import recover, remove
+from .recovery import recover
 from .run_lock import only_run
-from .system import sync_directory, sync_file
+from .system import remove, sync_directory, sync_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -107,6 +106,8 @@ def staged(
         return overwrite or (owned is not None and dst.name in owned.files)
 
     def check_again(partial: Path) -> None:
+        from .records import files_below  # noqa: PLC0415  # few outputs replace a directory
+
         # Other files may have been added since the beginning.
         refuse_others(dst, owned, record_in, set(files_below(partial)) if partial.is_dir() else ())
 
