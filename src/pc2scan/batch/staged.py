@@ -15,7 +15,7 @@ from pathlib import Path
 from threading import RLock, Thread
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import DestinationError, OutputError, Pc2ScanError
+from pc2scan.errors import DestinationError, OutputError, Pc2ScanError, name_list
 from pc2scan.files.numbered import parts_among
 from pc2scan.files.ownership import ruling
 from pc2scan.files.places import LEFTOVERS
@@ -353,8 +353,9 @@ class _StagedQueue(Queue):
             raise DestinationError("exists already", path=shown, hint="`overwrite=True` replaces it")
         if found.kept and not is_numbered:
             raise DestinationError(
-                "was not written by this batch, or was changed since, and is not replaced",
-                path=folder.child(found.kept[0]).shown,
+                "has something that this batch did not write, or that was changed since, and is not replaced: "
+                + name_list(found.kept, 3),
+                path=folder.child(target).shown,
                 hint="move it away, or write to another folder",
             )
         # Without its metadata.yaml a directory is no recording any more. Files are replaced in one step.
