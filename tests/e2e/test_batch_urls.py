@@ -230,16 +230,16 @@ def test_objects_of_others_stay(s3: Any, drives: Path, tmp_path: Path) -> None:
     line = lines_of(s3.cat_file(f"{s3.bucket}/out/manifest.jsonl"))["a.bag"]
     assert any("named like a part of a_scan.bag" in text for text in line["report"]["warnings"])
 
-    words = (drives / "a.bag", "-o", f"s3://{s3.bucket}/arrays", "--export")
-    assert batch(*words, "npz").returncode == 0
+    export = (drives / "a.bag", "-o", f"s3://{s3.bucket}/arrays", "--export")
+    assert batch(*export, "npz").returncode == 0
     s3.pipe_file(f"{s3.bucket}/arrays/a/labels.npz", b"mine")
     before = download(s3, "arrays/a", tmp_path / "before")
     for more in ((), ("--overwrite",)):
-        done = batch(*words, "csv", *more)
+        done = batch(*export, "csv", *more)
         assert (done.returncode, "a/labels.npz" in done.stderr) == (1, True), done.stderr
     assert download(s3, "arrays/a", tmp_path / "after") == before
     s3.rm_file(f"{s3.bucket}/arrays/a/labels.npz")
-    assert batch(*words, "csv").returncode == 0
+    assert batch(*export, "csv").returncode == 0
     assert set(download(s3, "arrays/a", tmp_path / "done")) == {"scan.csv", ".pc2scan-files.json"}
 
 

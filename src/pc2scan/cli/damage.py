@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
 from pc2scan.errors import stamp_text
 from pc2scan.shown import counted
 
-from .render import printable, size
+from .render import say, size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,9 +27,9 @@ SHOWN = 5
 def show_damage(damage: Sequence[Damage], *, limit: int = SHOWN) -> None:
     """Show the damage, its place, and what is lost there."""
     for place in damage[:limit]:
-        typer.echo(printable(f"damaged: {place}"), err=True)
+        say(f"damaged: {place}", err=True)
     if len(damage) > limit:
-        typer.echo(f"damaged: {len(damage) - limit:,} more places (--report or --json lists them)", err=True)
+        say(f"damaged: {len(damage) - limit:,} more places (--report or --json lists them)", err=True)
 
 
 def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
@@ -47,7 +45,7 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
     lost = f"{size(stored)} lost" if stored else "no bytes are known to be lost"
     missing = [place for place in report.damage if place.loses]
     span = _spanned(missing) if missing else "no message is known to be missing"
-    typer.echo(f"recovered: {found}; {lost}; {span}", err=True)
+    say(f"recovered: {found}; {lost}; {span}", err=True)
 
 
 def _spanned(damage: Sequence[Damage]) -> str:
