@@ -297,6 +297,7 @@ def test_the_command(name: str, tmp_path: Path) -> None:
     done = run(*words, "--report", tmp_path / "report.json")
     assert done.status == 0, done.stderr
     files = json.loads((tmp_path / "report.json").read_text())["files"]
+    assert f"\n{tmp_path / name}: 3 files, {files[0]} to {files[2]}: " in done.stdout
     assert [Path(file).is_file() for file in files] == [True] * 3
     if name == "out.bag":
         assert done.stdout.splitlines()[-1] == f"next: rosbag play --clock {' '.join(files)}"

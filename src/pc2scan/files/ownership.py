@@ -33,7 +33,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, name_list
 
-from .numbered import parts_among, parts_beside
 from .places import working_names
 from .same_file import file_ids, name_key, path_key, places
 
@@ -368,7 +367,11 @@ class Inputs:
         DestinationError
             If it does; the message says how the two are related.
         """
-        written = [output.path, *(parts_beside(output.path) if output.numbered else ())]
+        written = [output.path]
+        if output.numbered:
+            from .numbered import parts_beside  # noqa: PLC0415  # most recordings are one file
+
+            written += parts_beside(output.path)
         for path in (*written, *working_names(output.path)):
             if (related := self._related(path)) is None:
                 continue
@@ -426,6 +429,8 @@ def _is_part(path: OutputPath, recording: OutputPath) -> bool:
     """Whether a path has a name that one of the numbered files of a recording may have."""
     if not recording.numbered or path_key(path.path.parent) != path_key(recording.path.parent):
         return False
+    from .numbered import parts_among  # noqa: PLC0415
+
     return bool(parts_among([name_key(path.path.name)], name_key(recording.path.name)))
 
 

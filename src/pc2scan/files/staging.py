@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import DestinationError, OutputError
 
 from .ownership import check_existing, exists_already, refuse_others
-from .places import OLD, PARTIAL, check_new_folder, check_place, working_names
-from .recovery import recover
+from .places import LEFTOVERS, OLD, PARTIAL, check_new_folder, check_place, working_names
 from .run_lock import only_run
 from .system import remove, sync_directory, sync_file
 
@@ -180,7 +179,7 @@ def prepared(
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
-        overwrite = check(recover(dst))
+        overwrite = check(_recovered(dst))
         try:
             yield partial, lambda: _commit(partial, dst, check_again, overwrite=overwrite)
         finally:
@@ -203,7 +202,16 @@ def clean_up(dst: Path, *, recorded: bool = False) -> None:
     if not any(map(os.path.lexists, working_names(dst))):
         return
     with suppress(DestinationError), only_run(dst):
-        recover(dst, keep_journal=not recorded)
+        _recovered(dst, keep_journal=not recorded)
+
+
+def _recovered(dst: Path, *, keep_journal: bool = False) -> Record | None:
+    """Undo or complete what a killed run left, if one did; see `pc2scan.files.recovery.recover`."""
+    if not any(os.path.lexists(dst.with_name(dst.name + ending)) for ending in LEFTOVERS):
+        return None
+    from .recovery import recover  # noqa: PLC0415  # few runs are killed
+
+    return recover(dst, keep_journal=keep_journal)
 
 
 def _commit(partial: Path, dst: Path, check_again: Callable[[Path], None] | None, *, overwrite: bool) -> None:
