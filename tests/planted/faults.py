@@ -212,7 +212,7 @@ def sample(root: Path, count: int, seed: int) -> list[Fault]:
         kinds: dict[str, list[Fault]] = {}
         for fault in rooms[room]:
             kinds.setdefault(fault.kind, []).append(fault)
+        turns = draw.sample(sorted(kinds), len(kinds))
         for index in range(int(number) + (draw.random() < number % 1)):
-            kind = sorted(kinds)[index % len(kinds)]
-            drawn.append(draw.choice(kinds[kind]))
+            drawn.append(draw.choice(kinds[turns[index % len(turns)]]))
     return sorted(set(drawn))

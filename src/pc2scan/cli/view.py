@@ -73,6 +73,7 @@ def view(
         preset=conversion.projection.preset or "",
         command=convert_words(sources, options, "scans.mcap"),
         overwrite=overwrite,
+        also_read=conversion.read_files(),
     )
     for note in page.notes:
         warn(note)

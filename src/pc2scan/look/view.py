@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.arguments import path_of
 from pc2scan.errors import UsageError
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
@@ -21,7 +21,7 @@ from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -91,8 +91,16 @@ def view(
     preset: str = "",
     command: Sequence[str] = (),
     overwrite: bool = False,
+    also_read: Mapping[str, Path] | None = None,
 ) -> Page:
     """Write a page; see `page_of`.
+
+    Parameters
+    ----------
+    overwrite
+        Whether a file that is not a page may be replaced.
+    also_read
+        Files that were read for the options, by option. They are never replaced.
 
     Raises
     ------
@@ -105,7 +113,7 @@ def view(
     """
     check_page_name(destination)
     refuse_overlap(
-        [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
+        inputs_of(sources, options.frames.tf_from, also_read),
         [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import posixpath
 import secrets
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -26,7 +27,7 @@ _VERSION = (
 )
 
 #: Stores in which an unfinished upload is visible. There, files get their names when they are complete.
-_GRADUAL = ("file", "memory")
+_GRADUAL = ("memory",)
 
 #: Timeouts in seconds: for a connection, and for the next bytes.
 _CONNECT_SECONDS, _READ_SECONDS = 10, 20
@@ -108,6 +109,16 @@ class RemotePath:
     def parent(self) -> str:
         """The URL of the folder, without secrets."""
         return self.shown.rstrip("/").rpartition("/")[0]
+
+    @property
+    def identity(self) -> tuple[object, str]:
+        """What is equal for URLs of one object: the store, whatever its scheme is called, and the key."""
+        return type(self._fs), posixpath.normpath(self.key)
+
+    @property
+    def folder(self) -> tuple[object, str]:
+        """The `identity` of the folder."""
+        return type(self._fs), posixpath.dirname(posixpath.normpath(self.key))
 
     @property
     def is_read_only(self) -> bool:
@@ -293,14 +304,6 @@ class RemotePath:
         self._makedirs(self.key)
         self._put(source, key, check)
         return key
-
-    def remove_below(self) -> None:
-        """Remove an earlier output that is a folder; its metadata.yaml first, so that it is no recording any more."""
-        for below in sorted(self.below(), key=lambda name: (name != "metadata.yaml", name)):
-            self.child(below).delete()
-        if self.scheme in _GRADUAL:
-            with suppress(Exception):
-                self._fs.rm(self.key, recursive=True)
 
     def refuse_existing(self, name: str, *, overwrite: bool) -> None:
         """Raise if this name exists in the folder and may not be replaced. Folders are never replaced."""
