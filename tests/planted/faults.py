@@ -213,6 +213,6 @@ def sample(root: Path, count: int, seed: int) -> list[Fault]:
         for fault in rooms[room]:
             kinds.setdefault(fault.kind, []).append(fault)
         turns = draw.sample(sorted(kinds), len(kinds))
-        for index in range(int(number) + (draw.random() < number % 1)):
-            drawn.append(draw.choice(kinds[turns[index % len(turns)]]))
+        wanted = int(number) + (draw.random() < number % 1)
+        drawn += [draw.choice(kinds[turns[index % len(turns)]]) for index in range(wanted)]
     return sorted(set(drawn))
