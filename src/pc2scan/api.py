@@ -199,7 +199,7 @@ def convert(
         Convert only messages with log times from ``start`` on and before ``end``. A number: seconds from the beginning;
         from 100,000,000 on, seconds since 1970; whole numbers from 100,000,000,000 on, nanoseconds since 1970. Or a
         ``datetime`` with a time zone, a ``numpy.datetime64`` (UTC), a ``timedelta`` from the beginning, or text as on
-        the command line.
+        the command line. Messages that are latched at ``start``, and static transforms, are written there.
     static_tf, static_tf_file, write_static_tf
         Static transforms to add, as `StaticTransform` or as text, ``parent child x y z roll pitch yaw``; a YAML file
         with such transforms; whether they are written to ``/tf_static`` of the destination.

@@ -245,7 +245,9 @@ LOADED_BY_CONVERT = {
         "arguments bags callable_package cli core errors files json_types memory messages model names pipeline "
         "remote requests shown text_enum tf threads version"
     ),
-    "pc2scan.bags": ("chunked damage destinations formats many mcap opening parts reader rosbag1 topics units zstd"),
+    "pc2scan.bags": (
+        "chunked damage destinations formats lasting many mcap opening parts reader rosbag1 topics units zstd"
+    ),
     "pc2scan.bags.chunked": "entries segments spans",
     "pc2scan.bags.mcap": "record_types records writer",
     "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",

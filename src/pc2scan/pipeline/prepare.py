@@ -6,10 +6,11 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.lasting import is_static
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.tf.placing import Frames
-from pc2scan.tf.reading import is_static, read_transforms, tf_connections
+from pc2scan.tf.reading import read_transforms, tf_connections
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
