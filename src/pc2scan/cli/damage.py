@@ -43,11 +43,20 @@ def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
     found = counted(report.messages_read, "message")
     if declared is not None and declared > report.messages_read:
         found = f"{report.messages_read:,} of the {declared:,} messages that the source declares"
-    stored = sum(place.bytes_lost for place in report.damage)
-    lost = f"{size(stored)} lost" if stored else "no bytes are known to be lost"
     missing = [place for place in report.damage if place.loses]
+    lost = _lost(missing) if missing else "no bytes are known to be lost"
     span = _spanned(missing) if missing else "no message is known to be missing"
     typer.echo(f"recovered: {found}; {lost}; {span}", err=True)
+
+
+def _lost(damage: Sequence[Damage]) -> str:
+    """Return how much is missing in all damaged places together."""
+    if stored := sum(place.bytes_lost for place in damage):
+        return f"{size(stored)} lost"
+    counts = [place.messages_lost for place in damage if place.messages_lost is not None]
+    if len(counts) == len(damage):
+        return f"{counted(sum(counts), 'message')} lost"
+    return "it is unknown how much is lost"
 
 
 def _spanned(damage: Sequence[Damage]) -> str:

@@ -63,6 +63,10 @@ class IndexCheck(NamedTuple):
             return f"it has entries for {self.total} messages, the chunk has {found}"
         return self.problem
 
+    def lost(self, found: int | None) -> int | None:
+        """Return how many messages of a chunk in trouble are missing: none, or None if it has fewer than entries."""
+        return 0 if self.total is None or (found is not None and found >= self.total) else None
+
 
 def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
     """Count the wrong entries: those without a message of their connection and time, and repeated ones.

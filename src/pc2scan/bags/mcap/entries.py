@@ -39,7 +39,7 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
     DamageError
         If an index contradicts its own lengths.
     """
-    position = segment.offset + segment.length
+    position = segment.stop
     # Usually, one call reads all of them.
     origin, ahead = position, memoryview(b"")
     while position + _HEAD.size <= file.size:
@@ -51,10 +51,10 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
             return
         start = position + _HEAD.size
         position += RECORD.size + length
-        if size % _FORM.entry.size or start + size != position:
+        if size % _FORM.entry.size or start + size > position:
             raise file.damage(f"the message index at byte {start - _HEAD.size} contradicts its own lengths")
-        if position <= origin + len(ahead):
-            yield channel_id, ahead[start - origin : position - origin]
+        if start + size <= origin + len(ahead):
+            yield channel_id, ahead[start - origin : start - origin + size]
         else:
             yield channel_id, memoryview(file.read(start, size))
 

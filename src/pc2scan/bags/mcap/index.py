@@ -42,6 +42,9 @@ _EXTRA_INDEXES: dict[int, type[ExtraIndex]] = {
     Opcode.METADATA_INDEX: records.MetadataIndex,
 }
 
+#: Records that no summary may have.
+_DATA = frozenset({OP_MESSAGE, OP_CHUNK, Opcode.ATTACHMENT, Opcode.METADATA})
+
 #: Messages outside chunks are read in segments of about this size, bytes.
 RUN_SIZE = 4 << 20
 
@@ -151,10 +154,20 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     end, accounted = read_summary(file, index, verify=verify)
     stop = RecordWalk(file, index, accounted).run(start, end)
     if stop != end:
-        from .another import refuse_another  # noqa: PLC0415  # only damaged files pay for it
-
-        refuse_another(file, stop, end)
+        _refuse_data(file, stop, end)
     return index
+
+
+def _refuse_data(file: RecordFile, start: int, end: int) -> None:
+    """Raise if another file or more data follow the DataEnd record."""
+    from .another import refuse_another  # noqa: PLC0415  # only damaged files pay for it
+
+    refuse_another(file, start, end)
+    rest, position = McapIndex(), start
+    while position < end:
+        position = RecordWalk(file, rest).run(position, end)
+    if rest.segments or rest.attachments or rest.metadata:
+        raise file.damage(f"the data section ends at byte {start}, and more data follow up to byte {end}")
 
 
 def read_header(file: RecordFile, index: McapIndex) -> int:
@@ -211,6 +224,8 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
             if len(index.extra_indexes) < _MAX_EXTRA_INDEXES:
                 entry = parse(_EXTRA_INDEXES[kind], content, start, file)
                 index.extra_indexes[entry.offset] = entry
+        elif kind in _DATA:
+            raise file.damage(f"the summary at byte {start} has a record of kind {kind}, which only the data may have")
         else:
             index.declare(kind, content, start, file)
     if len(accounted) != len(index.segments):
@@ -245,6 +260,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         connection_ids=ids or None,
         record_offset=offset,
         index_length=message_index_size,
+        padding=max(0, length - RECORD.size - CHUNK.size - name_size - UINT64.size - compressed),
     )
     if chunk.offset + chunk.length > offset + length or offset + length > origin:
         raise file.damage(
@@ -401,6 +417,8 @@ class RecordWalk:
                 self._index.attachments.append(offset)
             elif opcode == Opcode.METADATA:
                 self._index.metadata.append(offset)
+            elif opcode == 0:
+                raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
 
     def _close(self, *, complete: bool = True) -> None:
         """Finish the run or the chunk; its message indexes are ``complete`` if another record follows."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import struct
 from array import array
+from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.chunked.salvaged import Salvaged, settled
 from pc2scan.bags.chunked.segments import times_around
 from pc2scan.bags.many import Many
+from pc2scan.bags.parts import AnotherBeginsError
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 
@@ -27,7 +29,18 @@ from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
 from .messages import message_at
 from .record_types import Opcode
-from .records import COMPRESSIONS, FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
+from .records import (
+    COMPRESSIONS,
+    FIRST_PRIVATE,
+    MAGIC,
+    MESSAGE,
+    OP_CHUNK,
+    OP_MESSAGE,
+    OP_MESSAGE_INDEX,
+    RECORD,
+    has_meaning,
+    parse,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -38,13 +51,17 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-__all__ = ["payload_prefix", "recovered_index", "salvaged_messages", "salvaged_records"]
+__all__ = [
+    "displaced_chunks",
+    "is_at_its_place",
+    "payload_prefix",
+    "recovered_index",
+    "salvaged_messages",
+    "salvaged_records",
+]
 
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
-
-#: The last opcode of the specification.
-_LAST_OPCODE = 0x0F
 
 # An opcode and a length below 2^32 (messages) or 2^36 (all others).
 _MESSAGE_HEAD = re.compile(rb"(?=\x05[\s\S]{4}\0\0\0\0)")
@@ -88,23 +105,21 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
     if log.strict:
         raise problem
     index = McapIndex()
-    noted: list[DamageError] = []
-    start = 0
+    without_header: DamageError | None = None
+    without_summary: DamageError | None = None
     try:
-        start = read_header(file, index)
+        read_header(file, index)
     except DamageError as err:
-        noted.append(err)
-    if start < file.size and not _is_record(file, start, file.size):
-        start = _next_record(file, len(MAGIC) + 1, file.size, ())
+        without_header = err
     summary, end = McapIndex(), file.size - len(MAGIC) * _ends_with_magic(file)
     try:
         end, _ = read_summary(file, summary, verify=verify)
     except DamageError as err:
-        noted.append(err)
+        without_summary = err
         # The walk then includes the records of the summary, and finds channels there.
         summary = McapIndex()
     index.statistics = summary.statistics
-    gaps = list(_walked(file, index, summary, start, end))
+    gaps = list(_walked(file, index, summary.channels, end))
     for identity, schema in summary.schemas.items():
         index.schemas.setdefault(identity, schema)
     for identity, channel in summary.channels.items():
@@ -112,8 +127,13 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
     index.channels_listed = summary.channels_listed
     _adopt(index, summary.segments, gaps)
     around = times_around(index.segments)
-    for error in noted or ([] if gaps else [problem]):
-        log.note(error, **around(file.size, file.size))
+    if without_header is not None:
+        # The walk begins where it should be, and no message is in it.
+        log.note(without_header, offset=len(MAGIC), key="header", messages_lost=0)
+    elif without_summary is None and not gaps:
+        without_summary = problem
+    if without_summary is not None:
+        log.note(without_summary, **around(file.size, file.size))
     for gap in gaps:
         log.note(gap.error, offset=gap.start, bytes_lost=gap.stop - gap.start, **around(gap.start, gap.stop))
     return index
@@ -123,9 +143,12 @@ def _ends_with_magic(file: RecordFile) -> bool:
     return file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
 
 
-def _walked(file: RecordFile, index: McapIndex, summary: McapIndex, start: int, end: int) -> Iterator[_Gap]:
-    """Walk over the records; if that fails, continue at the next one, and yield the gap."""
-    position = start
+def _walked(file: RecordFile, index: McapIndex, summarized: Collection[int], end: int) -> Iterator[_Gap]:
+    """Walk over all records up to a byte; if that fails, continue at the next one, and yield the gap.
+
+    ``summarized`` are the channels in the summary.
+    """
+    position = len(MAGIC)
     while position < end:
         walk = RecordWalk(file, index)
         try:
@@ -137,23 +160,24 @@ def _walked(file: RecordFile, index: McapIndex, summary: McapIndex, start: int, 
                 position = rest
                 continue
             return
-        known = index.channels.keys() | summary.channels.keys()
+        known = index.channels.keys() | summarized
         chunk = _chunk_in_front(file, failed, end)
         if chunk is not None:
             position = _end_of_chunk(file, chunk, end, known)
             refuse_another(file, failed, position)
-            index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset)))
+            index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset), padding=0))
             index.all_counted = False
             if position < chunk.offset + chunk.length:
                 # The damage of the chunk's contents is noted when it is read; here only that it is cut off.
                 yield _Gap(failed, failed, error)
             continue
-        # A record with a wrong length may include others, unless it is a chunk with consistent lengths.
-        if previous and file.read(previous, 1)[0] != OP_CHUNK:
-            again = _next_record(file, previous + 1, end, known, limit=failed)
+        # A record with a wrong length may include others.
+        if previous:
+            payload_stop = _payload_stop(file, previous, end)
+            again = _next_record(file, payload_stop or previous + 1, end, known, limit=failed)
             if again < failed:
                 _forget(index, previous)
-                yield _Gap(previous, again, error)
+                yield _Gap(payload_stop or previous, again, error)
                 position = again
                 continue
         position = _next_record(file, failed + 1, end, known)
@@ -182,8 +206,14 @@ def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:
     return None
 
 
+def _payload_stop(file: RecordFile, offset: int, end: int) -> int | None:
+    """Return where the payload of the chunk that begins here ends; None if none does."""
+    chunk = _chunk_in_front(file, offset, end)
+    return None if chunk is None else chunk.offset + chunk.length
+
+
 def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | None:
-    """Return the chunk whose record begins here, if its header is plausible and only its length is wrong."""
+    """Return the chunk whose record begins here, if its header is plausible; only its length may be wrong."""
     size = min(CHUNK_HEAD_SIZE, end - offset)
     if size < RECORD.size:
         return None
@@ -191,7 +221,7 @@ def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | N
     if data[0] != OP_CHUNK:
         return None
     try:
-        chunk = chunk_at(data, 0, offset, file, exact=False)
+        chunk = chunk_at(data, 0, offset, file, fits=False)
     except DamageError:
         return None
     return chunk if chunk.compression in COMPRESSIONS and chunk.start_ns <= chunk.end_ns else None
@@ -207,11 +237,11 @@ def _end_of_chunk(file: RecordFile, chunk: ChunkSegment, end: int, known: Collec
 
 
 def _is_record(file: RecordFile, offset: int, end: int) -> bool:
-    """Whether a record can begin here: an opcode of the specification, and a length that fits."""
+    """Whether a record can begin here: an opcode with a meaning, and a length that fits."""
     if offset + RECORD.size > end:
         return False
     opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
-    return bool(0 < opcode <= _LAST_OPCODE and offset + RECORD.size + length <= end)
+    return bool(has_meaning(opcode) and offset + RECORD.size + length <= end)
 
 
 def _next_record(
@@ -241,24 +271,28 @@ def _next_record(
 
 def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, known: Collection[int]) -> bool:
     """Whether a possible beginning of a record is certain."""
+    following = offset + RECORD.size + length
+
+    def followed() -> bool:
+        return following == end or _is_record(file, following, end)
+
     if opcode == OP_CHUNK:
         head = _chunk_in_front(file, offset, end)
-        return head is not None and bool(head.offset + head.length == offset + RECORD.size + length)
-    following = offset + RECORD.size + length
+        return head is not None and head.stop == following and (not head.padding or followed())
     if following > end:
         return False
     if opcode == OP_MESSAGE:
         if length < MESSAGE.size - RECORD.size:
             return False
         (channel,) = struct.unpack("<H", file.read(offset + RECORD.size, 2))
-        return channel in known and (following == end or _is_record(file, following, end))
+        return channel in known and followed()
     if opcode == OP_MESSAGE_INDEX:
         if length < 6:
             return False
         _, size = struct.unpack("<HI", file.read(offset + RECORD.size, 6))
-        return bool(size == length - 6 and size % 16 == 0)
+        return bool(size % 16 == 0 and (size == length - 6 or (size < length - 6 and followed())))
     # A parser allocates the declared lengths: no large records are tried but attachments.
-    if not (following == end or _is_record(file, following, end)) or (length > _WINDOW and opcode != Opcode.ATTACHMENT):
+    if (length > _WINDOW and opcode != Opcode.ATTACHMENT) or not followed():
         return False
     if opcode == Opcode.ATTACHMENT:
         return length >= 40
@@ -285,6 +319,49 @@ def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> No
                 gaps[number] = gap._replace(stop=gap.start)
 
 
+def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int, ChunkSegment]:
+    """Find the chunks that are not where the index of a file places them.
+
+    Parameters
+    ----------
+    file
+        The open file.
+    segments
+        Those of the index.
+
+    Returns
+    -------
+    dict[int, ChunkSegment]
+        By the offset in the index: the chunk that has the same times and sizes, and is at no place of the index.
+    """
+    walked = McapIndex()
+    with suppress(AnotherBeginsError):
+        deque(_walked(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file)), maxlen=0)
+    there = {chunk.record_offset: chunk for chunk in walked.segments if isinstance(chunk, ChunkSegment)}
+    missing = []
+    for chunk in segments:
+        if isinstance(chunk, ChunkSegment):
+            if (other := there.get(chunk.record_offset)) and _identity(other) == _identity(chunk):
+                del there[chunk.record_offset]
+            else:
+                missing.append(chunk)
+    unlisted: dict[tuple[object, ...], list[ChunkSegment]] = {}
+    for place in sorted(there, reverse=True):
+        unlisted.setdefault(_identity(there[place]), []).append(there[place])
+    return {chunk.record_offset: places.pop() for chunk in missing if (places := unlisted.get(_identity(chunk)))}
+
+
+def is_at_its_place(file: RecordFile, segment: ChunkSegment) -> bool:
+    """Whether the chunk of an index is where the index places it."""
+    head = _chunk_in_front(file, segment.record_offset, file.size)
+    return head is not None and _identity(head) == _identity(segment)
+
+
+def _identity(chunk: ChunkSegment) -> tuple[object, ...]:
+    """Return what a chunk has in common with its index, wherever it is."""
+    return chunk.start_ns, chunk.end_ns, chunk.form
+
+
 # --- Inside chunks ---
 
 
@@ -301,7 +378,8 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
                     f"the chunk at byte {segment.record_offset} is cut off: it has {there} of {found.length} bytes"
                 )
             # A consistent header is right; otherwise the segment is used as it was found.
-            if head[0] == OP_CHUNK and found.compression in COMPRESSIONS and found.offset + found.length <= file.size:
+            consistent = not found.padding or found.form == segment.form
+            if head[0] == OP_CHUNK and consistent and found.compression in COMPRESSIONS and found.stop <= file.size:
                 chunk = found
     data = file.read(chunk.offset, min(chunk.length, file.size - chunk.offset))
     return memoryview(decompressed_prefix(data, chunk.compression, chunk.uncompressed_size)), problem
@@ -383,7 +461,7 @@ def _record_end(data: memoryview, position: int) -> int | None:
         return None
     opcode, length = RECORD.unpack_from(data, position)
     stop = position + RECORD.size + length
-    if stop > len(data) or not (0 < opcode <= _LAST_OPCODE or opcode >= FIRST_PRIVATE):
+    if stop > len(data) or not has_meaning(opcode):
         return None
     return None if opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size else int(stop)
 
