@@ -270,7 +270,16 @@ def test_a_packed_message_that_is_broken_is_left_out(tmp_path: Path) -> None:
         content(reader)
 
 
-def test_nothing_behind_the_data_end_is_taken_for_a_message(tmp_path: Path) -> None:
+def test_messages_after_the_data_end_are_recovered(tmp_path: Path) -> None:
     path = raw_file(tmp_path / "a.mcap", raw_channel(), raw_message(1, 5), encoded(DataEnd(0)), raw_message(1, 6))
-    with closing(McapReader(path)) as reader:
-        assert [row[2] for row in content(reader)] == [5]
+    rows, (damage,) = recovered(path)
+    assert [row[2] for row in rows] == [5, 6]
+    assert "the data section ends at byte" in damage.what
+
+
+def test_channels_after_the_data_end_are_no_damage(tmp_path: Path) -> None:
+    """Some writers repeat them, and do not say in the footer where."""
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), raw_message(1, 5), encoded(DataEnd(0)), raw_channel())
+    rows, damage = recovered(path)
+    assert [row[2] for row in rows] == [5]
+    assert damage == ()
