@@ -1,8 +1,8 @@
 """Valid MCAP files, in all combinations of what the specification leaves to writers.
 
 Modelled on the conformance files of the specification, whose features these are: chunks, message indexes, chunk
-indexes, statistics, repeated schemas and channels, indexes of attachments and metadata, summary offsets, and bytes after
-the known fields of records. Beyond these: compressions, several chunks, padded records in chunks, and records of
+indexes, statistics, repeated schemas and channels, indexes of attachments and metadata, summary offsets, and bytes
+after the known fields of records. Beyond these: compressions, several chunks, padded records in chunks, and records of
 unknown kinds.
 """
 
@@ -102,7 +102,9 @@ def _message(channel: int, sequence: int, log_time: int) -> Message:
     )
 
 
-_ATTACHMENT = Attachment(create_time=1, log_time=2, name="myFile", media_type="application/octet-stream", data=b"\1\2\3")
+_ATTACHMENT = Attachment(
+    create_time=1, log_time=2, name="myFile", media_type="application/octet-stream", data=b"\1\2\3"
+)
 _METADATA = Metadata(name="myMetadata", metadata={"foo": "bar"})
 _TEN = [_message(1, number, time) for number, time in enumerate((1, 3, 2, 4, 4, 6, 5, 8, 9, 10))]
 
@@ -292,7 +294,9 @@ def _put_summary(file: _File, content: Sequence[Item]) -> None:
         file.put(group)
     summary = bytes(file.data[begin:])
     footer = Footer(
-        summary_start=begin if groups else 0, summary_offset_start=offsets_begin if variant.offsets else 0, summary_crc=0
+        summary_start=begin if groups else 0,
+        summary_offset_start=offsets_begin if variant.offsets else 0,
+        summary_crc=0,
     )
     start = len(file.data)
     file.put(footer)

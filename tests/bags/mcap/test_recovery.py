@@ -283,3 +283,57 @@ def test_channels_after_the_data_end_are_no_damage(tmp_path: Path) -> None:
     rows, damage = recovered(path)
     assert [row[2] for row in rows] == [5]
     assert damage == ()
+
+
+def pieces(path: Path) -> list[bytes]:
+    """Split a file into its magic, its records, and its magic again."""
+    data = path.read_bytes()
+    found, position = [MAGIC], len(MAGIC)
+    while position < len(data) - len(MAGIC):
+        stop = position + 9 + struct.unpack_from("<Q", data, position + 1)[0]
+        found.append(data[position:stop])
+        position = stop
+    return [*found, MAGIC]
+
+
+@pytest.mark.parametrize("summary", ["default", "no summary"])
+def test_without_a_header_the_first_chunk_is_kept(tmp_path: Path, summary: str) -> None:
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS[summary])
+    magic, _, *others = pieces(path)
+    path.write_bytes(b"".join((magic, *others)))
+    rows, damage = recovered(path)
+    assert len(rows) == len(MESSAGES)
+    (header,) = [place for place in damage if "HEADER" in place.what]
+    assert (header.offset, header.bytes_lost, header.messages_lost) == (len(MAGIC), 0, 0)
+
+
+def test_chunks_that_the_index_misplaces_are_found(tmp_path: Path) -> None:
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300)
+    sound, _ = recovered(path)
+    parts = pieces(path)
+    chunks = [place for place, part in enumerate(parts) if part[0] == 6]
+    # The message indexes of the first chunk are at the end of the data: every other chunk is elsewhere.
+    moved = parts[chunks[0] + 1 : chunks[1]]
+    end = next(place for place, part in enumerate(parts) if part[0] == 15)
+    assert moved
+    path.write_bytes(b"".join((*parts[: chunks[0] + 1], *parts[chunks[1] : end], *moved, *parts[end:])))
+    rows, damage = recovered(path)
+    assert rows == sound
+    misplaced = [place for place in damage if "the index places a chunk at byte" in place.what]
+    assert len(misplaced) == len(chunks) - 1
+    assert all(place.messages_lost == 0 for place in misplaced)
+
+
+def test_a_message_index_without_its_chunk_is_damage(tmp_path: Path) -> None:
+    path = library_file(
+        tmp_path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS["no summary but message indexes"]
+    )
+    parts = pieces(path)
+    chunks = [place for place, part in enumerate(parts) if part[0] == 6]
+    # Of a kind that no reader knows.
+    parts[chunks[1]] = b"\x40" + parts[chunks[1]][1:]
+    path.write_bytes(b"".join(parts))
+    rows, (damage,) = recovered(path)
+    assert 0 < len(rows) < len(MESSAGES)
+    assert "follows no chunk" in damage.what
+    assert damage.loses

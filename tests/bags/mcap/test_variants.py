@@ -7,7 +7,6 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from mcap.reader import McapReader as LibraryReader
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
@@ -16,7 +15,7 @@ from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.cli.in_process import run_command
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from bags.mcap_variants import Item
@@ -66,16 +65,18 @@ def ours(path: Path, **options: Any) -> Content:
             )
             for m in reader.messages()
         ]
-        attachments = [(a.name, a.media_type, a.log_time_ns, a.create_time_ns, bytes(a.data)) for a in reader.attachments()]
+        attachments = [
+            (a.name, a.media_type, a.log_time_ns, a.create_time_ns, bytes(a.data)) for a in reader.attachments()
+        ]
         return messages, attachments, [(m.name, m.entries) for m in reader.metadata()]
 
 
-def theirs(make: Callable[[], LibraryReader]) -> Content:
-    messages = [row(*found) for found in make().iter_messages(log_time_order=False)]
+def theirs(kind: type[NonSeekingReader | SeekingReader], data: bytes) -> Content:
+    messages = [row(*found) for found in kind(io.BytesIO(data)).iter_messages(log_time_order=False)]
     return (
         sorted(messages, key=by_time),
-        [attachment(item) for item in make().iter_attachments()],
-        [(item.name, item.metadata) for item in make().iter_metadata()],
+        [attachment(item) for item in kind(io.BytesIO(data)).iter_attachments()],
+        [(item.name, item.metadata) for item in kind(io.BytesIO(data)).iter_metadata()],
     )
 
 
@@ -92,9 +93,9 @@ def test_every_valid_form_is_read_without_damage(name: str, tmp_path: Path) -> N
         assert ours(path, strict=True, verify=False) == sound, variant
         # The library does not skip what follows the fields of a record in a chunk.
         if variant.padding != "everywhere":
-            assert theirs(lambda data=data: NonSeekingReader(io.BytesIO(data))) == sound, variant
+            assert theirs(NonSeekingReader, data) == sound, variant
             if variant.can_seek:
-                assert theirs(lambda data=data: SeekingReader(io.BytesIO(data)))[0] == sound[0], variant
+                assert theirs(SeekingReader, data)[0] == sound[0], variant
 
 
 @pytest.mark.parametrize("name", CONTENTS)
@@ -111,7 +112,7 @@ def test_every_valid_form_that_is_cut_off_is_recovered(name: str, tmp_path: Path
 @pytest.mark.parametrize("padding", ["outside chunks", "everywhere"])
 def test_padded_records_are_no_damage_to_the_command(padding: str, tmp_path: Path) -> None:
     content = CONTENTS["everything"]
-    variant = Variant("zstd", True, True, True, True, True, True, True, True, padding, True)  # noqa: FBT003
+    variant = Variant("zstd", True, True, True, True, True, True, True, True, padding, True)
     source, target = tmp_path / "a.mcap", tmp_path / "b.mcap"
     source.write_bytes(file_of(content, variant))
     ended = run_command(["repair", str(source), "-o", str(target)])

@@ -52,10 +52,13 @@ class IndexCheck(NamedTuple):
         What is wrong with the entries; None if nothing is.
     total
         How many there are; None if there is no index.
+    astray
+        How many of them match no message.
     """
 
     problem: str | None = None
     total: int | None = None
+    astray: int = 0
 
     def trouble(self, found: int | None) -> str | None:
         """Return what is wrong, given the number of messages in the chunk; None if not all were counted."""
@@ -64,8 +67,15 @@ class IndexCheck(NamedTuple):
         return self.problem
 
     def lost(self, found: int | None) -> int | None:
-        """Return how many messages of a chunk in trouble are missing: none, or None if it has fewer than entries."""
-        return 0 if self.total is None or (found is not None and found >= self.total) else None
+        """Return how many messages of a chunk in trouble are missing.
+
+        That is unknown (None) if the chunk has fewer messages than entries, or if none of several entries matches: the
+        chunk may be another.
+        """
+        if self.total is None:
+            return 0
+        fewer = found is None or found < self.total
+        return None if fewer or self.astray == self.total > 1 else 0
 
 
 def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.many import Many, kept
 
 if TYPE_CHECKING:
-    from collections.abc import Container
+    from collections.abc import Container, Sequence
 
     from pc2scan.bags.damage import DamageLog
     from pc2scan.errors import DamageError
@@ -60,7 +60,7 @@ def settled(
     """Replace log times outside the range that the chunk declares by the nearest time in the range.
 
     If there are several of them, and all messages are in order by their own times, the declared times are wrong and
-    no message is changed.
+    no message is changed. Nor is one if all of several are outside: they belong to another chunk.
 
     Parameters
     ----------
@@ -70,14 +70,22 @@ def settled(
         The declared first and last log time.
     """
     low, high = span
-    times = messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
-    outside = sum(not low <= time_ns <= high for time_ns in times)
-    if outside == 0 or (outside > 1 and all(map(le, times, islice(times, 1, None)))):
+    times = _times_of(messages)
+    outside = _outside(times, span)
+    if outside == 0 or (outside > 1 and (outside == len(times) or all(map(le, times, islice(times, 1, None))))):
         return messages
     if isinstance(messages, Many):
         nearest = array("Q", (max(low, min(time_ns, high)) for time_ns in times))
         return messages.mapped(partial(_clamped, span), nearest)
     return [_clamped(span, message) for message in messages]
+
+
+def _times_of(messages: list[RawMessage] | Many[RawMessage]) -> Sequence[int]:
+    return messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
+
+
+def _outside(times: Sequence[int], span: tuple[int, int]) -> int:
+    return sum(not span[0] <= time_ns <= span[1] for time_ns in times)
 
 
 def _clamped(span: tuple[int, int], message: RawMessage) -> RawMessage:
@@ -105,11 +113,14 @@ def note_salvaged(
     """
     cut = max(segment.uncompressed_size - size, 0)
     missing = cut + left.bytes_lost
+    times = _times_of(left.messages)
+    # The messages of another chunk are here, and those of this one are not.
+    is_another = segment.end_ns and 1 < len(times) == _outside(times, (segment.start_ns, segment.end_ns))
     log.note(
         problem,
         offset=offset,
         bytes_lost=missing,
-        messages_lost=None if missing else left.unknown_channel,
+        messages_lost=None if missing or is_another else left.unknown_channel,
         first_ns=left.messages[-1].log_time_ns if left.messages and cut else segment.start_ns,
         last_ns=segment.end_ns,
     )

@@ -80,4 +80,4 @@ def index_check(file: RecordFile, segment: ChunkSegment, records: Buffer, ids: C
     problem = None
     if astray := entries_astray(records, mine, _FORM):
         problem = f"{astray} of {total} entries match no message by their channel and log time"
-    return IndexCheck(problem, total if groups else None)
+    return IndexCheck(problem, total if groups else None, astray)

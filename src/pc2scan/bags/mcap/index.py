@@ -152,7 +152,10 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     index = McapIndex()
     start = read_header(file, index)
     end, accounted = read_summary(file, index, verify=verify)
-    stop = RecordWalk(file, index, accounted).run(start, end)
+    walk = RecordWalk(file, index, accounted)
+    stop = walk.run(start, end)
+    if walk.stray is not None:
+        raise file.damage(f"the message index at byte {walk.stray} follows no chunk")
     if stop != end:
         _refuse_data(file, stop, end)
     return index
@@ -331,8 +334,11 @@ class RecordWalk:
         self._run: _Run | None = None
         self._chunk: ChunkSegment | None = None
         self._indexed: Counter[int] = Counter()
+        self._is_behind_chunk = False
         #: Offsets of the current record and the one before it, for a walk that failed.
         self.offset = self.previous = 0
+        #: Offset of the first message index that follows no chunk.
+        self.stray: int | None = None
 
     def run(self, offset: int, end: int) -> int:
         """Walk from the record at byte ``offset`` to DataEnd or byte ``end``; returns the end.
@@ -350,6 +356,7 @@ class RecordWalk:
                 self.previous, self.offset = self.offset, offset
                 if (following := accounted.get(offset)) is not None:
                     self._close()
+                    self._is_behind_chunk = True
                     unseen -= 1
                     if not offset < following <= end:
                         raise self._beyond(offset, following, end)
@@ -406,6 +413,8 @@ class RecordWalk:
             position = window.locate(offset, RECORD.size + 6) + RECORD.size
             if following - offset < RECORD.size + 6:
                 raise self._file.damage(f"the message index at byte {offset} is too short")
+            if self.stray is None and not self._is_behind_chunk:
+                self.stray = offset
             channel_id, size = struct.unpack_from("<HI", window.data, position)
             self._indexed[channel_id] += size // 16
         else:
@@ -413,6 +422,7 @@ class RecordWalk:
             if opcode == OP_CHUNK:
                 position = window.locate(offset, min(CHUNK_HEAD_SIZE, following - offset))
                 self._chunk = chunk_at(window.data, position, offset, self._file)
+                self._is_behind_chunk = True
             elif opcode == Opcode.ATTACHMENT:
                 self._index.attachments.append(offset)
             elif opcode == Opcode.METADATA:
@@ -433,6 +443,7 @@ class RecordWalk:
             index.all_counted = index.all_counted and ids is not None
             self._chunk = None
         self._indexed.clear()
+        self._is_behind_chunk = False
 
 
 def find_declarations(
