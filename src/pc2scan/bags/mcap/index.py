@@ -33,6 +33,9 @@ __all__ = ["RUN_SIZE", "McapIndex", "RecordWalk", "find_declarations", "find_ind
 
 _FOOTER_SIZE = RECORD.size + 20
 
+#: A chunk's record up to its payload, without the name of its compression.
+_CHUNK_HEAD = RECORD.size + CHUNK.size + UINT64.size
+
 #: Maximum number of entries that are compared: in memory they are larger than in the file.
 _MAX_EXTRA_INDEXES = 10_000
 
@@ -251,8 +254,14 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         name = str(content[position - name_size : position], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
         raise file.damage(f"a ChunkIndex record in the summary at byte {origin} is malformed") from err
+    payload = offset + _CHUNK_HEAD + name_size
+    padding = offset + length - payload - compressed
+    if padding < 0 or offset + length > origin:
+        raise file.damage(
+            f"the index places a chunk of {length} bytes at byte {offset}, the data ends at byte {origin}",
+        )
     chunk = ChunkSegment(
-        offset=offset + RECORD.size + CHUNK.size + name_size + UINT64.size,
+        offset=payload,
         length=compressed,
         compression=name or "none",
         uncompressed_size=uncompressed,
@@ -263,12 +272,8 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         connection_ids=ids or None,
         record_offset=offset,
         index_length=message_index_size,
-        padding=max(0, length - RECORD.size - CHUNK.size - name_size - UINT64.size - compressed),
+        padding=padding,
     )
-    if chunk.offset + chunk.length > offset + length or offset + length > origin:
-        raise file.damage(
-            f"the index places a chunk of {length} bytes at byte {offset}, the data ends at byte {origin}",
-        )
     return chunk, offset + length + message_index_size
 
 
