@@ -337,3 +337,19 @@ def test_a_message_index_without_its_chunk_is_damage(tmp_path: Path) -> None:
     assert 0 < len(rows) < len(MESSAGES)
     assert "follows no chunk" in damage.what
     assert damage.loses
+
+
+@pytest.mark.parametrize("chunked", [False, True], ids=["outside chunks", "in a chunk"])
+@pytest.mark.parametrize("delta", [-20, 7, 1000])
+def test_a_channel_with_a_wrong_length_is_kept(tmp_path: Path, delta: int, chunked: bool) -> None:
+    channel = raw_channel(topic="/a/topic/of/some/length")
+    wrong = channel[:1] + struct.pack("<Q", len(channel) - 9 + delta) + channel[9:]
+    body = [wrong, *(raw_message(1, time, bytes(100)) for time in range(5, 25))]
+    chunk = [raw_chunk(b"".join(body), message_start_time=5, message_end_time=24)]
+    path = raw_file(tmp_path / "a.mcap", *(chunk if chunked else body))
+    with closing(McapReader(path)) as reader:
+        assert [connection.topic for connection in reader.connections] == ["/a/topic/of/some/length"]
+    rows, damage = recovered(path)
+    # Messages that a record with a wrong length covers may be lost, but none after it.
+    assert [row[2] for row in rows][-9:] == list(range(16, 25))
+    assert damage

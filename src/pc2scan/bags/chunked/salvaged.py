@@ -114,8 +114,8 @@ def note_salvaged(
     cut = max(segment.uncompressed_size - size, 0)
     missing = cut + left.bytes_lost
     times = _times_of(left.messages)
-    # The messages of another chunk are here, and those of this one are not.
-    is_another = segment.end_ns and 1 < len(times) == _outside(times, (segment.start_ns, segment.end_ns))
+    # These may be the messages of another chunk, and those of this one are not here.
+    is_another = segment.end_ns and _outside(times, (segment.start_ns, segment.end_ns)) > 1
     log.note(
         problem,
         offset=offset,

@@ -1,13 +1,11 @@
 """Recovers the records of a damaged MCAP file, and the messages of a damaged chunk.
 
-If the walk over the records fails, the file is searched for the next certain beginning of a record; the same is done
+If the walk over the records fails, it continues at the next certain beginning of a record (`search`); the same is done
 inside chunks. Bytes that belong to no record are noted as lost.
 """
 
 from __future__ import annotations
 
-import re
-import struct
 from array import array
 from collections import deque
 from contextlib import suppress
@@ -23,7 +21,6 @@ from pc2scan.bags.parts import AnotherBeginsError
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 
-from . import record_types as records
 from .another import refuse_another
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
@@ -36,10 +33,18 @@ from .records import (
     MESSAGE,
     OP_CHUNK,
     OP_MESSAGE,
-    OP_MESSAGE_INDEX,
     RECORD,
-    has_meaning,
-    parse,
+)
+from .search import (
+    WINDOW,
+    chunk_in_front,
+    end_of_chunk,
+    end_of_declaration,
+    is_record,
+    next_message,
+    next_record,
+    payload_stop,
+    record_end,
 )
 
 if TYPE_CHECKING:
@@ -59,17 +64,6 @@ __all__ = [
     "salvaged_messages",
     "salvaged_records",
 ]
-
-#: Bytes that are searched at a time.
-_WINDOW = 1 << 20
-
-# An opcode and a length below 2^32 (messages) or 2^36 (all others).
-_MESSAGE_HEAD = re.compile(rb"(?=\x05[\s\S]{4}\0\0\0\0)")
-_RECORD_HEAD = re.compile(rb"(?=[\x03-\x07\x09\x0c][\s\S]{4}[\0-\x0f]\0\0\0)")
-
-#: Records that cannot be in a chunk.
-_OUTSIDE_CHUNKS = frozenset({OP_CHUNK, OP_MESSAGE_INDEX, int(Opcode.ATTACHMENT), int(Opcode.METADATA)})
-_ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
 
 #: Records that chunks are made of.
 _INSIDE_CHUNKS = frozenset({OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)})
@@ -161,9 +155,9 @@ def _walked(file: RecordFile, index: McapIndex, summarized: Collection[int], end
                 continue
             return
         known = index.channels.keys() | summarized
-        chunk = _chunk_in_front(file, failed, end)
+        chunk = chunk_in_front(file, failed, end)
         if chunk is not None:
-            position = _end_of_chunk(file, chunk, end, known)
+            position = end_of_chunk(file, chunk, end, known)
             refuse_another(file, failed, position)
             index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset), padding=0))
             index.all_counted = False
@@ -171,16 +165,21 @@ def _walked(file: RecordFile, index: McapIndex, summarized: Collection[int], end
                 # The damage of the chunk's contents is noted when it is read; here only that it is cut off.
                 yield _Gap(failed, failed, error)
             continue
+        declared = _declaration_in_front(file, index, failed, end)
+        if declared is not None:
+            yield _Gap(failed, failed, error)
+            position = declared
+            continue
         # A record with a wrong length may include others.
         if previous:
-            payload_stop = _payload_stop(file, previous, end)
-            again = _next_record(file, payload_stop or previous + 1, end, known, limit=failed)
+            stop = payload_stop(file, previous, end)
+            again = next_record(file, stop or previous + 1, end, known, limit=failed)
             if again < failed:
                 _forget(index, previous)
-                yield _Gap(payload_stop or previous, again, error)
+                yield _Gap(stop or previous, again, error)
                 position = again
                 continue
-        position = _next_record(file, failed + 1, end, known)
+        position = next_record(file, failed + 1, end, known)
         refuse_another(file, previous or failed, position)
         yield _Gap(failed, position, error)
 
@@ -206,102 +205,14 @@ def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:
     return None
 
 
-def _payload_stop(file: RecordFile, offset: int, end: int) -> int | None:
-    """Return where the payload of the chunk that begins here ends; None if none does."""
-    chunk = _chunk_in_front(file, offset, end)
-    return None if chunk is None else chunk.offset + chunk.length
-
-
-def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | None:
-    """Return the chunk whose record begins here, if its header is plausible; only its length may be wrong."""
-    size = min(CHUNK_HEAD_SIZE, end - offset)
-    if size < RECORD.size:
+def _declaration_in_front(file: RecordFile, index: McapIndex, offset: int, end: int) -> int | None:
+    """Declare the schema or channel that begins here, if its fields end where a record begins; return its end."""
+    data = memoryview(file.read(offset, min(WINDOW, end - offset)))
+    stop = end_of_declaration(data)
+    if stop is None or not (offset + stop == end or is_record(file, offset + stop, end)):
         return None
-    data = file.read(offset, size)
-    if data[0] != OP_CHUNK:
-        return None
-    try:
-        chunk = chunk_at(data, 0, offset, file, fits=False)
-    except DamageError:
-        return None
-    return chunk if chunk.compression in COMPRESSIONS and chunk.start_ns <= chunk.end_ns else None
-
-
-def _end_of_chunk(file: RecordFile, chunk: ChunkSegment, end: int, known: Collection[int]) -> int:
-    """Return the offset of the record after a chunk with contradicting lengths."""
-    _, length = RECORD.unpack(file.read(chunk.record_offset, RECORD.size))
-    for stop in (chunk.offset + chunk.length, chunk.record_offset + RECORD.size + length):
-        if stop == end or (chunk.offset < stop < end and _is_record(file, stop, end)):
-            return int(stop)
-    return _next_record(file, chunk.offset, end, known, _OUTSIDE_CHUNKS)
-
-
-def _is_record(file: RecordFile, offset: int, end: int) -> bool:
-    """Whether a record can begin here: an opcode with a meaning, and a length that fits."""
-    if offset + RECORD.size > end:
-        return False
-    opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
-    return bool(has_meaning(opcode) and offset + RECORD.size + length <= end)
-
-
-def _next_record(
-    file: RecordFile,
-    start: int,
-    end: int,
-    known: Collection[int],
-    kinds: frozenset[int] = _ANYWHERE,
-    *,
-    limit: int | None = None,
-) -> int:
-    """Search, up to ``limit``, for the certain beginning of a record; ``end`` if there is none."""
-    overlap = RECORD.size - 1
-    stop = end if limit is None else min(end, limit + overlap)
-    while start < stop:
-        window = file.read(start, min(_WINDOW + overlap, stop - start))
-        for match in _RECORD_HEAD.finditer(window):
-            position = match.start()
-            opcode, length = RECORD.unpack_from(window, position)
-            if opcode in kinds and _certain(file, opcode, start + position, length, end, known):
-                return start + position
-        if start + len(window) >= stop:
-            break
-        start += len(window) - overlap
-    return end
-
-
-def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, known: Collection[int]) -> bool:
-    """Whether a possible beginning of a record is certain."""
-    following = offset + RECORD.size + length
-
-    def followed() -> bool:
-        return following == end or _is_record(file, following, end)
-
-    if opcode == OP_CHUNK:
-        head = _chunk_in_front(file, offset, end)
-        return head is not None and head.stop == following and (not head.padding or followed())
-    if following > end:
-        return False
-    if opcode == OP_MESSAGE:
-        if length < MESSAGE.size - RECORD.size:
-            return False
-        (channel,) = struct.unpack("<H", file.read(offset + RECORD.size, 2))
-        return channel in known and followed()
-    if opcode == OP_MESSAGE_INDEX:
-        if length < 6:
-            return False
-        _, size = struct.unpack("<HI", file.read(offset + RECORD.size, 6))
-        return bool(size % 16 == 0 and (size == length - 6 or (size < length - 6 and followed())))
-    # A parser allocates the declared lengths: no large records are tried but attachments.
-    if (length > _WINDOW and opcode != Opcode.ATTACHMENT) or not followed():
-        return False
-    if opcode == Opcode.ATTACHMENT:
-        return length >= 40
-    kind = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.METADATA: records.Metadata}
-    try:
-        parse(kind[Opcode(opcode)], file.read(offset + RECORD.size, length), offset, file)
-    except DamageError:
-        return False
-    return True
+    index.declare(data[0], data[RECORD.size : stop], offset, file)
+    return offset + stop
 
 
 def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> None:
@@ -353,7 +264,7 @@ def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int,
 
 def is_at_its_place(file: RecordFile, segment: ChunkSegment) -> bool:
     """Whether the chunk of an index is where the index places it."""
-    head = _chunk_in_front(file, segment.record_offset, file.size)
+    head = chunk_in_front(file, segment.record_offset, file.size)
     return head is not None and _identity(head) == _identity(segment)
 
 
@@ -416,7 +327,11 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
 def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Yield the opcodes and contents of the records recovered from a chunk."""
     for start, stop, sound in _framed(data, None, None):
-        if sound:
+        # A declaration may have a wrong length.
+        end = end_of_declaration(data[start:])
+        if end is not None:
+            yield data[start], data[start + RECORD.size : start + end]
+        elif sound:
             yield data[start], data[start + RECORD.size : stop]
 
 
@@ -432,7 +347,7 @@ def _framed(
     # A record is kept back until the next one begins at its end: its length may be damaged.
     held: tuple[int, int] | None = None
     while position < size:
-        stop = _record_end(data, position)
+        stop = record_end(data, position)
         if stop is not None:
             if held is not None:
                 yield *held, True
@@ -441,47 +356,15 @@ def _framed(
             continue
         begin = position
         if held is not None:
-            again = _next_message(data, held[0] + 1, position, known, span)
+            again = next_message(data, held[0] + 1, position, known, span)
             if again is not None:
                 begin, position = held[0], again
             else:
                 yield *held, True
         held = None
         if begin == position:
-            found = _next_message(data, position + 1, size, known, span)
+            found = next_message(data, position + 1, size, known, span)
             position = size if found is None else found
         yield begin, position, False
     if held is not None:
         yield *held, True
-
-
-def _record_end(data: memoryview, position: int) -> int | None:
-    """Return the end of the record that begins here; None if none does."""
-    if position + RECORD.size > len(data):
-        return None
-    opcode, length = RECORD.unpack_from(data, position)
-    stop = position + RECORD.size + length
-    if stop > len(data) or not has_meaning(opcode):
-        return None
-    return None if opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size else int(stop)
-
-
-def _next_message(
-    data: memoryview, start: int, end: int, known: Collection[int] | None, span: tuple[int, int] | None
-) -> int | None:
-    """Search for the certain beginning of a message before ``end``."""
-    for match in _MESSAGE_HEAD.finditer(data, start):
-        position = match.start()
-        if position >= end:
-            return None
-        stop = _record_end(data, position)
-        if stop is None:
-            continue
-        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
-        if known is not None and channel_id not in known:
-            continue
-        if span is not None and not span[0] <= log_time_ns <= span[1]:
-            continue
-        if stop + RECORD.size > len(data) or _record_end(data, stop) is not None or span is not None:
-            return position
-    return None
