@@ -140,13 +140,16 @@ def _compare_others(
     made: Mutant, operation: Operation, source: Path, expected: dict[str, Any], found: dict[str, Any] | None
 ) -> None:
     """Refuse to recover fewer messages than any other reader gets."""
-    if operation != _OPERATIONS[0]:
+    # The last message of a chunk is for the mcap library whatever is left of the chunk, if its length is wrong; and the
+    # rosbags library does not look at all fields.
+    if operation != _OPERATIONS[0] or made.edit.kind.endswith(("message.length", "chunk.field_name")):
         return
     sound, ours = _messages(expected), _messages(found) if found else Counter()
     in_order, by_index = others.in_order(made.files), others.by_index(made.files, source)
     if made.edit.role != "record":
-        # What was changed may be read in another way, and of two declarations of a topic another may be used.
-        sound, ours, in_order, by_index = map(_without_topics, (sound, ours, in_order, by_index))
+        # What was changed may be read in another way: a message may get the nearest time of its chunk, and of two
+        # declarations of a topic another may be used.
+        sound, ours, in_order, by_index = map(_by_data, (sound, ours, in_order, by_index))
         in_order &= sound
     # An index that names a record twice gives its messages twice.
     by_index &= sound
@@ -177,10 +180,10 @@ def _messages(content: dict[str, Any]) -> others.Messages:
     return Counter((topic, log_time_ns, data) for topic, log_time_ns, _, _, data in content["messages"])
 
 
-def _without_topics(messages: others.Messages) -> others.Messages:
+def _by_data(messages: others.Messages) -> others.Messages:
     found: others.Messages = Counter()
-    for (_, log_time_ns, data), count in messages.items():
-        found["", log_time_ns, data] += count
+    for (_, _, data), count in messages.items():
+        found["", 0, data] += count
     return found
 
 

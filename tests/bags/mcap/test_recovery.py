@@ -13,6 +13,7 @@ from mcap.records import DataEnd, Footer, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 
 from bags.mcap_files import (
+    BODY,
     LIBRARY_OPTIONS,
     content,
     encoded,
@@ -21,6 +22,7 @@ from bags.mcap_files import (
     raw_chunk,
     raw_file,
     raw_message,
+    record,
     write,
     zstd,
 )
@@ -353,3 +355,25 @@ def test_a_channel_with_a_wrong_length_is_kept(tmp_path: Path, delta: int, chunk
     # Messages that a record with a wrong length covers may be lost, but none after it.
     assert [row[2] for row in rows][-9:] == list(range(16, 25))
     assert damage
+
+
+@pytest.mark.parametrize("opcode", [0x10, 0x45, 0x85])
+def test_a_message_that_became_an_unknown_record_is_lost(tmp_path: Path, opcode: int) -> None:
+    """Nothing but the message index tells it from a record of a later specification, of which there is one, too."""
+    messages = [raw_message(1, time) for time in (5, 6, 7)]
+    places = [(time, place * len(messages[0])) for place, time in enumerate((5, 6, 7))]
+    changed = b"".join((messages[0], bytes([opcode]) + messages[1][1:], messages[2], record(0x20, b"later")))
+    chunk = raw_chunk(changed, message_start_time=5, message_end_time=7, uncompressed_crc=0)
+    index = encoded(MessageIndex(channel_id=1, records=places))
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), chunk, index)
+    with closing(McapReader(path)) as reader:
+        # Of a cut, messages are not counted.
+        assert [row[2] for row in content(reader, start_ns=0, stop_ns=7)] == [5]
+        assert [damage.loses for damage in reader.damage] == [True]
+
+
+def test_a_chunk_of_unknown_compression_may_be_uncompressed(tmp_path: Path) -> None:
+    path = raw_file(tmp_path / "a.mcap", raw_chunk(BODY, compression="zstf"))
+    rows, (damage,) = recovered(path)
+    assert [row[4] for row in rows] == [b"data"]
+    assert "known are none, lz4 and zstd" in damage.what

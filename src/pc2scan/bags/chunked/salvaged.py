@@ -98,7 +98,13 @@ def _clamped(span: tuple[int, int], message: RawMessage) -> RawMessage:
 
 
 def note_salvaged(
-    log: DamageLog, problem: DamageError, segment: Segment, offset: int, size: int, left: Salvaged
+    log: DamageLog,
+    problem: DamageError,
+    segment: Segment,
+    offset: int,
+    size: int,
+    left: Salvaged,
+    indexed: int | None = None,
 ) -> None:
     """Note a damaged chunk with recovered messages.
 
@@ -110,6 +116,8 @@ def note_salvaged(
         Number of bytes that could be decompressed.
     left
         The messages found in these.
+    indexed
+        How many messages the index has for the chunk; None if that is unknown.
     """
     cut = max(segment.uncompressed_size - size, 0)
     missing = cut + left.bytes_lost
@@ -120,7 +128,7 @@ def note_salvaged(
         problem,
         offset=offset,
         bytes_lost=missing,
-        messages_lost=None if missing or is_another else left.unknown_channel,
+        messages_lost=None if missing or is_another else max(left.unknown_channel, (indexed or 0) - len(times)),
         first_ns=left.messages[-1].log_time_ns if left.messages and cut else segment.start_ns,
         last_ns=segment.end_ns,
     )

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .chunks import ChunkSegment
     from .records import RecordFile
 
-__all__ = ["index_check", "index_entries"]
+__all__ = ["index_check", "index_entries", "indexed_places"]
 
 #: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
 _HEAD = struct.Struct("<BQHI")
@@ -57,6 +57,15 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
             yield channel_id, ahead[start - origin : start - origin + size]
         else:
             yield channel_id, memoryview(file.read(start, size))
+
+
+def indexed_places(file: RecordFile, segment: ChunkSegment) -> frozenset[int]:
+    """Return the places of messages in a chunk by the message indexes after it; none if these are malformed."""
+    try:
+        groups = list(index_entries(file, segment))
+    except DamageError:
+        return frozenset()
+    return frozenset(place for _, entries in groups for _, place in _FORM.entry.iter_unpack(entries))
 
 
 def index_check(file: RecordFile, segment: ChunkSegment, records: Buffer, ids: Container[int]) -> IndexCheck:

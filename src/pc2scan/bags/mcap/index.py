@@ -422,6 +422,8 @@ class RecordWalk:
                 self.stray = offset
             channel_id, size = struct.unpack_from("<HI", window.data, position)
             self._indexed[channel_id] += size // 16
+        elif opcode == 0:
+            raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
         else:
             self._close()
             if opcode == OP_CHUNK:
@@ -432,8 +434,6 @@ class RecordWalk:
                 self._index.attachments.append(offset)
             elif opcode == Opcode.METADATA:
                 self._index.metadata.append(offset)
-            elif opcode == 0:
-                raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
 
     def _close(self, *, complete: bool = True) -> None:
         """Finish the run or the chunk; its message indexes are ``complete`` if another record follows."""

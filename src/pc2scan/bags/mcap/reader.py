@@ -22,7 +22,7 @@ from .chunks import ChunkSegment, chunk_at, payload, with_payload
 from .copies import agreed, whole_by_content, whole_by_index
 from .data_crc import data_crc
 from .declared import compare_counts, connections_of, summary_of
-from .entries import index_check
+from .entries import index_check, indexed_places
 from .index import McapIndex, find_declarations, find_index
 from .messages import ANY_TIME, messages_in
 from .record_types import Opcode
@@ -85,6 +85,8 @@ class McapReader(PartReader):
         self._is_whole = False
         #: Declarations in chunks that agree with those of the file.
         self._agreed: set[bytes] = set()
+        #: Places of messages in a chunk by its message indexes, for the latest chunk with records of unknown kinds.
+        self._indexed: tuple[int, frozenset[int]] = (-1, frozenset())
         #: Chunks that are not where the index places them, by their places in the index; None until one is missing.
         self._displaced: dict[int, ChunkSegment] | None = None
         self._lock = Lock()
@@ -330,11 +332,12 @@ class McapReader(PartReader):
         Raises
         ------
         DamageError
-            If the record is of a kind that no chunk may have; unknown kinds are ignored.
+            If the record is of a kind that no chunk may have. Unknown kinds are ignored, unless the message index has
+            a message there.
         """
         opcode, length = RECORD.unpack_from(data, position)
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-            if opcode > Opcode.DATA_END:
+            if opcode > Opcode.DATA_END and not self._is_indexed(chunk, position):
                 return
             raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
         start = position + RECORD.size
@@ -350,6 +353,16 @@ class McapReader(PartReader):
             self._note_differing({what: chunk.record_offset})
         elif len(self._agreed) < MAX_CONNECTIONS:
             self._agreed.add(record)
+
+    def _is_indexed(self, chunk: ChunkSegment, position: int) -> bool:
+        """Whether the message indexes after a chunk have a message at this place in it."""
+        if not (self._verify and self._is_whole):
+            return False
+        offset, places = self._indexed
+        if offset != chunk.record_offset:
+            places = indexed_places(self._file, chunk)
+            self._indexed = chunk.record_offset, places
+        return position in places
 
     def _note_differing(self, places: Mapping[str, int]) -> None:
         for what, offset in places.items():
@@ -389,7 +402,8 @@ class McapReader(PartReader):
         known = {connection.id: connection for connection in self._connections}
         left = salvaged_messages(data, known, _declared_span(segment))
         offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
-        note_salvaged(self._log, problem, segment, offset, len(data), left)
+        check = self._check_index(segment, known, data)
+        note_salvaged(self._log, problem, segment, offset, len(data), left, check.total if check else None)
         return left
 
     @property

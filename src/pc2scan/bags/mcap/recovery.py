@@ -40,11 +40,11 @@ from .search import (
     chunk_in_front,
     end_of_chunk,
     end_of_declaration,
+    end_of_framed,
     is_record,
     next_message,
     next_record,
     payload_stop,
-    record_end,
 )
 
 if TYPE_CHECKING:
@@ -290,6 +290,8 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
                 )
             # A consistent header is right; otherwise the segment is used as it was found.
             consistent = not found.padding or found.form == segment.form
+            if found.compression not in COMPRESSIONS and found.length == found.uncompressed_size:
+                found = replace(found, compression="none")
             if head[0] == OP_CHUNK and consistent and found.compression in COMPRESSIONS and found.stop <= file.size:
                 chunk = found
     data = file.read(chunk.offset, min(chunk.length, file.size - chunk.offset))
@@ -327,11 +329,7 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
 def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Yield the opcodes and contents of the records recovered from a chunk."""
     for start, stop, sound in _framed(data, None, None):
-        # A declaration may have a wrong length.
-        end = end_of_declaration(data[start:])
-        if end is not None:
-            yield data[start], data[start + RECORD.size : start + end]
-        elif sound:
+        if sound:
             yield data[start], data[start + RECORD.size : stop]
 
 
@@ -347,7 +345,7 @@ def _framed(
     # A record is kept back until the next one begins at its end: its length may be damaged.
     held: tuple[int, int] | None = None
     while position < size:
-        stop = record_end(data, position)
+        stop = end_of_framed(data, position)
         if stop is not None:
             if held is not None:
                 yield *held, True

@@ -24,6 +24,7 @@ __all__ = [
     "chunk_in_front",
     "end_of_chunk",
     "end_of_declaration",
+    "end_of_framed",
     "is_record",
     "next_message",
     "next_record",
@@ -168,6 +169,17 @@ def record_end(data: memoryview, position: int) -> int | None:
     if stop > len(data) or not has_meaning(opcode):
         return None
     return None if opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size else int(stop)
+
+
+def end_of_framed(data: memoryview, position: int) -> int | None:
+    """Return the end of the record that begins here, by its fields if that of a declaration is wrong."""
+    stop = record_end(data, position)
+    if stop is not None and (stop == len(data) or record_end(data, stop) is not None):
+        return stop
+    fields = end_of_declaration(data[position:])
+    if fields is not None and (position + fields == len(data) or record_end(data, position + fields) is not None):
+        return position + fields
+    return stop
 
 
 def next_message(

@@ -247,7 +247,8 @@ class Rosbag1Reader(PartReader):
 
         chunk = payload_prefix(self._file, segment)
         left = salvaged_messages(chunk, self._index.connections, (segment.start_ns, segment.end_ns))
-        note_salvaged(self._log, error, segment, segment.offset, len(chunk), left)
+        check = self._check_index(segment, chunk, frozenset(self._index.connections))
+        note_salvaged(self._log, error, segment, segment.offset, len(chunk), left, check.total)
         return left
 
     def counts(
