@@ -79,7 +79,8 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
     if name_size > _MAX_COMPRESSION_NAME:
         raise file.damage(f"{malformed}: its compression has a name of {name_size} bytes")
     head = CHUNK.size + name_size + UINT64.size
-    if head + length > record_length and fits:
+    padding = record_length - head - length
+    if padding < 0 and fits:
         raise file.damage(
             f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
         )
@@ -92,7 +93,7 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
         start_ns=start_ns,
         end_ns=end_ns,
         record_offset=record_offset,
-        padding=max(0, record_length - head - length),
+        padding=padding if padding > 0 else 0,
     )
 
 
