@@ -1,4 +1,4 @@
-"""Simulated clouds of which each point is known to be ground or not, in streets, on hills and ramps, in halls."""
+"""Simulated clouds of which each point is known to be ground or not: streets, hills, ramps, halls, boxes, kerbs."""
 
 from __future__ import annotations
 
@@ -98,6 +98,64 @@ def _stairs() -> Scene:
     return Scene(found, lambda x, _: np.zeros_like(x), 0.4)
 
 
+def _boxes(height: float) -> Scene:
+    """Boxes of one height all round, of 0.3 to 1.2 m, from 2 to 16 m away."""
+    found = [_floor(-150, 150, 0)]
+    sizes = ((2, 0.3), (2.8, 0.5), (3.7, 0.4), (5, 0.6), (6.5, 0.5), (8, 0.8), (10, 1.0), (13, 0.8), (16, 1.2))
+    for number, (away, size) in enumerate(sizes):
+        angle, half = math.radians(15 + 40 * number), size / 2
+        x, y = away * math.cos(angle), away * math.sin(angle)
+        found += box(x - half, x + half, y - half, y + half, 0, height)
+    return Scene(found, lambda x, _: np.zeros_like(x), 1.0, 7.0)
+
+
+def _scattered(seed: int, walls: list[Rectangle]) -> Scene:
+    """Boxes of 0.25 to 2 m at any place, 0.25 to 1 m high."""
+    random, found = np.random.default_rng(seed), list(walls)
+    taken: list[tuple[float, float, float, float]] = []
+    while len(taken) < 10:
+        away, angle = random.uniform(1.8, 14), random.uniform(-math.pi, math.pi)
+        x, y = away * math.cos(angle), away * math.sin(angle)
+        width, depth = random.uniform(0.25, 2.0, 2).tolist()
+        height = float(random.choice([0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8, 1.0]))
+        free = all(abs(x - a) > (width + c) / 2 + 0.3 or abs(y - b) > (depth + d) / 2 + 0.3 for a, b, c, d in taken)
+        if free and abs(x) < 11 and abs(y) < 8 and math.hypot(x, y) > 1 + math.hypot(width, depth) / 2:
+            taken.append((x, y, width, depth))
+            found += box(x - width / 2, x + width / 2, y - depth / 2, y + depth / 2, 0, height)
+    return Scene(found, lambda x, _: np.zeros_like(x), 1.0, 7.0)
+
+
+def _sidewalks(kerb: float, width: float = 3.0) -> Scene:
+    """A road of 6 m with sidewalks and walls."""
+    found = [Rectangle((-60, -3, 0), (120, 0, 0), (0, 6, 0), "floor")]
+    for side in (1, -1):
+        found.append(Rectangle((-60, 3 * side, kerb), (120, 0, 0), (0, width * side, 0), "floor"))
+        found.append(Rectangle((-60, 3 * side, 0), (120, 0, 0), (0, 0, kerb), "kerb"))
+    found += box(-60, 60, 3 + width, 15, 0, 8) + box(-60, 60, -15, -3 - width, 0, 8)
+    return Scene(found, lambda _, y: np.where(np.abs(y) > 3, kerb, 0.0), 1.0, 3.0)
+
+
+def _slope(degrees: float) -> Scene:
+    slope = math.tan(math.radians(degrees))
+    surfaces = [_floor(-150, 5, 0), _floor(5, 65, 0, degrees)]
+    return Scene(surfaces, lambda x, _: np.maximum(0, (x - 5) * slope), 1.0)
+
+
+def _waves() -> Scene:
+    """An uneven floor: waves of 12 cm, 3 m long."""
+
+    def height(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(0.06 * np.sin(2 * math.pi * x / 3))
+
+    edges = np.arange(-60, 60.5, 0.5)
+    heights = height(edges).tolist()
+    found = [
+        Rectangle((x, -60, z), (0.5, 0, behind - z), (0, 120, 0), "floor")
+        for x, z, behind in zip(edges[:-1].tolist(), heights[:-1], heights[1:], strict=True)
+    ]
+    return Scene(found, lambda x, _: height(x), 1.0)
+
+
 PLACES = {
     "street": _street(),
     "hill": _hill(),
@@ -106,18 +164,30 @@ PLACES = {
     "hall from above": _hall(1.0),
     "ramp": _ramp(),
     "stairs": _stairs(),
+    **{f"boxes of {height} m": _boxes(height) for height in (0.2, 0.3, 0.4, 0.6)},
+    **{f"scattered boxes {seed}": _scattered(seed, [_floor(-150, 150, 0)]) for seed in (1, 3)},
+    **{f"boxes in a room {seed}": _scattered(seed, room(-12, 15, -9, 10, 4.0)) for seed in (1, 3)},
+    **{f"kerbs of {kerb} m": _sidewalks(kerb) for kerb in (0.1, 0.15, 0.2)},
+    "narrow sidewalks": _sidewalks(0.15, 1.5),
+    **{f"slope of {degrees} degrees": _slope(degrees) for degrees in (5, 10, 14)},
+    "waves": _waves(),
 }
 
 
-def labelled(place: str, sensor: str, *, pitch: float = 0.0, floor: bool = True) -> Labelled:
-    """The returns of one sweep, in a frame on the floor beneath the lidar whose z axis points up."""
+def labelled(
+    place: str, sensor: str, *, pitch: float = 0.0, floor: bool = True, lidar: float | None = None
+) -> Labelled:
+    """The returns of one sweep, in a frame on the floor beneath the lidar whose z axis points up.
+
+    ``lidar`` is its height, if it is not the place's own.
+    """
     random = np.random.default_rng(5)
     scene = PLACES[place]
     surfaces = [each for each in scene.surfaces if floor or each.part not in {"floor", "kerb"}]
     tilt = mounted(0, pitch)
     turn = mounted(0, 0, scene.heading)
     rays = SENSORS[sensor]() @ tilt.T
-    origin = np.array([0.0, 0.0, scene.lidar])
+    origin = np.array([0.0, 0.0, scene.lidar if lidar is None else lidar])
     nearest, label = np.full(len(rays), np.inf), np.full(len(rays), -1)
     world = rays @ turn.T
     for number, surface in enumerate(surfaces):

@@ -132,7 +132,7 @@ def test_a_file_of_parameters_is_beaten_by_keywords(tmp_path: Path) -> None:
         (pc2scan.convert, [HALL], "topic", "did you mean 'topics'?"),
         (pc2scan.convert, [HALL], "output", "did you mean 'destination'?"),
         (pc2scan.convert, [HALL], "static", "did you mean 'static_tf'?"),
-        (pc2scan.scans, [HALL], "topics", "did you mean 'topic'?"),
+        (pc2scan.scans, [HALL], "topic", "did you mean 'topics'?"),
         (pc2scan.scans, [HALL], "presett", "did you mean 'preset'?"),
         (pc2scan.info, [HALL], "sample", "did you mean 'samples'?"),
         (pc2scan.check, [HALL], "consumer", "did you mean 'consumers'?"),

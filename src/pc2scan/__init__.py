@@ -15,6 +15,7 @@ Recordings to arrays:
 - `project`: points to a scan, without a recording
 - `view`: clouds and the scans that come of them, as a page
 - `map`: scans in a map, where the recorded odometry places them
+- `plot`: clouds and their scans as a figure
 
 A recording is a ROS 1 bag, a rosbag2 directory, a ``.db3`` or an ``.mcap`` file, as ``str`` or ``pathlib.Path``, or a
 list of several that are one. The parameters of the projection are `ProjectionParams`, or keywords of `convert` and
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from .api import golden as golden
     from .api import info as info
     from .api import map as map  # noqa: A004
+    from .api import plot as plot
     from .api import repair as repair
     from .api import scans as scans
     from .api import tf as tf
@@ -66,6 +68,7 @@ if TYPE_CHECKING:
     from .inspect.info import Info as Info
     from .inspect.tf import FrameTree as FrameTree
     from .look.map_result import Map as Map
+    from .look.plot import Plotted as Plotted
     from .look.view import Page as Page
     from .pipeline.report import Report as Report
     from .pipeline.stages.height_slope import MinHeightSlope as MinHeightSlope
@@ -97,6 +100,7 @@ _HOMES = {
     "MinHeightSlope": "pipeline.stages.height_slope",
     "Page": "look.view",
     "Pc2ScanError": "errors",
+    "Plotted": "look.plot",
     "PointCounts": "core.counts",
     "ProjectedScan": "core.project",
     "ProjectionParams": "core.params",
@@ -118,6 +122,7 @@ _HOMES = {
     "golden": "golden",
     "info": "api",
     "map": "api",
+    "plot": "api",
     "project": "core.project",
     "repair": "api",
     "scans": "api",
@@ -142,6 +147,7 @@ __all__ = [
     "MinHeightSlope",
     "Page",
     "Pc2ScanError",
+    "Plotted",
     "PointCounts",
     "ProjectedScan",
     "ProjectionParams",
@@ -162,6 +168,7 @@ __all__ = [
     "golden",
     "info",
     "map",
+    "plot",
     "project",
     "repair",
     "scans",

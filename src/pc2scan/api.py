@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from numbers import Real
 from typing import TYPE_CHECKING
 
@@ -10,11 +11,15 @@ from .arguments import known_keywords, names_in, path_of, paths_in
 from .errors import UsageError
 from .pipeline.options import ConvertOptions
 from .requests import (
+    KEYWORDS,
+    conversion_names,
     conversion_of,
     destination_of,
+    first_output,
     frames_of,
     given_among,
     keywords_among,
+    makes_scans,
     moments_of,
     parameter_names,
     selection_of,
@@ -36,6 +41,7 @@ if TYPE_CHECKING:
     from .inspect.info import Info
     from .inspect.tf import FrameTree
     from .look.map_result import Map
+    from .look.plot import Plotted
     from .look.view import Page
     from .pipeline.combine.asked import Duration
     from .pipeline.options import Time
@@ -56,6 +62,7 @@ __all__ = [
     "golden",
     "info",
     "map",
+    "plot",
     "repair",
     "scans",
     "tf",
@@ -77,6 +84,17 @@ _SYNONYMS = {
 }
 
 
+#: The keywords of `convert` that functions take which show, draw or export what it would write. Like the commands,
+#: they ignore those about a recording that is written, so that a call of `convert` can be shown with few changes.
+_OF_A_CONVERSION = KEYWORDS - {"ros_distro"}
+
+#: The keywords of `convert` that decide how clouds become scans, and what is read.
+_OF_SCANS = _OF_A_CONVERSION - {
+    *("scans", "keep", "drop", "keep_clouds", "only_scans", "keep_used", "write_static_tf", "fail_on", "min_used"),
+    *("reverse", "channels", "range_cutoff", "jobs"),
+}
+
+
 @known_keywords(further=parameter_names, synonyms=_SYNONYMS)
 def convert(
     sources: PathText | Iterable[PathText],
@@ -86,6 +104,9 @@ def convert(
     preset: str | None = None,
     params_file: PathText | None = None,
     node: str | None = None,
+    launch_args: str | Iterable[str] = (),
+    param: str | Iterable[str] = (),
+    remap: str | Iterable[str] = (),
     scans: PathText | Mapping[str, Any] | Sequence[Any] | None = None,
     topics: str | Iterable[str] = (),
     keep: str | Iterable[str] = (),
@@ -159,8 +180,11 @@ def convert(
         The parameters of the projection, instead of ``preset`` and ``params_file``. Default: upstream's defaults.
     preset
         The name of a consumer of the scans, such as ``slam_toolbox``: the parameters that suit it.
-    params_file, node
-        A ROS parameter file, and the node whose parameters are read from it. They override ``preset``.
+    params_file, node, launch_args
+        A ROS parameter file or an XML launch file, the node whose parameters are read from it, and the launch file's
+        arguments, ``name:=value``. They override ``preset``.
+    param, remap
+        Parameters and remappings in ROS's notation: ``range_max:=30``; ``["cloud_in:=/points", "scan:=/flat"]``.
     scans
         Several outputs, each with its own sources, parameters and options: a YAML or JSON file, or the content of such
         a file: ``{"/scan": {"min_height": 0.1}, "/low": {"max_height": 0.1}}``. Parameters by name override those of
@@ -193,8 +217,8 @@ def convert(
     filters
         Further filters, as objects.
     remove
-        Beams to remove from scans, by the rules of laser_filters: ``shadows`` or ``speckles``, also with parameters,
-        ``"speckles filter_window=3"``; or several of these.
+        Beams to remove from scans: ``shadows`` (mixed pixels) or ``speckles``, also with the parameters of
+        laser_filters, ``"shadows window=2"`` or ``"speckles filter_window=3"``; or several of these.
     keep_used
         A topic to which the points that the scans' beams read are written: PointCloud2 with all of their fields and the
         beam's index. For a scan of several messages: where they were projected, with the fields that all messages have,
@@ -527,34 +551,13 @@ def info(
     )
 
 
-@known_keywords(further=parameter_names, synonyms=_SYNONYMS)
+@known_keywords(further=conversion_names, synonyms=_SYNONYMS, like=convert, shared=_OF_A_CONVERSION)
 def view(
     sources: PathText | Iterable[PathText],
     *,
     clouds: int = 10,
     at: Time | Iterable[Time] = (),
-    params: ProjectionParams | None = None,
-    preset: str | None = None,
-    params_file: PathText | None = None,
-    node: str | None = None,
-    topics: str | Iterable[str] = (),
-    start: Time | None = None,
-    end: Time | None = None,
-    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
-    static_tf_file: PathText | None = None,
-    tf_from: PathText | Iterable[PathText] = (),
-    tf_topics: str | Iterable[str] = (),
-    source_frame: str = "",
-    frames: FrameOptions | None = None,
-    where: str | Iterable[str] = (),
-    exclude_box: str | Iterable[str] = (),
-    exclude_polygon: str | Iterable[str] = (),
-    min_height_slope: float | None = None,
-    ground: str = "keep",
-    filters: Iterable[Filter] = (),
-    verify: bool = True,
-    strict: bool = False,
-    **parameters: Any,
+    **keywords: Any,
 ) -> Page:
     """Show a recording as an HTML page, as ``pc2scan view`` does: its clouds, and their scans with tunable parameters.
 
@@ -566,12 +569,9 @@ def view(
         Number of clouds of each topic on the page, evenly spread over the recording.
     at
         A time, or several, whose clouds are shown instead; in the forms of ``start``.
-    params, preset, params_file, node, topics, start, end, **parameters
-        As for `pc2scan.convert`.
-    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
-        As for `pc2scan.convert`.
-    where, exclude_box, exclude_polygon, min_height_slope, ground, filters, verify, strict
-        As for `pc2scan.convert`.
+    **keywords
+        Options of `pc2scan.convert`, and parameters of the projection. Those about the recording that is written have
+        no effect. Of several outputs, the first is shown.
 
     Returns
     -------
@@ -590,22 +590,86 @@ def view(
     >>> import pc2scan
     >>> pc2scan.view("drive.bag", preset="slam_toolbox", min_height=-0.3).save("page.html")  # doctest: +SKIP
     """
-    options = conversion_of(keywords_among(locals())).options
+    notes: list[str] = []
+    options = first_output(conversion_of(keywords, note=notes.append).options, "shown", notes.append)
     from .cli.command_line import convert_words  # noqa: PLC0415
     from .look.view import page_of  # noqa: PLC0415
 
     paths = paths_in("sources", sources)
-    return page_of(
+    page = page_of(
         paths,
         options,
         clouds=clouds,
         at=moments_of(at),
-        preset=preset or "",
+        preset=keywords.get("preset") or "",
         command=convert_words(paths, options, "scans.mcap"),
     )
+    return replace(page, notes=(*notes, *page.notes))
 
 
-@known_keywords(further=parameter_names, synonyms=_SYNONYMS)
+@known_keywords(further=conversion_names, synonyms=_SYNONYMS, like=convert, shared=_OF_A_CONVERSION)
+def plot(
+    sources: PathText | Iterable[PathText],
+    destination: PathText,
+    *,
+    clouds: int = 1,
+    at: Time | Iterable[Time] = (),
+    overwrite: bool = False,
+    **keywords: Any,
+) -> Plotted:
+    """Draw clouds from above and from the side, with the heights and the scan, as ``pc2scan plot`` does.
+
+    Parameters
+    ----------
+    sources
+        A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
+    destination
+        The figure: ``.png``, ``.svg`` or ``.pdf``. Needs ``pc2scan[plot]``.
+    clouds
+        Number of clouds of each topic, side by side, evenly spread over the recording.
+    at
+        A time, or several, whose clouds are drawn instead; in the forms of ``start``.
+    overwrite
+        Replace an existing file.
+    **keywords
+        Options of `pc2scan.convert`, and parameters of the projection. Those about the recording that is written have
+        no effect. Of several outputs, the first is drawn.
+
+    Returns
+    -------
+    Plotted
+        Notes about what is drawn, and the damage in the parts of the recording that were read.
+
+    Raises
+    ------
+    UsageError
+        If the request contradicts itself or the recording, or matplotlib is not installed.
+    DestinationError, OutputError
+        If the file exists or cannot be written.
+    RecordingError
+        If a source cannot be read, or no cloud of it can be drawn.
+
+    Examples
+    --------
+    >>> import pc2scan
+    >>> pc2scan.plot("drive.bag", "figure.png", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
+    """
+    notes: list[str] = []
+    options = first_output(conversion_of(keywords, note=notes.append).options, "shown", notes.append)
+    from .look.plot import plot as draw  # noqa: PLC0415
+
+    drawn = draw(
+        paths_in("sources", sources),
+        path_of("destination", destination),
+        options,
+        clouds=clouds,
+        at=moments_of(at),
+        overwrite=overwrite,
+    )
+    return drawn._replace(notes=[*notes, *drawn.notes])
+
+
+@known_keywords(further=conversion_names, synonyms=_SYNONYMS, like=convert, shared=_OF_A_CONVERSION)
 def map(  # noqa: A001  # the command's name
     sources: PathText | Iterable[PathText],
     *,
@@ -614,41 +678,8 @@ def map(  # noqa: A001  # the command's name
     resolution: float = 0.05,
     max_range: float | None = None,
     clear_to: float = 0.0,
-    params: ProjectionParams | None = None,
-    preset: str | None = None,
-    params_file: PathText | None = None,
-    node: str | None = None,
-    topics: str | Iterable[str] = (),
-    start: Time | None = None,
-    end: Time | None = None,
-    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
-    static_tf_file: PathText | None = None,
-    tf_from: PathText | Iterable[PathText] = (),
-    tf_topics: str | Iterable[str] = (),
-    source_frame: str = "",
-    frames: FrameOptions | None = None,
-    where: str | Iterable[str] = (),
-    exclude_box: str | Iterable[str] = (),
-    exclude_polygon: str | Iterable[str] = (),
-    min_height_slope: float | None = None,
-    ground: str = "keep",
-    filters: Iterable[Filter] = (),
-    deskew: bool = False,
-    fixed_frame: str = "",
-    point_time: str = "",
-    stamp: str = "header",
-    level: bool = False,
-    imu: str = "",
-    lead: str = "",
-    window: Duration | None = None,
-    accumulate: Duration | None = None,
-    every: Duration | None = None,
-    rebin: bool = False,
-    on_error: str = "skip",
-    verify: bool = True,
-    strict: bool = False,
     progress: Progress | None = None,
-    **parameters: Any,
+    **keywords: Any,
 ) -> Map:
     """Draw the scans of a recording into a map by its recorded odometry, as ``pc2scan map`` does.
 
@@ -671,21 +702,12 @@ def map(  # noqa: A001  # the command's name
     clear_to
         The range up to which beams without a return clear cells, in metres. Default: such beams are ignored, as in
         gmapping and slam_toolbox.
-    topics
-        LaserScan or PointCloud2 topics. Default: all scans; all clouds if there are no scans, or if an option is given
-        that converts clouds.
-    params, preset, params_file, node, start, end, **parameters
+    progress
         As for `pc2scan.convert`.
-    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
-        As for `pc2scan.convert`.
-    where, exclude_box, exclude_polygon, min_height_slope, ground, filters
-        As for `pc2scan.convert`.
-    deskew, fixed_frame, point_time, stamp, level, imu
-        As for `pc2scan.convert`.
-    lead, window, accumulate, every, rebin
-        As for `pc2scan.convert`. Topics that share a target become one scan.
-    on_error, verify, strict, progress
-        As for `pc2scan.convert`.
+    **keywords
+        Options of `pc2scan.convert`, and parameters of the projection. Those about the recording that is written have
+        no effect. ``topics`` are LaserScan or PointCloud2 topics; by default all scans, or all clouds if there are no
+        scans, or if an option is given that converts clouds. Of several outputs, the first is drawn.
 
     Returns
     -------
@@ -706,7 +728,8 @@ def map(  # noqa: A001  # the command's name
     >>> import pc2scan
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
-    options = conversion_of(keywords_among(locals())).options
+    notes: list[str] = []
+    options = first_output(conversion_of(keywords, note=notes.append).options, "drawn", notes.append)
     import math  # noqa: PLC0415
 
     from .look.map import map_of  # noqa: PLC0415
@@ -719,7 +742,8 @@ def map(  # noqa: A001  # the command's name
         max_range=math.inf if max_range is None else max_range,
         clear_to=clear_to,
     )
-    return map_of(paths_in("sources", sources), options, asked, progress=progress)
+    made = map_of(paths_in("sources", sources), options, asked, progress=progress)
+    return replace(made, notes=(*notes, *made.notes))
 
 
 @known_keywords(synonyms={**_SYNONYMS, "for": "consumers", "consumer": "consumers"})
@@ -886,6 +910,7 @@ def diff(
     ignore: str | Iterable[str] = (),
     explain: bool = False,
     clouds: PathText | None = None,
+    view: PathText | None = None,
 ) -> Difference:
     """Compare the scans and clouds of two recordings, as ``pc2scan diff`` does.
 
@@ -910,6 +935,8 @@ def diff(
     clouds
         The recording with the clouds from which the scans were made. Default: ``a``; if it has none, ``b``. If it is
         given, ``explain`` is on.
+    view
+        A page to write, which shows the scans with most differing beams on top of each other.
 
     Returns
     -------
@@ -944,18 +971,26 @@ def diff(
         allow_beams=allow_beams,
         ignore=frozenset(names_in("ignore", ignore)),
     )
-    return compare(
-        path_of("a", a),
-        None if b is None else path_of("b", b),
-        topics=[TopicPair.parse(topic) for topic in names_in("topics", topics)],
+    pairs = [TopicPair.parse(topic) for topic in names_in("topics", topics)]
+    first, second = path_of("a", a), None if b is None else path_of("b", b)
+    found = compare(
+        first,
+        second,
+        topics=pairs,
         all_topics=all_topics,
         rules=rules,
         transforms_of=recorded_transforms if explain or clouds is not None else None,
         clouds=None if clouds is None else path_of("clouds", clouds),
     )
+    if view is not None:
+        from .look.compared import compared_view  # noqa: PLC0415
+
+        page = path_of("view", view)
+        compared_view(first, second or first, page, topics=pairs, rules=rules, summary=str(found))
+    return found
 
 
-@known_keywords(further=parameter_names, synonyms=_SYNONYMS)
+@known_keywords(further=conversion_names, synonyms=_SYNONYMS, like=convert, shared=_OF_A_CONVERSION)
 def export(
     sources: PathText | Iterable[PathText],
     destination: PathText,
@@ -964,42 +999,9 @@ def export(
     pose_frame: str = "",
     base_frame: str = "",
     odom_topic: str = "",
-    topics: str | Iterable[str] = (),
-    start: Time | None = None,
-    end: Time | None = None,
-    params: ProjectionParams | None = None,
-    preset: str | None = None,
-    params_file: PathText | None = None,
-    node: str | None = None,
-    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
-    static_tf_file: PathText | None = None,
-    tf_from: PathText | Iterable[PathText] = (),
-    tf_topics: str | Iterable[str] = (),
-    source_frame: str = "",
-    frames: FrameOptions | None = None,
-    where: str | Iterable[str] = (),
-    exclude_box: str | Iterable[str] = (),
-    exclude_polygon: str | Iterable[str] = (),
-    min_height_slope: float | None = None,
-    ground: str = "keep",
-    filters: Iterable[Filter] = (),
-    deskew: bool = False,
-    fixed_frame: str = "",
-    point_time: str = "",
-    stamp: str = "header",
-    level: bool = False,
-    imu: str = "",
-    lead: str = "",
-    window: Duration | None = None,
-    accumulate: Duration | None = None,
-    every: Duration | None = None,
-    rebin: bool = False,
-    on_error: str = "skip",
     overwrite: bool = False,
-    verify: bool = True,
-    strict: bool = False,
     progress: Progress | None = None,
-    **parameters: Any,
+    **keywords: Any,
 ) -> ExportReport:
     """Write scans with poses, trajectories or clouds for learning and evaluation, as ``pc2scan export`` does.
 
@@ -1020,25 +1022,15 @@ def export(
         frame.
     odom_topic
         Take the poses from this nav_msgs/Odometry topic instead.
-    topics, start, end
-        As for `pc2scan.convert`. Default: all LaserScan topics; if clouds are exported or converted, all
-        PointCloud2 topics.
-    params, preset, params_file, node, **parameters
-        As for `pc2scan.scans`: any of them means that scans are made from clouds.
-    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
-        As for `pc2scan.convert`; also used for poses.
-    where, exclude_box, exclude_polygon, min_height_slope, ground, filters
-        As for `pc2scan.convert`, if clouds are converted.
-    deskew, fixed_frame, point_time, stamp, level, imu
-        As for `pc2scan.convert`, if clouds are converted.
-    lead, window, accumulate, every, rebin
-        As for `pc2scan.convert`. Topics that share a target become one scan.
-    on_error
-        If a message cannot be written: ``skip`` counts and lists it, ``fail`` raises an error.
     overwrite
         Replace an existing destination: a file, or a folder that has only an export in this format.
-    verify, strict, progress
+    progress
         As for `pc2scan.convert`.
+    **keywords
+        Options of `pc2scan.convert`, and parameters of the projection: any of these means that scans are made from
+        clouds. Options about transforms are also used for poses. Without ``topics``, all LaserScan topics are exported;
+        if clouds are exported or converted, all PointCloud2 topics. ``on_error`` is about messages that cannot be
+        written. Options about a recording that is written are refused.
 
     Returns
     -------
@@ -1067,12 +1059,11 @@ def export(
     >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
     notes: list[str] = []
-    asked = conversion_of(keywords_among(locals()), note=notes.append)
+    asked = conversion_of(keywords, note=notes.append)
     from .export.poses import PoseOptions  # noqa: PLC0415
     from .export.run import ExportOptions, run  # noqa: PLC0415
 
-    converting = bool(parameters) or any(each is not None for each in (params, preset, params_file))
-    converting = converting or asked.options.scan.may_combine
+    converting = makes_scans(keywords) or asked.options.scan.may_combine
     path, folder = destination_of(destination)
     poses = PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic)
     place = path if path is not None else folder
@@ -1090,44 +1081,17 @@ def export(
     return done
 
 
-@known_keywords(further=parameter_names, synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})
+@known_keywords(further=parameter_names, synonyms=_SYNONYMS, like=convert, shared=_OF_SCANS)
 def scans(
-    source: PathText | Iterable[PathText],
-    topic: str | Iterable[str] | None = None,
+    sources: PathText | Iterable[PathText],
+    topics: str | Iterable[str] = (),
     *,
     start: Time | None = None,
     end: Time | None = None,
-    params: ProjectionParams | None = None,
-    preset: str | None = None,
-    params_file: PathText | None = None,
-    node: str | None = None,
-    static_tf: str | StaticTransform | Iterable[str | StaticTransform] = (),
-    static_tf_file: PathText | None = None,
-    tf_from: PathText | Iterable[PathText] = (),
-    tf_topics: str | Iterable[str] = (),
-    source_frame: str = "",
-    frames: FrameOptions | None = None,
-    where: str | Iterable[str] = (),
-    exclude_box: str | Iterable[str] = (),
-    exclude_polygon: str | Iterable[str] = (),
-    min_height_slope: float | None = None,
-    ground: str = "keep",
-    filters: Iterable[Filter] = (),
-    deskew: bool = False,
-    fixed_frame: str = "",
-    point_time: str = "",
-    stamp: str = "header",
-    level: bool = False,
-    imu: str = "",
-    lead: str = "",
-    window: Duration | None = None,
-    accumulate: Duration | None = None,
-    every: Duration | None = None,
-    rebin: bool = False,
     on_error: str = "skip",
     verify: bool = True,
     strict: bool = False,
-    **parameters: Any,
+    **keywords: Any,
 ) -> Scans:
     """Iterate over the scans of a recording, or convert its clouds and iterate over the resulting scans.
 
@@ -1137,25 +1101,19 @@ def scans(
 
     Parameters
     ----------
-    source
+    sources
         A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
-    topic
+    topics
         A topic, or several; for clouds also as ``/points:=/scan``. Default: the only one in the recording.
     start, end, verify, strict
         As for `pc2scan.convert`. Recovered damage is reported as a `pc2scan.errors.RecordingWarning`.
-    params, preset, params_file, node, **parameters
-        As for `pc2scan.convert`.
-    static_tf, static_tf_file, tf_from, tf_topics, source_frame, frames
-        As for `pc2scan.convert`, if clouds are converted.
-    where, exclude_box, exclude_polygon, min_height_slope, ground, filters
-        As for `pc2scan.convert`.
-    deskew, fixed_frame, point_time, stamp, level, imu
-        As for `pc2scan.convert`.
-    lead, window, accumulate, every, rebin
-        As for `pc2scan.convert`. Topics that share a target become one scan.
     on_error
         If a message cannot be used: ``skip`` counts and lists it, and issues a warning; ``fail`` raises
         an error.
+
+    **keywords
+        Options of `pc2scan.convert` that decide how clouds become scans, and parameters of the projection. Topics that
+        share a target become one scan.
 
     Returns
     -------
@@ -1165,7 +1123,7 @@ def scans(
     Raises
     ------
     UsageError
-        If an argument is wrong or does not fit the recording, or if ``topic`` is missing or needed.
+        If an argument is wrong or does not fit the recording, or if a topic is missing or needed.
     RecordingError
         If a source cannot be read.
     DamageError
@@ -1181,30 +1139,28 @@ def scans(
     >>> for scan in pc2scan.scans("drive.bag", preset="slam_toolbox", min_height=-0.5):  # doctest: +SKIP
     ...     print(scan)
     """
-    keywords = keywords_among(locals())
     from .streams.scans import Scans  # noqa: PLC0415
 
-    names = names_in("topic", topic)
+    names = names_in("topics", topics)
     conversion = None
-    given = set(given_among(keywords))
-    projected = bool(parameters) or any(each is not None for each in (params, preset, params_file))
-    if projected or given & {"lead", "window", "accumulate", "every", "rebin"}:
-        conversion = conversion_of({**keywords, "topics": names, "only_scans": True}).options
+    if makes_scans(keywords) or any(keywords.get(name) for name in ("lead", "window", "accumulate", "every", "rebin")):
+        read = {"start": start, "end": end, "on_error": on_error, "verify": verify, "strict": strict}
+        conversion = conversion_of({**keywords, **read, "topics": names, "only_scans": True}).options
         if conversion.scan.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, which does not make scans")
-    elif given - {"start", "end", "on_error", "verify", "strict"}:
+    elif given_among(keywords):
         raise UsageError(
-            "transforms, filters, `node`, `deskew` and `level` have no effect, because no clouds are converted",
+            "transforms, filters, `node`, `deskew`, `level` and `remove` have no effect: no clouds are converted",
             hint="to convert clouds, give `preset`, `params_file`, or a parameter by name, `target_frame=base_link`",
         )
-    selection = selection_of(source, names, start, end, on_error, verify=verify, strict=strict)
+    selection = selection_of(sources, names, start, end, on_error, verify=verify, strict=strict)
     return Scans(selection, conversion)
 
 
-@known_keywords(synonyms={**_SYNONYMS, "topics": "topic", "sources": "source"})
+@known_keywords(synonyms=_SYNONYMS)
 def clouds(
-    source: PathText | Iterable[PathText],
-    topic: str | Iterable[str] | None = None,
+    sources: PathText | Iterable[PathText],
+    topics: str | Iterable[str] = (),
     *,
     start: Time | None = None,
     end: Time | None = None,
@@ -1218,9 +1174,9 @@ def clouds(
 
     Parameters
     ----------
-    source
+    sources
         A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
-    topic
+    topics
         A topic, or several. Default: the only one in the recording.
     start, end, verify, strict
         As for `pc2scan.convert`. Recovered damage is reported as a `pc2scan.errors.RecordingWarning`.
@@ -1236,7 +1192,7 @@ def clouds(
     Raises
     ------
     UsageError
-        If ``topic`` does not exist, or if it is not given and there are several.
+        If a topic does not exist, or if none is given and there are several.
     RecordingError
         If a source cannot be read.
     DamageError
@@ -1247,10 +1203,10 @@ def clouds(
     Examples
     --------
     >>> import pc2scan
-    >>> for cloud in pc2scan.clouds("drive.bag", topic="/points"):  # doctest: +SKIP
+    >>> for cloud in pc2scan.clouds("drive.bag", topics="/points"):  # doctest: +SKIP
     ...     print(cloud.stamp, cloud.xyz().shape, cloud["intensity"].max())
     """
     from .streams.clouds import Clouds  # noqa: PLC0415
 
-    names = names_in("topic", topic)
-    return Clouds(selection_of(source, names, start, end, on_error, verify=verify, strict=strict))
+    names = names_in("topics", topics)
+    return Clouds(selection_of(sources, names, start, end, on_error, verify=verify, strict=strict))

@@ -14,7 +14,7 @@ from .errors import UsageError
 from .names import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
     from typing import TypeAlias
 
     PathText: TypeAlias = str | PathLike[str]
@@ -132,7 +132,11 @@ def refuse_unknown(
 
 
 def known_keywords(
-    *, further: Callable[[], Iterable[str]] = tuple, synonyms: Mapping[str, str] | None = None
+    *,
+    further: Callable[[], Iterable[str]] = tuple,
+    synonyms: Mapping[str, str] | None = None,
+    like: Callable[..., object] | None = None,
+    shared: Collection[str] = (),
 ) -> Callable[[Callable[_Arguments, _Result]], Callable[_Arguments, _Result]]:
     """Decorate a function so that a misspelt keyword or a wrong type raises a TypeError that suggests the right one.
 
@@ -142,10 +146,19 @@ def known_keywords(
         Returns the keywords that the function takes as ``**keywords``.
     synonyms
         Names that are not arguments, and the arguments that they mean.
+    like, shared
+        The function takes these arguments of another function, as ``**keywords``. Its signature and its help have them.
     """
 
     def decorated(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-        parameters = inspect.signature(function).parameters.values()
+        signature = inspect.signature(function)
+        parameters = list(signature.parameters.values())
+        if like is not None:
+            own = signature.parameters
+            others = inspect.signature(like).parameters.values()
+            parameters[-1:-1] = added = [p for p in others if p.name in shared and p.name not in own]
+            names = ", ".join(p.name for p in added)
+            function.__doc__ = (function.__doc__ or "").replace("\n    **keywords\n", f"\n    {names}, **keywords\n")
         named = {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
         # Annotations are text. The check for bool keeps `overwrite="no"` from replacing a file.
         checks = {p.name: _CHECKS[p.annotation] for p in parameters if p.annotation in _CHECKS}
@@ -160,6 +173,7 @@ def known_keywords(
                     raise TypeError(f"{name} is {shown(kwargs[name])}, it must be {expected}")
             return function(*args, **kwargs)
 
+        checked.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         return checked
 
     return decorated

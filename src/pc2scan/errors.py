@@ -50,13 +50,64 @@ __all__ = [
     "UnconnectedError",
     "UnwritableError",
     "UsageError",
+    "leading",
     "name_list",
     "stamp_text",
+    "visible",
 ]
 
 
 #: The beginning of a hint in a traceback.
 _HINT = "hint: "
+
+#: Maximum number of characters of a line. Names in ROS have at most 255.
+_MAX_LINE = 4_000
+
+
+def visible(text: str, most: int | None = _MAX_LINE, *, ascii_only: bool = False) -> str:
+    r"""Return one line that terminals, logs and CI systems show and do not obey; all text for users passes through it.
+
+    Names, types and frames come from untrusted recordings. Characters that cannot be printed (controls, ends of lines,
+    marks of direction, characters without width, surrogates) are escaped, and so are the commands that CI systems
+    find in logs: ``::`` at the beginning of a line (GitHub), ``##[`` and ``##vso[`` (Azure), ``##teamcity[``.
+
+    Parameters
+    ----------
+    text
+        One line.
+    most
+        Longer text is cut; None for any length.
+    ascii_only
+        Escape all characters that are not ASCII, too.
+
+    Examples
+    --------
+    >>> print(visible("/scan\x1b[2J\n"), visible("::error::no"), visible("a" * 5000)[-20:])
+    /scan\x1b[2J\n \x3a:error::no aaaa... (5000 chars)
+    """
+    if most is not None and len(text) > most:
+        return f"{visible(text[:most], None, ascii_only=ascii_only)}... ({len(text)} chars)"
+    if not text.isprintable() or (ascii_only and not text.isascii()):
+        text = "".join(
+            c if c.isprintable() and (c.isascii() or not ascii_only) else c.encode("unicode_escape").decode()
+            for c in text
+        )
+    if "##" in text and "[" in text:
+        import re  # noqa: PLC0415  # hardly any text
+
+        text = re.sub(r"##(?=\w*\[)", r"\\x23\\x23", text)
+    begin = text.lstrip()
+    return f"{text[: -len(begin)]}\\x3a{begin[1:]}" if begin.startswith("::") else text
+
+
+def leading(name: str) -> str:
+    """Return a name for the beginning of a line: visible, and in quotes if the line could be taken for another one.
+
+    >>> leading("/scan"), leading("same: 1 topic")
+    ('/scan', "'same: 1 topic'")
+    """
+    text = visible(name)
+    return f"'{text}'" if ": " in text or text.endswith(":") else text
 
 
 def stamp_text(stamp_ns: int) -> str:
@@ -119,7 +170,7 @@ class Pc2ScanError(Exception):
     @hint.setter
     def hint(self, text: str | None) -> None:
         notes = [note for note in getattr(self, "__notes__", ()) if not note.startswith(_HINT)]
-        self.__notes__ = [*notes, f"{_HINT}{text}"] if text else notes
+        self.__notes__ = [*notes, f"{_HINT}{visible(text)}"] if text else notes
         self._hint = text
 
     @property
@@ -145,7 +196,7 @@ class Pc2ScanError(Exception):
         }
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.message}" if self.where else self.message
+        return visible(f"{self.where}: {self.message}" if self.where else self.message, None)
 
 
 class UsageError(Pc2ScanError):
@@ -248,3 +299,6 @@ class UnwritableError(MessageError):
 
 class RecordingWarning(UserWarning):
     """A recording is damaged, a message cannot be used, or the scans are probably not as intended."""
+
+    def __str__(self) -> str:
+        return visible(super().__str__())

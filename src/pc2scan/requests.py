@@ -33,11 +33,14 @@ if TYPE_CHECKING:
 __all__ = [
     "KEYWORDS",
     "Conversion",
+    "conversion_names",
     "conversion_of",
     "destination_of",
+    "first_output",
     "frames_of",
     "given_among",
     "keywords_among",
+    "makes_scans",
     "moments_of",
     "parameter_names",
     "params_from_file",
@@ -65,8 +68,7 @@ _BESIDE = (
 #: Defaults other than None, False and empty.
 _USUAL = {"stamp": "header", "ground": "keep", "on_error": "skip", "verify": True}
 
-#: The keywords of a conversion besides parameters of the projection: those of `pc2scan.convert`, and ``param``,
-#: ``launch_args`` and ``remap``, which only the command line has.
+#: The keywords of a conversion besides parameters of the projection.
 KEYWORDS = frozenset(("scans", "param", "keep", "drop", "start", "end", *_BESIDE, *_FRAMES, *_OF_ALL))
 
 
@@ -86,9 +88,28 @@ class Conversion(NamedTuple):
 
 
 def keywords_among(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keywords in the ``locals()`` of a function with parameters of the projection as ``**parameters``."""
+    """Return the keywords in the ``locals()`` of a function that takes the others as ``**parameters``."""
     keywords = {name: value for name, value in arguments.items() if name in KEYWORDS}
     return keywords | dict(arguments["parameters"])
+
+
+def conversion_names() -> list[str]:
+    """Return the names of all keywords of a conversion, with the parameters of the projection."""
+    return [*KEYWORDS, *parameter_names()]
+
+
+def makes_scans(keywords: Mapping[str, Any]) -> bool:
+    """Return whether any parameter of the projection is given: by name, by a preset or in a file."""
+    return any(keywords.get(name) for name in ("params", "preset", "params_file", "param")) or any(
+        name in keywords for name in PARAMETERS
+    )
+
+
+def first_output(options: ConvertOptions, verb: str, note: Callable[[str], None]) -> ConvertOptions:
+    """Return a conversion with the first of its outputs only; ``verb`` says in the note what it is used for."""
+    if options.scans[1:]:
+        note(f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}")
+    return options.with_scan()
 
 
 def given_among(keywords: Mapping[str, Any]) -> list[str]:

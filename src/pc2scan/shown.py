@@ -5,15 +5,15 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TYPE_CHECKING, NamedTuple
 
-from .errors import stamp_text
+from .errors import leading, stamp_text, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["Shown", "Table", "agreeing", "count", "counted", "duration", "listed", "plain", "size", "stamp"]
+__all__ = ["Shown", "Table", "agreeing", "cells", "count", "counted", "csv_cell", "duration", "listed", "size", "stamp"]
 
-#: Maximum number of characters of a line or a table's cell. Names in ROS have at most 255.
-_MAX_LINE = 4_000
+#: Maximum number of characters of a table's cell, because one long name would widen every line. Names in ROS have at
+#: most 255.
 _MAX_CELL = 255
 
 #: Stamps between these, in seconds since 1970 (years 1980 to 2100), are shown as dates.
@@ -40,7 +40,7 @@ class Shown:
     def __str__(self) -> str:
         lines: list[str] = []
         for part in self._shown():
-            lines += _table_text(part) if isinstance(part, Table) else [plain(part)]
+            lines += _table_text(part) if isinstance(part, Table) else [visible(part)]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -59,14 +59,25 @@ class Shown:
         return f"<div>{''.join(parts)}</div>"
 
 
-def plain(text: str, most: int = _MAX_LINE) -> str:
-    r"""Return a line that is safe to show: recordings may be untrusted, so names may have control characters.
+def cells(table: Table, *, ascii_only: bool = False) -> list[list[str]]:
+    """Return the headings and the cells of a table, which have names of untrusted recordings, as safe text."""
+    rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in table.rows)
+    return [list(table.columns), *([leading(cell) for cell in row[:1]] + row[1:] for row in rows)]
 
-    >>> plain("/scan\x1b[2J"), plain("a" * 5000)[-20:]
-    ('/scan\\x1b[2J', 'aaaa... (5000 chars)')
+
+def csv_cell(text: str) -> str:
+    r"""Return text as a cell of a CSV file: visible, in quotes if necessary, and never a formula.
+
+    Spreadsheets compute a cell that begins with ``=``, ``+``, ``-`` or ``@``, and names come from untrusted recordings.
+    No frame or topic of ROS begins with one of these, so the character is escaped like a control character.
+
+    >>> print(csv_cell("base_link"), csv_cell("a,b"), csv_cell("=cmd|' /C calc'!A0"))
+    base_link "a,b" \x3dcmd|' /C calc'!A0
     """
-    more = f"... ({len(text)} chars)" if len(text) > most else ""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[:most]) + more
+    if text[:1] in ("=", "+", "-", "@"):
+        text = f"\\x{ord(text[0]):02x}{text[1:]}"
+    text = visible(text, None)
+    return '"' + text.replace('"', '""') + '"' if "," in text or '"' in text else text
 
 
 def count(number: int) -> str:
@@ -140,9 +151,9 @@ def listed(entries: Sequence[str], label: str, most: int) -> Iterator[str]:
 
 
 def _table_text(table: Table) -> Iterator[str]:
-    cells = [list(table.columns), *([plain(cell, _MAX_CELL) for cell in row] for row in table.rows)]
-    widths = [max(len(line[i]) for line in cells) for i in range(len(table.columns))]
-    for number, line in enumerate(cells):
+    lines = cells(table)
+    widths = [max(len(line[i]) for line in lines) for i in range(len(table.columns))]
+    for number, line in enumerate(lines):
         aligned = (
             cell.ljust(width) if heading in table.left else cell.rjust(width)
             for heading, cell, width in zip(table.columns, line, widths, strict=True)
@@ -167,4 +178,4 @@ def _table_html(table: Table) -> Iterator[str]:
 def _escaped(text: str) -> str:
     from html import escape  # noqa: PLC0415  # only notebooks need it
 
-    return escape(plain(text))
+    return escape(visible(text))

@@ -81,9 +81,7 @@ def test_the_command_and_the_library_take_the_same() -> None:
     library = set(inspect.signature(pc2scan.convert).parameters)
     command = set(inspect.signature(flat(convert)).parameters)
     # The library says the opposite, has several in one object, or takes parameters by name; its topics are plural.
-    # ROS's notations are the shell's.
-    ros = {"remap", "ros_args", "launch_args"}
-    only_here = {*ros, "no_verify", "quiet", "verbose", "each", "param", "tf_topic", *PARAMETERS}
+    only_here = {"ros_args", "no_verify", "quiet", "verbose", "each", "tf_topic", *PARAMETERS}
     only_there = {"params", "frames", "filters", "verify", "progress", "tf_topics", "parameters"}
     assert command - only_here == library - only_there
 

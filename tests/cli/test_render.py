@@ -2,23 +2,44 @@ from __future__ import annotations
 
 import pytest
 
-from pc2scan.cli.render import count, duration, error_text, printable, size, stamp, table
-from pc2scan.errors import DecodeError, UsageError, stamp_text
+from pc2scan.cli.render import count, duration, say, show_error, show_table, size, stamp
+from pc2scan.errors import DecodeError, UsageError, stamp_text, visible
+from pc2scan.shown import Table
 
 
 def test_a_terminal_is_told_nothing_that_it_would_act_upon() -> None:
-    assert printable("/sc\x1b[2Jan\r\n\x07") == "/sc\\x1b[2Jan\\r\\n\\x07"
-    assert printable("läser 点") == "läser 点"
-    assert printable("\udcff\u202e") == "\\udcff\\u202e"
+    assert visible("/sc\x1b[2Jan\r\n\x07") == "/sc\\x1b[2Jan\\r\\n\\x07"
+    assert visible("läser 点") == "läser 点"
+    assert visible("läser 点", ascii_only=True) == "l\\xe4ser \\u70b9"
+    assert visible("\udcff\u202e") == "\\udcff\\u202e"
 
 
-def test_an_error_says_where_what_and_what_to_do() -> None:
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("::error::x", r"\x3a:error::x"),
+        ("  ::set-output name=a::b", r"  \x3a:set-output name=a::b"),
+        ("a ##[error]b", r"a \x23\x23[error]b"),
+        ("###vso[task.setvariable variable=PATH]x", r"#\x23\x23vso[task.setvariable variable=PATH]x"),
+        ("##teamcity[buildStop]", r"\x23\x23teamcity[buildStop]"),
+        ("std::string /a::b #1", "std::string /a::b #1"),
+        ("  0.1 to 0.2 m  ####", "  0.1 to 0.2 m  ####"),
+    ],
+)
+def test_commands_of_ci_systems_are_shown_not_obeyed(text: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
+    say(text)
+    assert capsys.readouterr().out == f"{shown}\n"
+
+
+def test_an_error_says_where_what_and_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     err = DecodeError("data has 3 bytes", path="a.bag", topic="/p\x1b", stamp_ns=1_000_000_005, hint="look")
-    assert error_text(err).splitlines() == [
+    show_error(err)
+    assert capsys.readouterr().err.splitlines() == [
         "error: a.bag, /p\\x1b, stamp 1.000000005: data has 3 bytes",
         "hint: look",
     ]
-    assert error_text(UsageError("no")) == "error: no"
+    show_error(UsageError("no"))
+    assert capsys.readouterr().err == "error: no\n"
 
 
 @pytest.mark.parametrize(
@@ -46,7 +67,7 @@ def test_numbers() -> None:
 
 
 def test_a_table_lines_up_and_escapes(capsys: pytest.CaptureFixture[str]) -> None:
-    table(("topic", "in"), [("/a\x1b", "1"), ("/longer", "1,000")], left=("topic",))
+    show_table(Table(("topic", "in"), [("/a\x1b", "1"), ("/longer", "1,000")], left=("topic",)))
     assert capsys.readouterr().out.splitlines() == [
         "topic        in",
         "---------------",

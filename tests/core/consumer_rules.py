@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,9 +48,9 @@ def transforms(needs: tuple[str, ...], placed: ScanTransforms) -> bool:
     return not any(getattr(placed, role) is False for role in needs)
 
 
-def worst(off: float, increment: float) -> str:
+def worst(off: float, increment: float, least: float = 0.1) -> str:
     share = off / abs(increment) if increment else (math.inf if off else 0.0)
-    if share <= 0.1:
+    if share <= least:
         return "accepted"
     return "shifted" if share <= 1.1 else "misplaced"
 
@@ -66,6 +67,9 @@ def slam_toolbox(scan: Scan, first: Scan | None, placed: ScanTransforms) -> str:
     if threshold == f(laser.range_max) and scan.full > 0.01 * scan.beams:
         return "misplaced"
     if turned(scan, laser):
+        return "misplaced"
+    # getLaser: the laser's offset pose is that of the first scan.
+    if abs(placed.turned) > math.radians(2) or placed.moved > 0.1:
         return "misplaced"
     if placed.up is None or placed.up > 0 or not scan.beams:
         return "accepted"
@@ -108,7 +112,22 @@ def cartographer(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str
     # AddRangeData: the second point is earlier than the pose that the first one was placed at.
     if hits > 1 and f(scan.time_increment) < f(0):
         return "misplaced"
-    return infinite_hits(scan)
+    found = infinite_hits(scan)
+    return found if found != "accepted" else added_up(scan)
+
+
+def added_up(scan: Scan) -> str:
+    """``float angle = msg.angle_min; ...; angle += msg.angle_increment;`` of Cartographer and of Nav2."""
+    off = drift(scan.angle_min, scan.angle_increment, scan.beams)
+    return worst(off, float(f(scan.angle_increment)), 0.5)
+
+
+@cache
+def drift(low: float, step: float, beams: int) -> float:
+    increment = f(step)
+    angles = list(accumulate(range(1, beams), lambda angle, _: angle + increment, initial=f(low)))
+    right = float(f(low)) + np.arange(beams) * float(increment)
+    return float(np.abs(np.array(angles[:beams], np.float64) - right).max(initial=0.0))
 
 
 def infinite_hits(scan: Scan) -> str:
@@ -162,43 +181,79 @@ def gmapping_off(low: float, high: float, step: float, beams: int, *, upwards: b
 def amcl(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
     if not transforms(("odometry", "robot"), placed):
         return "ignored"
-    return "ignored" if float(f(scan.range_max)) <= 0.0 else "accepted"
+    if float(f(scan.range_max)) <= 0.0:
+        return "ignored"
+    # addNewScanner: the laser's place is that of the first scan.
+    if placed.moved > 0.1:
+        return "misplaced"
+    # The angle of the second beam is a sum of floats; the yaws of both are doubles.
+    angle_min = float(f(scan.angle_min))
+    angle_increment = float(f(scan.angle_min) + f(scan.angle_increment)) - angle_min
+    angle_increment = math.fmod(angle_increment + 5 * math.pi, 2 * math.pi) - math.pi
+    between = math.remainder(angle_increment - float(f(scan.angle_increment)), 2 * math.pi)
+    return worst(abs(between) * max(0, scan.beams - 1), float(f(scan.angle_increment)), 0.5)
 
 
 def nav2(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
-    return infinite_hits(scan) if transforms(("robot",), placed) else "ignored"
+    if not transforms(("robot",), placed):
+        return "ignored"
+    found = infinite_hits(scan)
+    return found if found != "accepted" else added_up(scan)
 
 
 def mrpt(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
     if not transforms(("robot",), placed):
         return "ignored"
-    if not scan.beams > 1:
+    if not scan.beams > 2:
         return "aborts"
-    off = mrpt_off(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
-    return worst(off, f(scan.angle_increment).item())
+    header = scan.angle_min, scan.angle_max, scan.beams
+    misread = mrpt_off(*header, scan.angle_increment)
+    return worst(max(misread), f(scan.angle_increment).item())
 
 
 @cache
-def mrpt_off(low: float, high: float, step: float, n: int) -> float:
-    """How far MRPT's beams are from the scan's, at most; inf where it reads outside of the ranges."""
-    angle_min, increment = float(f(low)), float(f(step))
-    aperture = float(f(high) - f(low))
-    if aperture == 0:
-        # 0 * inf is no index.
-        return math.inf
-    ang_step, fov05, inv_ang_step = aperture / (n - 1), 0.5 * aperture, (n - 1) / aperture
-    off = 0.0
-    for i_mrpt in range(n):
-        i_ros = int(inv_ang_step * (-fov05 - angle_min + ang_step * i_mrpt))
-        if i_ros < 0:
-            i_ros += n
-        elif i_ros >= n:
-            i_ros -= n
-        if not 0 <= i_ros < n:
-            return math.inf
-        between = -fov05 + ang_step * i_mrpt - (angle_min + i_ros * increment)
-        off = max(off, abs(math.remainder(between, 2 * math.pi)))
-    return off
+def mrpt_off(low: float, high: float, n: int, increment: float) -> list[float]:
+    """How far each of MRPT's beams is from the direction of its range, by the worse of two bridges.
+
+    inf where one of them reads outside of the ranges.
+    """
+    step, aperture = float(f(increment)), float(f(high) - f(low))
+    if abs(aperture) < (n - 1) / float(np.finfo(f).max):
+        # (N - 1) / aperture is inf, and 0 * inf is no index.
+        return [math.inf]
+    # CSinCosLookUpTableFor2DScans
+    seen = -0.5 * aperture + np.arange(n) * (aperture / (n - 1))
+    off = np.zeros(n)
+    for indexes in mrpt_2_5(low, high, n), mrpt_ros_bridge_3_2(low, high, n):
+        if not 0 <= min(indexes) <= max(indexes) < n:
+            return [math.inf]
+        between = np.abs(seen - (float(f(low)) + np.array(indexes) * step)) % (2 * math.pi)
+        off = np.maximum(off, np.minimum(between, 2 * math.pi - between))
+    return off.tolist()
+
+
+def wrapped(i_ros: int, n: int) -> int:
+    if i_ros < 0:
+        return i_ros + n
+    return i_ros - n if i_ros >= n else i_ros
+
+
+def mrpt_2_5(low: float, high: float, n: int) -> list[int]:
+    """MRPT 2.5.8: ``const double ang_step = obj.aperture / (N - 1);`` of a float and a size_t is a float."""
+    aperture = f(high) - f(low)
+    ang_step, inv_ang_step = float(aperture / f(n - 1)), float(f(n - 1) / aperture)
+    fov05 = 0.5 * float(aperture)
+    return [wrapped(int(inv_ang_step * (-fov05 - float(f(low)) + ang_step * i)), n) for i in range(n)]
+
+
+def mrpt_ros_bridge_3_2(low: float, high: float, n: int) -> list[int]:
+    """mrpt_ros_bridge 3.2: all numbers are floats."""
+    aperture = f(high) - f(low)
+    ang_step, inv_ang_step = aperture / f(n - 1), f(n - 1) / aperture
+    fov05 = f(0.5) * aperture
+    quotients = inv_ang_step * (-fov05 - f(low) + ang_step * np.arange(n).astype(f))
+    assert quotients.dtype == f
+    return [wrapped(int(quotient), n) for quotient in quotients.tolist()]
 
 
 RULES: dict[str, Callable[[Scan, Scan | None, ScanTransforms], str]] = {

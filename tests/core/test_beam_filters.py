@@ -1,4 +1,4 @@
-"""Filters of beams, held to scalar transcriptions of laser_filters' rules."""
+"""Filters of beams, held to scalar transcriptions of the rules."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.core.beam_filters import shadows, speckles_by_distance, speckles_by_neighbors
+from pc2scan.core.beam_filters import between_surfaces, shadows, speckles_by_distance, speckles_by_neighbors
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -115,6 +115,57 @@ def test_shadows_are_those_of_laser_filters(low: float, high: float, window: int
     assert total > 10 or (low, high) == (0, 180) or neighbors == 0
 
 
+def is_between_surfaces(ranges: Any, beam: int, increment: float, closed: bool) -> bool:
+    """The rule of `between_surfaces`, for one beam."""
+    count = len(ranges)
+
+    def returns(place: int) -> bool:
+        return (closed or 0 <= place < count) and math.isfinite(ranges[place % count]) and ranges[place % count] > 0
+
+    def next_return(place: int, step: int) -> tuple[int, int] | None:
+        """The next beam with a return, and how far away it is."""
+        found = (away for away in range(1, 4) if returns(place + step * away))
+        away = next(found, None)
+        return None if away is None else ((place + step * away) % count, away)
+
+    def continues(place: int, step: int, more: int) -> bool:
+        """Whether the return is on a line with the next ones."""
+        first = next_return(place, step)
+        second = None if first is None else next_return(first[0], step)
+        if first is None or second is None:
+            return False
+        own, one, two = (float(ranges[each]) for each in (place, first[0], second[0]))
+        change, noise = (1 / one - 1 / two) * first[1] / second[1], 0.1 / own**2
+        if not min(0.0, 2 * change) - noise <= 1 / own - 1 / one <= max(0.0, 2 * change) + noise:
+            return False
+        return more == 0 or continues(first[0], step, more - 1)
+
+    if not returns(beam):
+        return False
+    own, nearer, farther = float(ranges[beam]), [], []
+    for step in (-1, 1):
+        found = next_return(beam, step)
+        if found is None or continues(beam, step, max(0, min(10, math.ceil(0.006 / increment)) - 2)):
+            return False
+        other = float(ranges[found[0]])
+        limit = max(0.1, min(own, other) * found[1] * increment / math.tan(math.radians(15)))
+        nearer.append(own - other > limit)
+        farther.append(other - own > limit)
+    return (nearer[0] and farther[1]) or (farther[0] and nearer[1])
+
+
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("increment", [0.0003, 0.0014, 0.005, 2 * math.pi / 360])
+def test_returns_between_surfaces_are_those_of_the_rule(increment: float, closed: bool) -> None:
+    total = 0
+    for ranges in (*scans(), np.full(3, 2.0, F), np.array([1.0, 2.0], F), np.array([4.0], F), np.empty(0, F)):
+        expected = [is_between_surfaces(ranges, beam, increment, closed) for beam in range(ranges.size)]
+        found = between_surfaces(ranges, increment, closed=closed)
+        np.testing.assert_array_equal(found, np.array(expected, bool))
+        total += int(found.sum())
+    assert total > 3
+
+
 @pytest.mark.parametrize("kind", ["Distance", "RadiusOutlier"])
 @pytest.mark.parametrize(
     ("most", "difference", "window"), [(2.0, 0.1, 2), (100.0, 0.05, 3), (3.0, 0.3, 1), (5.0, 0.2, 5)]
@@ -140,6 +191,7 @@ def test_a_full_circle_has_no_end() -> None:
     step = 2 * math.pi / ranges.size
     limits: dict[str, Any] = {"max_range": 9.0, "max_range_difference": 0.1, "filter_window": 3}
     filters: list[Callable[[Any], Any]] = [
+        lambda r: between_surfaces(r, step, closed=True),
         lambda r: shadows(r, step, min_angle=10, max_angle=170, window=2, neighbors=7, closed=True),
         lambda r: speckles_by_distance(r, closed=True, **limits),
         lambda r: speckles_by_neighbors(r, step, closed=True, **limits),
@@ -159,6 +211,7 @@ def test_points_between_an_edge_and_the_wall_behind_it_are_shadows() -> None:
     assert found[[79, 120]].all()
     assert not found[82:118].any()
     assert not found[:70].any()
+    assert np.flatnonzero(between_surfaces(ranges, 0.0025)).tolist() == [78, 79, 120, 121]
 
 
 def test_a_single_near_return_is_a_speckle_and_a_far_one_is_not() -> None:

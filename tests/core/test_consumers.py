@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.consumer_rules import RULES, number_of_range_readings
+from core.consumer_rules import RULES, mrpt_2_5, mrpt_ros_bridge_3_2, number_of_range_readings
 from pc2scan.core.consumers import CONSUMERS, expected_by_karto, judge, last_beam
 from pc2scan.core.params import ProjectionParams, beam_count
 from pc2scan.core.verdicts import OUTCOMES, Scan, ScanTransforms, Verdict
@@ -125,6 +125,8 @@ def places() -> st.SearchStrategy[ScanTransforms]:
         odometry=known,
         robot=known,
         up=st.one_of(st.none(), st.floats(-2, 2), st.sampled_from([1.0, -1.0, 0.9991, 0.9989, -0.9991])),
+        turned=st.sampled_from([0.0, 0.034, -0.034, 0.036, -0.036]),
+        moved=st.sampled_from([0.0, 0.1, 0.11]),
     )
 
 
@@ -151,6 +153,108 @@ def test_sectors_around_0_too(scan: Scan, beams: int, steps: int) -> None:
     scan = replace(scan, beams=beams, angle_min=-(beams - 1) * step / 2, angle_increment=step)
     scan = replace(scan, angle_max=(beams - 1) * step / 2 + steps * 2.0**-23)
     assert judged(scan) == ruled(scan)
+
+
+#: angle_min, angle_max, beams and angle_increment of scans that are symmetric but for roundings, and how many beams
+#: took another range in Debian's MRPT 2.5.8. An angle_min a few roundings lower changes everything.
+READ_BY_MRPT = [
+    (-1.5707964897155762, 1.570796251296997, 181, 0.01745329238474369, 71),
+    (-1.7429115772247314, 1.7429115772247314, 952, 0.003665429074317217, 951),
+    (-2.0862138271331787, 2.0862138271331787, 681, 0.006135920062661171, 0),
+    (-2.5540084838867188, 2.5540075302124023, 53, 0.09823107719421387, 0),
+    (-1.4437249898910522, 1.4437249898910522, 213, 0.013620046898722649, 0),
+    (-2.813497543334961, 2.8134965896606445, 1200, 0.004693072754889727, 0),
+]
+
+
+@pytest.mark.parametrize(("low", "high", "beams", "increment", "misread"), READ_BY_MRPT)
+def test_the_rule_misreads_what_mrpt_2_5_misread(
+    low: float, high: float, beams: int, increment: float, misread: int
+) -> None:
+    indexes = mrpt_2_5(low, high, beams)
+    assert sum(index != beam for beam, index in enumerate(indexes)) == misread
+    scan = replace(GOOD, angle_min=low, angle_max=high, angle_increment=increment, beams=beams)
+    verdict = judge("mrpt", scan)
+    if misread:
+        assert verdict.outcome == "shifted"
+        assert f"{misread} of {beams} beams off" in verdict.observed
+        # The angles that are allowed are read right.
+        low, high = (float(text.split()[-1]) for text in verdict.allowed.split(", "))
+        assert judge("mrpt", replace(scan, angle_min=low, angle_max=high)).outcome == "accepted"
+
+
+def test_the_bridge_of_mrpt_that_misreads_is_named() -> None:
+    low, high, beams, increment, _ = READ_BY_MRPT[2]
+    verdict = judge("mrpt", replace(GOOD, angle_min=low, angle_max=high, angle_increment=increment, beams=beams))
+    assert "in mrpt_ros_bridge 3.2: 16 of 681 beams off" in verdict.observed
+
+
+@given(st.floats(0.01, 3.1), st.integers(3, 300), st.integers(-6, 6), st.integers(-6, 6))
+def test_mrpt_is_accepted_if_no_beam_is_misread(half: float, beams: int, first: int, last: int) -> None:
+    step = np.spacing(np.float32(half))
+    low, high = float(np.float32(-half) + first * step), float(np.float32(half) + last * step)
+    increment = float(np.float32(2 * half / (beams - 1)))
+    scan = replace(GOOD, angle_min=low, angle_max=high, angle_increment=increment, beams=beams)
+    misread = [
+        sum(index != beam for beam, index in enumerate(bridge(low, high, beams)))
+        for bridge in (mrpt_2_5, mrpt_ros_bridge_3_2)
+    ]
+    verdict = judge("mrpt", scan)
+    assert (verdict.outcome == "accepted") == (max(misread) == 0)
+    assert not max(misread) or f"{max(misread)} of {beams} beams off" in verdict.observed
+
+
+def circle(beams: int, low: float) -> Scan:
+    increment = 2 * math.pi / beams
+    scan = replace(GOOD, angle_min=low, angle_increment=increment, beams=beams)
+    return replace(scan, angle_max=last_beam(scan))
+
+
+@pytest.mark.parametrize(
+    ("consumer", "beams", "low", "outcome"),
+    [
+        # As many beams as lidars of today have.
+        *(
+            (consumer, 3600, low, "accepted")
+            for consumer in ("cartographer", "amcl", "nav2")
+            for low in (-math.pi, 0.0)
+        ),
+        ("cartographer", 8192, 0.0, "shifted"),
+        ("nav2", 8192, 0.0, "shifted"),
+        ("nav2", 16384, -math.pi, "misplaced"),
+        ("amcl", 16384, -math.pi, "misplaced"),
+        ("amcl", 16384, 0.0, "accepted"),
+    ],
+)
+def test_sums_of_floats_misplace_very_many_beams(consumer: str, beams: int, low: float, outcome: str) -> None:
+    scan = circle(beams, low)
+    verdict = judge(consumer, scan)
+    assert verdict.outcome == RULES[consumer](scan, None, ScanTransforms()) == outcome
+    assert outcome == "accepted" or "fewer beams" in verdict.cure
+
+
+@given(st.integers(1000, 20_000), st.floats(-3, 0, width=32))
+@settings(max_examples=25)
+def test_sums_of_floats_agree_with_their_rules(beams: int, low: float) -> None:
+    scan = circle(beams, low)
+    for consumer in ("cartographer", "amcl", "nav2"):
+        assert judge(consumer, scan).outcome == RULES[consumer](scan, None, ScanTransforms())
+
+
+def test_a_frame_that_turns_is_misplaced_by_slam_toolbox() -> None:
+    def moved(**change: float) -> dict[str, str]:
+        place = ScanTransforms(frame_id="laser", odometry=True, robot=True, up=1.0, **change)  # type: ignore[arg-type]
+        assert judged(GOOD, GOOD, place) == ruled(GOOD, GOOD, place)
+        found = judged(GOOD, GOOD, place)
+        return {name: outcome for name, outcome in found.items() if outcome != FINE[name]}
+
+    assert moved(turned=math.radians(1.9), moved=0.09) == {}
+    assert moved(turned=math.radians(-30)) == {"slam_toolbox": "misplaced"}
+    assert moved(moved=0.2) == {"slam_toolbox": "misplaced", "amcl": "misplaced"}
+    place = ScanTransforms(frame_id="laser", turned=math.radians(30), moved=0.2)
+    verdict = judge("slam_toolbox", GOOD, GOOD, place)
+    assert verdict.observed == "since then the frame 'laser' has turned by 30 deg, and moved by 0.20 m"
+    assert judge("amcl", GOOD, GOOD, place).observed == "since then the frame 'laser' has moved by 0.20 m"
 
 
 @given(st.floats(5, 360), st.floats(0.1, 5), st.floats(-400, 400))
@@ -248,7 +352,7 @@ def test_what_is_good_for_all() -> None:
         ({"intensities": 9}, {}),
         ({"intensities": 8}, {"cartographer": "aborts"}),
         ({"intensities": 8, "returns": 0}, {}),
-        ({"beams": 8, "returns": 8}, {"slam_toolbox": "ignored", "gmapping": "accepted", "mrpt": "misplaced"}),
+        ({"beams": 8, "returns": 8}, {"slam_toolbox": "ignored", "gmapping": "accepted", "mrpt": "shifted"}),
         # A hundredth off 0, and MRPT takes every range for that of the next beam.
         ({"angle_max": 1.01}, {"mrpt": "shifted"}),
         ({"angle_min": -1.01}, {"mrpt": "accepted"}),

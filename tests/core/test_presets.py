@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.consumer_rules import RULES
+from core.consumer_rules import RULES, mrpt_2_5, mrpt_ros_bridge_3_2
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import project
-from pc2scan.core.verdicts import Scan, ScanTransforms
+from pc2scan.core.verdicts import Scan, ScanTransforms, Verdict
 from pc2scan.errors import ParameterError
 
 #: Degrees: 20 fields of view by 15 increments; coarse ones too, where Karto's rule for circles is at its narrowest.
@@ -99,12 +99,39 @@ def test_any_circle_of_a_number_of_beams_is_accepted_by_all(low: float, beams: i
     assert_others(around)
 
 
-@given(st.floats(0.05, 3.1), st.integers(2, 2000))
+@given(st.floats(0.05, 3.1), st.integers(3, 2000))
 def test_any_symmetric_sector_is_where_mrpt_and_gmapping_place_it(half: float, beams: int) -> None:
     for consumer in ("mrpt", "gmapping"):
         scan = scan_of(ProjectionParams.preset(consumer, angle_min=-half, angle_max=half, beams=beams))
         assert scan.beams == beams
         assert judge(consumer, scan).outcome == "accepted"
+
+
+@given(st.floats(0.001, 3.5), st.integers(3, 1500), st.booleans())
+def test_both_bridges_of_mrpt_read_every_beam(half: float, beams: int, by_increment: bool) -> None:
+    wanted = {"angle_increment": 2 * min(half, math.pi) / (beams - 0.5)} if by_increment else {"beams": beams}
+    scan = scan_of(ProjectionParams.preset("mrpt", angle_min=-half, angle_max=half, **wanted))
+    for reads in mrpt_2_5, mrpt_ros_bridge_3_2:
+        assert reads(scan.angle_min, scan.angle_max, scan.beams) == list(range(scan.beams))
+    assert judge("mrpt", scan).outcome == "accepted"
+
+
+@pytest.mark.parametrize("beams", [4000, 20_000, 99_999, 100_000])
+@pytest.mark.parametrize("half", [math.pi, 1.999999, 1.0, 0.3])
+def test_mrpt_reads_very_many_beams(half: float, beams: int) -> None:
+    layout = ProjectionParams.preset("mrpt", angle_min=-half, angle_max=half, beams=beams).layout
+    angles = {name: getattr(layout, name) for name in ("angle_min", "angle_max", "angle_increment")}
+    scan = Scan(**angles, range_min=0.1, range_max=100, beams=beams)
+    assert judge("mrpt", scan) == Verdict("mrpt")
+
+
+@pytest.mark.parametrize("beams", [2, 100_001])
+def test_numbers_of_beams_that_mrpt_misreads_are_refused(beams: int) -> None:
+    with pytest.raises(ParameterError, match="3 to 100,000 beams") as caught:
+        ProjectionParams.preset("mrpt", angle_min=-1.0, angle_max=1.0, beams=beams)
+    assert caught.value.name == "beams"
+    with pytest.raises(ParameterError, match="3 to 100,000 beams"):
+        ProjectionParams.preset("mrpt", angle_min=-1.0, angle_max=1.0, angle_increment=2 / (beams - 1))
 
 
 def test_a_sector_to_one_side_is_refused_for_mrpt() -> None:

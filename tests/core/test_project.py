@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from core.reference import reference_moved, reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
 from pc2scan.core import plain, rule
-from pc2scan.core.project import ProjectedScan, Projector
+from pc2scan.core.project import Part, ProjectedScan, Projector
 from support import GOLDEN, RECORDINGS, needs_shared
 
 if TYPE_CHECKING:
@@ -237,7 +237,7 @@ def parameters(draw: st.DrawFn) -> ProjectionParams:
         min_height=bottom,
         max_height=top,
         use_inf=draw(st.booleans()),
-        inf_epsilon=draw(st.sampled_from([1.0, 0.0, -2.0])),
+        inf_epsilon=draw(st.sampled_from([1.0, 0.0, -2.0, -0.5, 1e-9, 1e300, -1e300, INF, -INF])),
     )
 
 
@@ -271,6 +271,55 @@ def test_any_cloud_is_projected_as_by_the_reference(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(plain, "BLOCK", block)
         assert_as_reference(points, params)
+
+
+@settings(deadline=None, max_examples=200)
+@given(clouds(), st.integers(0, 60))
+def test_all_ways_to_the_closest_return_are_one(cloud: tuple[NDArray[np.float64], ProjectionParams], cut: int) -> None:
+    points, params = cloud
+    ranges, counts = reference_scan(points.tolist(), params)
+    x, y, z = points.astype(np.float32).T
+    values = np.arange(x.size, dtype=np.float32)
+    project = Projector(params)
+    first, second = (Part(x[some], y[some], z[some]) for some in (slice(cut), slice(cut, None)))
+    scans = {
+        "intensities": project(x, y, z, intensities=values),
+        "kth": Projector(replace(params, reduce="kth", kth=1))(x, y, z),
+        "kth, intensities": Projector(replace(params, reduce="kth", kth=1))(x, y, z, intensities=values),
+        "two messages": project.together([first, second]),
+        "two messages, one with intensities": project.together([first, second._replace(intensities=values[cut:])]),
+    }
+    for scan in scans.values():
+        assert_same(scan, ranges, counts)
+    # The points that the beams read, and no point of a beam that reads nothing.
+    numbers, beams = project.read(x, y, z)
+    assert ranges[beams].tolist() == np.hypot(x[numbers], y[numbers], dtype=np.float64).astype(np.float32).tolist()
+    unread = np.delete(ranges, beams)
+    assert np.array_equal(unread, np.full(unread.size, params.empty_range, np.float32), equal_nan=True)
+    assert set(project.bins(Part(x, y, z))[0].tolist()) == set(beams.tolist())
+
+
+@pytest.mark.parametrize("no_return", ["", "inf", "range-max-plus", "range-max-minus", "nan", "zero"])
+@pytest.mark.parametrize("reduce", ["min", "max", "mean", "median", "surface"])
+def test_returns_are_the_same_with_every_reduction(reduce: str, no_return: str) -> None:
+    # 2 m and 5 m in one beam, with a limit of 3 m if the sum decides; and infinitely far in another one.
+    params = replace(
+        OPEN, range_max=4.0, inf_epsilon=-1.0, use_inf=False, no_return=no_return, reduce=reduce, angle_increment=0.1
+    )
+    x, y, z = np.array([[2, 0.01, 0], [3.5, 0.01, 0], [0.01, 3.5, 0]], np.float32).T
+    limited = no_return in {"", "range-max-plus"}
+    near = Projector(params)(x[:1], y[:1], z[:1])
+    for lit in (None, np.ones(3)):
+        scan = Projector(params)(x, y, z, intensities=lit)
+        assert scan.counts == PointCounts(3, 3)
+        if limited:
+            np.testing.assert_array_equal(scan.ranges, near.ranges)
+        else:
+            assert np.count_nonzero(scan.ranges == np.float32(math.hypot(0.01, 3.5))) >= 1
+    endless = replace(params, range_max=INF, no_return="nan" if "range-max" in no_return else no_return)
+    for lit in (None, np.ones(3)):
+        scan = Projector(endless)(x * np.float32(INF), y, z, intensities=lit)
+        assert np.array_equal(scan.ranges, np.full(endless.length, endless.empty_range, np.float32), equal_nan=True)
 
 
 # Layouts, types and blocks.

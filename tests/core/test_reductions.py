@@ -112,7 +112,7 @@ POINTS = st.lists(
 def parameters(draw: st.DrawFn) -> ProjectionParams:
     reduce = draw(st.sampled_from(["min", "max", "mean", "median", "kth", "surface"]))
     geometry = draw(st.sampled_from(["upstream", "centered", "half-open", "symmetric"]))
-    span = draw(st.sampled_from([2 * PI, PI, 1.5]))
+    span = draw(st.sampled_from([2 * PI, PI, 1.6]))
     low = -span / 2 if geometry == "symmetric" else draw(st.sampled_from([-PI, 0.0, -1.0]))
     return ProjectionParams(
         geometry=geometry,

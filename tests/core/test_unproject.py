@@ -424,6 +424,8 @@ def test_the_last_beams_time_is_a_float32_product_rounded_to_nanoseconds() -> No
 def test_times_that_no_duration_holds_are_an_error(increment: float) -> None:
     with pytest.raises(DecodeError, match="time_increment is"):
         last_beam_ns(2, increment)
+    # Without a beam there is no last one.
+    assert last_beam_ns(0, increment) == 0
 
 
 # --- deskew ----------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The real command, in a process of its own."""
+"""Runs the command: in this process, or in one of its own for what only a process shows."""
 
 from __future__ import annotations
 
@@ -6,10 +6,22 @@ import os
 import signal
 import subprocess
 import sys
+import traceback
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import cache
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-__all__ = ["COMMAND", "INTERRUPTED", "Finished", "environment", "run"]
+from typer.main import get_command
+
+from pc2scan.cli.app import application
+from pc2scan.cli.screen import Screen
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["COMMAND", "INTERRUPTED", "Finished", "environment", "run", "run_process"]
 
 COMMAND = (sys.executable, "-m", "pc2scan")
 
@@ -26,14 +38,65 @@ class Finished(NamedTuple):
     stderr: str
 
 
+def run(*args: str | Path, cwd: Path | None = None) -> Finished:
+    """Run ``pc2scan`` in this process, with standard output and error that are no terminals, as a script would."""
+    words = [str(arg) for arg in args]
+    stdout, stderr = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    status = 0
+    with _guarded(), _inside(cwd), redirect_stdout(Screen(stdout, guarded=True)), redirect_stderr(Screen(stderr)):
+        try:
+            # Not the application itself: a call would set the process's hook for exceptions.
+            _command(*words[:1]).main(words, prog_name="pc2scan")
+        except SystemExit as err:
+            status = err.code if isinstance(err.code, int) else 1
+        except AssertionError:
+            raise
+        except Exception:  # noqa: BLE001  # as the interpreter shows it
+            status = 1
+            traceback.print_exc()
+    return Finished(status, *(each.buffer.getvalue().decode() for each in (stdout, stderr)))
+
+
+@cache
+def _command(name: str | None = None) -> Any:
+    return get_command(application(name))
+
+
+@contextmanager
+def _guarded(seconds: int = 120) -> Iterator[None]:
+    """Raise if the command hangs, for example on a FIFO that nobody writes to."""
+
+    def hangs(*_: object) -> None:
+        raise AssertionError(f"the command has not ended after {seconds} s")
+
+    previous = signal.signal(signal.SIGALRM, hangs)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, previous)
+
+
+@contextmanager
+def _inside(folder: Path | None) -> Iterator[None]:
+    """Let this process be in a folder."""
+    before = Path.cwd()
+    os.chdir(folder or before)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
 def environment() -> dict[str, str]:
     """This process's environment; a relative ``PYTHONPATH`` would mean another place in another folder."""
     paths = [str(Path(path).resolve()) for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)} if paths else dict(os.environ)
 
 
-def run(*args: str | Path, cwd: Path | None = None, timeout: float = 120) -> Finished:
-    """Run ``pc2scan`` with pipes for its output, as a script would."""
+def run_process(*args: str | Path, cwd: Path | None = None, timeout: float = 120) -> Finished:
+    """Run ``pc2scan`` in a process of its own, with pipes for its output."""
     done = subprocess.run(
         [*COMMAND, *map(str, args)],
         capture_output=True,

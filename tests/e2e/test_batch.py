@@ -64,7 +64,7 @@ def test_200_recordings_killed_five_times(dataset: tuple[Path, dict[str, str]], 
     folder, expected = dataset
     before = contents(folder)
     clean = tmp_path / "clean"
-    done = run("batch", folder, "-o", clean, *HEIGHTS, "--quiet", timeout=300)
+    done = run("batch", folder, "-o", clean, *HEIGHTS, "--quiet")
     assert done.status == 1, done.stderr
     assert {key: line["outcome"] for key, line in manifest_of(clean).items()} == expected
     written = {line["output"]["path"] for line in manifest_of(clean).values() if line["report"]}
@@ -87,7 +87,7 @@ def test_200_recordings_killed_five_times(dataset: tuple[Path, dict[str, str]], 
         process.wait()
         kills += 1
     assert 0 < len(manifest_of(killed)) < len(expected)
-    done = run(*command[len(COMMAND) :], timeout=300)
+    done = run(*command[len(COMMAND) :])
     assert done.status == 1, done.stderr
     assert {key: line["outcome"] for key, line in manifest_of(killed).items()} == expected
     assert contents(killed) == contents(clean)

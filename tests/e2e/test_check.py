@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from core.consumer_rules import mrpt_2_5, mrpt_ros_bridge_3_2
 from e2e.command import run
 from pc2scan.cli.check import Consumer
 from pc2scan.cli.spelling import as_typed
@@ -115,6 +116,28 @@ def test_convert_warns_for_the_preset_that_was_chosen(tmp_path: Path) -> None:
     assert "--no-return inf, or --range-max 100.0" in walls
     assert "gmapping would turn these scans" in warned("--preset", "gmapping", "--geometry", "centered")
     assert "gmapping would abort" in warned("--preset", "gmapping", "--range-max", "inf", "--no-return", "inf")
+
+
+@pytest.mark.parametrize("angle", ["1.5707963", "1.5707963267948966"])
+def test_mrpt_reads_each_beam_of_half_a_circle(angle: str, tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    options = ("--beams", "181", "--angle-min", f"-{angle}", "--angle-max", angle, "--min-height", "-0.3")
+    assert run("convert", HALL, "-o", path, "--preset", "mrpt", *options, "--quiet").status == 0
+    done = run("check", path, "--for", "mrpt", "--json")
+    (topic,) = json.loads(done.stdout)["topics"]
+    assert (done.status, topic["first"]["beams"]) == (0, 181)
+    for reads in mrpt_2_5, mrpt_ros_bridge_3_2:
+        assert reads(topic["first"]["angle_min"], topic["first"]["angle_max"], 181) == list(range(181))
+
+
+def test_beams_that_mrpt_misreads_are_counted(tmp_path: Path) -> None:
+    angles = {"angle_min": -1.5707964897155762, "angle_max": 1.570796251296997, "angle_increment": 0.01745329238474369}
+    misread = replace(GOOD, **angles, ranges=np.ones(181, np.float32))  # type: ignore[arg-type]
+    done = run("check", write(tmp_path / "a.mcap", *scans(3, misread)), "--for", "mrpt")
+    assert done.status == 1
+    assert "mrpt          shifted\n" in done.stdout
+    assert "71 of 181 beams off by up to 1 deg (1 of an increment)" in done.stdout
+    assert "allowed: angle_min -1.57079768, angle_max 1.5707953\n" in done.stdout
 
 
 def test_a_sector_to_one_side_cannot_be_made_for_mrpt(tmp_path: Path) -> None:

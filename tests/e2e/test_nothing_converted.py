@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from builders import CONTENT, POINTS, Recording, cloud, item, points_of, write_mcap, write_rosbag1, write_rosbag2
+from builders import (
+    CONTENT,
+    POINTS,
+    T0,
+    TF,
+    Recording,
+    Stream,
+    cloud,
+    fixed,
+    item,
+    points_of,
+    write_mcap,
+    write_rosbag1,
+    write_rosbag2,
+)
 from e2e.command import run
+from pc2scan import scans
+from pc2scan.cli.in_process import run_command
+from pc2scan.errors import RecordingWarning, UnconnectedError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,6 +82,48 @@ def test_a_target_frame_that_nothing_connects(folder: Path) -> None:
     convert(folder, "--target-frame", "moon", "--static-tf", "moon crater 0 0 0 0 0 0", status=1)
     convert(folder, "--target-frame", "base_link", "--source-frame", "sun", status=1)
     convert(folder, "--target-frame", "base_link", *HEIGHTS, status=0)
+
+
+def in_frames(path: Path, *frame_ids: str) -> None:
+    """Write a recording of clouds in these frames, and a transform of another one."""
+    clouds = [
+        item(POINTS, T0 + 100_000_000 * k, partial(framed, frame_id, T0 + 100_000_000 * k), k)
+        for k, frame_id in enumerate(frame_ids)
+    ]
+    transform = fixed(Stream("/tf_static", TF, latched=True), T0, "camera", 0.5)
+    write_rosbag1(path, Recording((transform.stream, POINTS), (transform, *clouds)))
+
+
+def framed(frame_id: str, stamp_ns: int, ros_version: int, seq: int) -> bytes:
+    return cloud(points_of(seq), ros_version, seq=seq, stamp_ns=stamp_ns, frame_id=frame_id)
+
+
+@pytest.mark.parametrize("before", [0, 5, 9, 10, 16])
+def test_a_frame_that_comes_late_is_converted(before: int, folder: Path) -> None:
+    in_frames(folder / "late.bag", *["nowhere"] * before, "base_link")
+    done, report = convert(
+        folder, *HEIGHTS, "--target-frame", "base_link", status=3 if before else 0, source="late.bag"
+    )
+    (topic,) = (topic for topic in report["topics"] if topic["action"] == "converted")
+    assert (topic["messages_in"], topic["messages_out"], topic["skipped"]) == (before + 1, 1, before)
+    # A user can stop the conversion.
+    warned = "none of the first 10 messages can be converted: /points: no transform has the source frame 'nowhere'"
+    assert (warned in " ".join(done.stderr.split())) == (before >= 10)
+    assert run_command(["convert", str(folder / "late.bag"), "--target-frame", "base_link", "--dry-run"]).status == 0
+
+
+@pytest.mark.parametrize("count", [3, 16])
+@pytest.mark.parametrize("options", [(), ("--start", "0.1"), ("--jobs", "1")])
+def test_frames_that_nothing_connects(count: int, options: tuple[str, ...], folder: Path) -> None:
+    in_frames(folder / "far.bag", *["nowhere", "elsewhere"] * count)
+    done, report = convert(folder, "--target-frame", "base_link", *options, status=1, source="far.bag")
+    assert "error: /points: nothing can be converted: no transform has the source frame" in done.stderr
+    assert report["error"]["class"] == "UnconnectedError"
+    with pytest.raises(UnconnectedError, match="nothing can be converted"), pytest.warns(RecordingWarning):
+        list(scans(folder / "far.bag", target_frame="base_link"))
+    dry = run_command(["convert", str(folder / "far.bag"), "--target-frame", "base_link", "--dry-run"])
+    assert dry.status == 1
+    assert "nothing can be converted" in dry.messages
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap", "rosbag2"])

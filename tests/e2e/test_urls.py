@@ -202,7 +202,7 @@ def test_the_command(tmp_path: Path) -> None:
 def test_a_missing_library_is_named() -> None:
     code = "import sys; sys.modules['fsspec'] = sys.modules['fsspec.core'] = None; from pc2scan.cli import main; main()"
     command = [sys.executable, "-c", code, "info", "s3://bucket/a.mcap"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "pip install 'pc2scan[remote]' s3fs" in done.stderr
     assert "Traceback" not in done.stderr

@@ -27,8 +27,8 @@ def test_every_outcome_has_its_element() -> None:
     assert (passed.get("name"), passed.get("classname"), passed.get("time")) == ("a", "pc2scan.golden", "0.250")
     assert len(passed) == 0
     assert failed[0].tag == "failure"
-    # XML cannot hold an escape character.
-    assert failed[0].get("message") == "/scan: <different> & ?[2J"
+    # XML cannot have an escape character.
+    assert failed[0].get("message") == r"/scan: <different> & \x1b[2J"
     assert (failed[0].text or "").splitlines()[1] == "  more"
     assert error[0].tag == "error"
     assert updated[0].tag == "system-out"

@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pc2scan.cli.render import error_text
-from pc2scan.errors import Pc2ScanError
+from pc2scan.errors import Pc2ScanError, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,7 +37,7 @@ def watched(size: int, seconds: int = 20) -> Iterator[None]:
         yield
     except Pc2ScanError as err:
         # What the user would read must be text whatever the input was.
-        error_text(err).encode()
+        f"{err} {visible(err.hint or '')}".encode()
     finally:
         signal.alarm(0)
         signal.signal(signal.SIGALRM, before)

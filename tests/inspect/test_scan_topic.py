@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.inspect.scan_topic import Finding, ScanTopic
+from pc2scan.inspect.scan_topic import ScanTopic
 from scan_recordings import GOOD, START, STEP, scans
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from pc2scan.inspect.findings import Finding
     from pc2scan.messages.laserscan import LaserScan
 
 

@@ -65,7 +65,7 @@ def _random_params(rng: np.random.Generator) -> ProjectionParams:
             "min_points": one_of(1, 1, 2, 3),
             "no_return": one_of("", "inf", "range-max-plus", "range-max-minus", "nan", "zero"),
             "use_inf": one_of(True, False),
-            "inf_epsilon": one_of(1.0, 0.5, 1e-9),
+            "inf_epsilon": one_of(1.0, 0.5, 1e-9, 0.0, -1.0, -5.0),
             "range_min": one_of(0.0, 0.1, 0.45, float(rng.uniform(0, 3))),
             "range_max": one_of(1.7976931348623157e308, 100.0, 4.0, float(rng.uniform(3, 9))),
             "angle_rounding": one_of("correct", "glibc-2.40"),

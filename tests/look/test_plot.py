@@ -65,7 +65,7 @@ def test_names_are_text_and_odd_points_no_trouble(tmp_path: Path) -> None:
     [
         (["-o", "figure.jpg"], "a figure is one of .png, .svg, .pdf"),
         (["-o", "figure"], "no suffix"),
-        (["-o", "figure.png", "--frames", "1000"], "frames is 1000"),
+        (["-o", "figure.png", "--frames", "1000"], "--clouds is 1000"),
         (["-o", "figure.png", "--topic", "/nope"], "/nope"),
         ([], "-o"),
     ],

@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ import pytest
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid
+from pc2scan.core.unproject import unproject
 from pc2scan.errors import MessageError, TransformError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
@@ -165,17 +167,20 @@ def moved_by(program: Path, pose: tuple[float, ...], points: NDArray[np.float32]
     return np.frombuffer(bytes.fromhex(answer), np.float32).reshape(-1, 3)
 
 
+def assert_same_floats(ours: NDArray[np.float32], expected: NDArray[np.float32]) -> None:
+    """NaNs may have any sign and payload; all else, signs of zeros included, is equal."""
+    np.testing.assert_array_equal(ours, expected)
+    known = ~np.isnan(expected)
+    np.testing.assert_array_equal(np.signbit(ours[known]), np.signbit(expected[known]))
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_clouds(seed: int, oracle: Path) -> None:
     rng = np.random.default_rng(2000 + seed)
     points, pose = points_of_all_kinds(rng), random_pose(rng)
     expected = moved_by(oracle, pose, points)
     rigid = Rigid(np.array(pose[3:]), np.array(pose[:3]))
-    # NaNs may have any sign and payload; all else, signs of zeros included, is equal.
-    ours = rigid.apply(points)
-    np.testing.assert_array_equal(ours, expected)
-    known = ~np.isnan(expected)
-    np.testing.assert_array_equal(np.signbit(ours[known]), np.signbit(expected[known]))
+    assert_same_floats(rigid.apply(points), expected)
     # The loops over points transform what they project.
     project = Projector(ProjectionParams(min_height=-50.0, max_height=50.0, angle_increment=1e-3))
     (x, y, z), moved = points.T, rigid.as_float32()
@@ -237,6 +242,88 @@ def test_the_way_back(target: str, deskewed: bool, oracle: Path) -> None:
         cloud = decode_pointcloud2(conversion(encode_laserscan(scan, "ros1")).data, "ros1")
         assert (cloud.sequence, cloud.stamp_ns) == (int(seq), int(sec) * SECOND + int(nsec))
         assert bytes(cloud.data).hex() == "".join(data)
+
+
+#: Signs of zeros in a link of identity: translation, then quaternion.
+IDENTITIES = [
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+    (-0.0, -0.0, -0.0, 0.0, 0.0, 0.0, 1.0),
+    (-0.0, 0.0, -0.0, -0.0, -0.0, -0.0, -1.0),
+]
+#: Beams at the limits of what is kept, with a range of -inf, whose product with a matrix is NaN.
+ODD_RANGES = np.array([-0.0, 0.0, 1.0, -1.0, 1e-45, -np.inf, np.inf, np.nan, 5.0], np.float32)
+
+
+def odd_scans() -> list[LaserScan]:
+    """Scans with zeros of both signs, times of all kinds, and without beams."""
+    kinds = product([0.0, -0.0, 3.0], [0.0, -0.0, 0.5, -0.5], [0.0, -0.0, 1e-4, np.inf, -np.inf, np.nan, 1e30])
+    found = []
+    for angle_min, angle_increment, time_increment in kinds:
+        # With its first angles, which are 0, laser_geometry asserts that a scan has beams.
+        for ranges in (ODD_RANGES, ODD_RANGES[:2], ODD_RANGES[:0])[: 3 if angle_min else 2]:
+            numbers = (angle_min, 0.0, angle_increment, float(np.float32(time_increment)), 0.0, -np.inf, 10.0)
+            found.append(LaserScan(3, EPOCH + 5 * SECOND, "laser", *numbers, ranges))
+    return found
+
+
+@pytest.mark.parametrize("target", ["laser", "base_link"])
+@pytest.mark.parametrize("pose", IDENTITIES, ids=str)
+@pytest.mark.parametrize("up", [True, False], ids=["laser in base_link", "base_link in laser"])
+def test_zeros_and_times_that_are_not_finite(up: bool, pose: tuple[float, ...], target: str, oracle: Path) -> None:
+    frames = ("base_link", "laser") if up else ("laser", "base_link")
+    rows: Rows = [(row(*frames, 0, pose), True)]
+    scans = odd_scans()
+    for deskewed in (False, True):
+        conversion = ScanToCloud(None, Frames(target, "", built(rows), 0), deskewed=deskewed)
+        convert = conversion.for_topic("/t", "ros1", "ros1")
+        refused = 0
+        for scan, theirs in zip(
+            scans, ask(oracle, rows, [scan_command(target, deskewed, scan) for scan in scans]), strict=True
+        ):
+            if theirs.startswith("!"):
+                refused += 1
+                with pytest.raises(MessageError, match="time_increment"):
+                    convert(encode_laserscan(scan, "ros1"))
+                continue
+            cloud = decode_pointcloud2(convert(encode_laserscan(scan, "ros1")).data, "ros1")
+            found, expected = (
+                np.frombuffer(data, "<f4").reshape(-1, 4)
+                for data in (bytes(cloud.data), bytes.fromhex("".join(theirs.split()[3:])))
+            )
+            assert_same_floats(found[:, :3], expected[:, :3])
+            assert found[:, 3].tobytes() == expected[:, 3].tobytes()
+        assert (refused > 0) == deskewed
+
+
+def test_laser_geometry_keeps_directions_by_the_ends_alone(oracle: Path) -> None:
+    # docs/exactness.md: of scans that differ in their increments alone, the later ones get the directions of the first.
+    ranges = np.arange(1, 6, dtype=np.float32)
+    asked = [(-1.0, 1.0, 0.5), (-1.0, 1.0, 0.25), (-1.0, 1.5, 0.25), (-1.0, 1.0, 0.25)]
+    commands = [f"P {' '.join(value.hex() for value in numbers)} {hexadecimal(ranges)}" for numbers in asked]
+    ours = [
+        unproject(ranges, ranges[:0], angle_min=low, angle_increment=step, range_min=0.0, range_max=100.0)
+        for low, _, step in asked
+    ]
+    theirs = [bytes.fromhex(answer) for answer in ask(oracle, [], commands)]
+    assert theirs == [ours[k].points.tobytes() for k in (0, 0, 2, 3)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_signs_of_zeros_in_lookups(seed: int, oracle: Path) -> None:
+    rng = np.random.default_rng(9000 + seed)
+    zeros, found = [0.0, -0.0], 0
+    for _ in range(60):
+        rows: Rows = []
+        frames = [f"f{number}" for number in range(int(rng.integers(2, 6)))]
+        for number, child in enumerate(frames[1:], 1):
+            static = bool(rng.random() < 0.5)
+            for stamp_ns in [0] if static else sorted({EPOCH + int(s) * SECOND for s in rng.integers(0, 6, 3)}):
+                pose = (*rng.choice([*zeros, 1.0, -0.3], 3, p=[0.4, 0.4, 0.1, 0.1]), *rng.choice(zeros, 3))
+                entry = row(frames[rng.integers(0, number)], child, stamp_ns, (*pose, rng.choice([1.0, -1.0])))
+                rows.append((entry, static))
+        questions = [(a, b, s) for a in frames for b in frames for s in (0, EPOCH + SECOND, EPOCH + 5 * SECOND // 2)]
+        found += assert_lookups_agree(oracle, rows, questions)
+    assert found > 500
 
 
 def test_scans_stamped_0_and_those_that_end_before_time_begins(oracle: Path) -> None:

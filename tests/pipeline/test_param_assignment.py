@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pc2scan.errors import ParameterError
+from pc2scan.errors import ParameterError, visible
 from pc2scan.pipeline.param_assignment import parse_param
 from pc2scan.pipeline.parameters import resolve
 from pipeline.param_settings import failure, yaml_like
@@ -104,7 +104,7 @@ def test_what_is_no_assignment_of_a_scalar_is_refused(text: str, message: str) -
 @pytest.mark.parametrize("value", ["'", '"a', "*alias", "@a", "[1", "a: b: c", "\x07"])
 def test_a_value_that_is_no_yaml_is_refused_with_its_origin(value: str) -> None:
     err = failure(lambda: parse_param(f"target_frame:={value}"))
-    assert f"--param target_frame:={value}, line 1, column " in str(err)
+    assert f"--param target_frame:={visible(value)}, line 1, column " in str(err)
     assert "not valid YAML" in str(err)
     assert err.name == "target_frame"
 

@@ -453,7 +453,7 @@ def test_a_renamed_node_with_only_shared_parameters_could_be_either(load: Load) 
         ("# only a comment\n", "params.yaml: the file is empty"),
         ("{}", "params.yaml: the file is empty"),
         ("- 1\n", "params.yaml: expected parameters as 'name: value', got a list"),
-        ("range_min 5", "params.yaml: expected parameters as 'name: value', got only the text 'range_min 5'"),
+        ("range_min 5", "params.yaml: expected parameters as 'name: value', got only a text"),
         ("a: 1\n---\nb: 2\n", "params.yaml, line 2, column 1: not valid YAML: but found another document"),
         ("a: b: c", "params.yaml, line 1, column 5: not valid YAML: mapping values are not allowed here"),
         ("range_min: [1", "params.yaml, line 1, column 14: not valid YAML: "),

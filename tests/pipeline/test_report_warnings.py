@@ -7,6 +7,7 @@ import re
 
 import pytest
 
+from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
@@ -55,6 +56,25 @@ def test_given_heights_are_not_called_defaults() -> None:
 
 def test_a_topic_without_converted_messages_draws_a_warning() -> None:
     assert report(total=0, messages_out=0).warnings == ["no message of /points could be converted"]
+
+
+@pytest.mark.parametrize(("name", "option"), [("no_transform", "`tf_from`"), ("no_time", "`deskew`")])
+def test_many_points_that_cannot_be_placed_draw_a_warning(name: str, option: str) -> None:
+    spec = ScanSpec(params=ProjectionParams(target_frame="base", min_height=-9.0), deskew=True, fixed_frame="odom")
+    for lost, number in ((10, 0), (11, 1)):
+        made = Report(["a.bag"], "b.bag", (spec,))
+        counts = PointCounts(100, 100 - lost, **{name: lost})
+        made.topics = [TopicReport("/points", "x", "/scan", "converted", messages_out=3, points=counts)]
+        made.conclude()
+        assert len(made.warnings) == number
+    (warning,) = made.warnings
+    assert warning.startswith("/scan: 11 of 100 points (11%) were ")
+    assert option in warning
+
+
+@pytest.mark.parametrize("name", ["where", "exclude_box", "ground", "min_height_slope", "range", "nan"])
+def test_points_that_users_reject_draw_no_warning(name: str) -> None:
+    assert report(ProjectionParams(min_height=-9.0), used=10, **{name: 90}).warnings == []
 
 
 def test_a_gap_between_transforms_draws_a_warning() -> None:

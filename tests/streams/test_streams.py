@@ -65,7 +65,7 @@ def recording(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_clouds_come_from_every_container(container: str) -> None:
-    clouds = list(pc2scan.clouds(FIXTURES / container, topic="/points"))
+    clouds = list(pc2scan.clouds(FIXTURES / container, topics="/points"))
     assert [cloud.stamp_ns for cloud in clouds] == [1_700_000_000_000_000_000 + i * 10**8 for i in range(5)]
     assert [cloud.log_time_ns for cloud in clouds] == [FIRST_NS + i * 10**8 for i in range(5)]
     first = clouds[0]
@@ -193,7 +193,7 @@ def test_files_are_closed_whatever_becomes_of_the_loop(recording: Path) -> None:
     assert open_files(recording) == 0
     # Never wanted, because of an error.
     with pytest.raises(TopicError):
-        pc2scan.clouds(recording, topic="/none")
+        pc2scan.clouds(recording, topics="/none")
     assert open_files(recording) == 0
 
 
@@ -334,7 +334,7 @@ def test_the_only_topic_is_taken_and_several_are_named(tmp_path: Path) -> None:
         pc2scan.scans(path)
     assert 'topic="/back"' in str(raised.value.hint)
     assert {scan.topic for scan in pc2scan.scans(path, "/front")} == {"/front"}
-    assert {scan.topic for scan in pc2scan.scans(path, topic=["back", "/front"])} == {"/front", "/back"}
+    assert {scan.topic for scan in pc2scan.scans(path, topics=["back", "/front"])} == {"/front", "/back"}
     with pytest.raises(TopicError, match="no topic /frnt") as raised:
         pc2scan.scans(path, "/frnt")
     assert "did you mean /front?" in str(raised.value.hint)
@@ -448,7 +448,7 @@ def test_scans_that_differ_make_no_dataset_but_a_table(tmp_path: Path) -> None:
     pytest.importorskip("xarray")
     pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "a.mcap", topics="/points:=/a", only_scans=True)
     pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "b.mcap", topics="/points:=/b", only_scans=True, beams=90)
-    stream = pc2scan.scans([tmp_path / "a.mcap", tmp_path / "b.mcap"], topic=["/a", "/b"])
+    stream = pc2scan.scans([tmp_path / "a.mcap", tmp_path / "b.mcap"], topics=["/a", "/b"])
     with pytest.raises(UsageError, match=r"360 from .* on /a .* but 90 from .* on /b") as raised:
         stream.to_xarray()
     assert "to_dataframe" in str(raised.value.hint)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import ParameterError, UsageError
+from pc2scan.pipeline.concealed import is_about, without_content
 from pc2scan.pipeline.parameters import RIVALS
 
 from .plan import Choice
@@ -79,9 +80,16 @@ class Choices:
                     request = request_of(keywords, origins)
                     self._made[numbers] = Choice(request, request.digest())
                 except UsageError as err:
+                    self._refuse_to_quote(err, keywords, origins)
                     self._add_origin(err, numbers, origins)
                     raise
         return self._made[numbers]
+
+    def _refuse_to_quote(self, err: UsageError, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
+        """Raise another error if one is about a file that the dataset file names, and may quote it."""
+        for name in ("params_file", "static_tf_file", "scans"):
+            if name in keywords and name not in self._keywords and is_about(err, keywords[name]):
+                raise without_content(err, keywords[name], origins[name], name) from None
 
     def _add_origin(self, err: UsageError, numbers: tuple[int, ...], origins: Mapping[str, str]) -> None:
         """Add the line of the dataset file that has the wrong option to the message."""

@@ -6,7 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.shown import Shown, Table, count, counted, duration, size
+from pc2scan.errors import leading, visible
+from pc2scan.shown import Shown, Table, count, counted, csv_cell, duration, size
 from pc2scan.version import __version__
 
 if TYPE_CHECKING:
@@ -269,7 +270,7 @@ class BatchReport(Shown):
                 f"{duration(self.seconds)}, {self.workers} at a time"
             )
         else:
-            yield f"{self.destination}: nothing to do ({duration(self.seconds)})"
+            yield f"{leading(str(self.destination))}: nothing to do ({duration(self.seconds)})"
 
     def _shown(self) -> Iterator[str | Table]:
         if self.dry_run:
@@ -305,29 +306,24 @@ def report_text(report: BatchReport, suffix: str) -> str:
         import json  # noqa: PLC0415  # only where it is asked for
 
         return json.dumps(report.as_dict(), indent=2) + "\n"
-    rows = [[str(cell) for cell in line.values()] for line in report.as_dict()["recordings"]]
+    rows = [list(line.values()) for line in report.as_dict()["recordings"]]
     headings = [heading for heading, _ in _COLUMNS]
     if suffix == ".csv":
-        import csv  # noqa: PLC0415
-        import io  # noqa: PLC0415
-
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([headings, *rows])
-        return text.getvalue()
+        cells = [[csv_cell(cell) if isinstance(cell, str) else str(cell) for cell in row] for row in rows]
+        return "".join(f"{','.join(line)}\n" for line in (headings, *cells))
     return "\n".join(_markdown(report, headings, rows)) + "\n"
 
 
-def _markdown(report: BatchReport, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+def _markdown(report: BatchReport, headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> Iterator[str]:
     yield f"{BEGINNINGS['.md'].decode()} {__version__}"
     yield ""
-    yield from (f"{line}\n" for part in report.tables(0) if isinstance(line := part, str) and line)
+    yield from (f"{visible(line)}\n" for part in report.tables(0) if isinstance(line := part, str) and line)
     yield f"| {' | '.join(headings)} |"
     yield f"|{'---|' * len(headings)}"
     for row in rows:
-        yield f"| {' | '.join(_cell(cell) for cell in row)} |"
+        yield f"| {' | '.join(_cell(str(cell)) for cell in row)} |"
 
 
 def _cell(text: str) -> str:
     # Names come from recordings and folders. Escaped, they cannot be taken for markup.
-    escaped = "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in text)
-    return "".join(c if c.isprintable() else " " for c in escaped)
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>#|~" else c for c in visible(text, None))

@@ -14,6 +14,7 @@ from pc2scan.errors import Pc2ScanError, UsageError, name_list
 
 from .groups import flat
 from .interrupts import interruptible
+from .render import say
 from .usage import NoArgsIsHelpError, TyperUsageError, in_our_words
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ class _Group(TyperGroup):
 
             raise typer.Exit(show_failure(err, words)) from err
         except KeyboardInterrupt:
-            typer.echo(f"interrupted: {_what_was_written()}", err=True)
+            say(f"interrupted: {_what_was_written()}", err=True)
             raise typer.Exit(_INTERRUPTED) from None
         finally:
             if previous is not None:
@@ -159,7 +160,7 @@ def _what_was_written() -> str:
 
 def _handle_termination() -> Any:
     def terminate(number: int, _frame: FrameType | None) -> None:
-        typer.echo(f"terminated: {_what_was_written()}", err=True)
+        say(f"terminated: {_what_was_written()}", err=True)
         raise SystemExit(128 + number)
 
     try:
@@ -175,7 +176,7 @@ def _show_version(value: bool) -> None:
         from pc2scan.version import __version__
 
         slower = "" if COMPILED else " (slower than usual: installed without a C compiler)"
-        typer.echo(f"pc2scan {__version__}{slower}")
+        say(f"pc2scan {__version__}{slower}")
         raise typer.Exit
 
 

@@ -17,7 +17,8 @@ from pc2scan.shown import counted
 from .groups import Group
 from .options.conversion import ConversionGroup, typed_words
 from .options.output import OutputGroup, ScratchGroup
-from .render import message, printable, show_parts, size, warn
+from .render import say, show_parts, size, warn
+from .spelling import as_typed
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -239,12 +240,12 @@ def batch(
             done=lambda record: _show_record(record, quiet=running.quiet, dry_run=dry_run),
             shown=_show_text if running.verbose and not running.quiet else None,
             warn=warn,
-            inform=lambda text: None if running.quiet else typer.echo(message(text), err=True),
+            inform=lambda text: None if running.quiet else say(as_typed(text), err=True),
         )
         try:
             report = run_batch(sources, destination, words, options, origins=origins, watch=watch)
         except KeyboardInterrupt:
-            typer.echo("hint: run the same command again to continue it", err=True)
+            say("hint: run the same command again to continue it", err=True)
             raise
     _show_report(report, quiet=running.quiet, verbose=running.verbose)
     raise typer.Exit(report.exit_status)
@@ -267,14 +268,14 @@ def _show_plan(plan: "Plan", *, quiet: bool) -> None:
         *([f"{len(keep):,} unchanged"] if keep else []),
         *([f"{len(skip):,} skipped by the dataset file"] if skip else []),
     ]
-    typer.echo(printable(": ".join((parts[0], ", ".join(parts[1:])))), err=True)
+    say(": ".join((parts[0], ", ".join(parts[1:]))), err=True)
 
 
 def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
     """Show a line for a recording that is finished."""
     if record.error is not None:
         hint = f" (hint: {record.error['hint']})" if record.error.get("hint") else ""
-        typer.echo(message(f"{record.outcome}: {record.key}: {record.error['message']}{hint}"), err=True)
+        say(as_typed(f"{record.outcome}: {record.key}: {record.error['message']}{hint}"), err=True)
         return
     if quiet:
         return
@@ -291,13 +292,13 @@ def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
         f"{record.seconds:.1f} s",
     ]
     would = "would be " if dry_run else ""
-    typer.echo(message(f"{would}{record.outcome}: {record.key} -> {record.output} ({', '.join(told)})"), err=True)
+    say(as_typed(f"{would}{record.outcome}: {record.key} -> {record.output} ({', '.join(told)})"), err=True)
 
 
 def _show_text(text: str) -> None:
     """Print the tables of a conversion."""
-    for line in text.splitlines():
-        typer.echo(message(line), err=True)
+    for line in text.split("\n"):
+        say(as_typed(line), err=True)
 
 
 def _show_report(report: "BatchReport", *, quiet: bool, verbose: bool) -> None:
@@ -305,7 +306,7 @@ def _show_report(report: "BatchReport", *, quiet: bool, verbose: bool) -> None:
         warn(warning)
     if not quiet:
         if report.dry_run:
-            typer.echo("dry run, nothing is written")
+            say("dry run, nothing is written")
         show_parts(report.tables(None) if verbose else report.tables())
 
 

@@ -14,7 +14,8 @@ from .damage import show_damage
 from .options.frames import TfSources, frame_option
 from .options.junit import JUnitGroup
 from .options.single import Json
-from .render import message, print_json, warn
+from .render import print_json, say, warn
+from .spelling import as_typed
 
 __all__ = ["check"]
 
@@ -101,7 +102,7 @@ def check(
             print_json(result.as_dict())
         else:
             for line in result.lines():
-                typer.echo(message(line))
+                say(as_typed(line))
             for warning in result.warnings:
                 warn(warning)
         show_damage(result.damage)

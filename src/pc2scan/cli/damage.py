@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
 from pc2scan.errors import stamp_text
 from pc2scan.shown import counted
 
-from .render import printable, size
+from .render import say, size
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,16 +27,16 @@ SHOWN = 5
 def show_damage(damage: Sequence[Damage], *, limit: int = SHOWN) -> None:
     """Show the damage, its place, and what is lost there."""
     for place in damage[:limit]:
-        typer.echo(printable(f"damaged: {place}"), err=True)
+        say(f"damaged: {place}", err=True)
     if len(damage) > limit:
-        typer.echo(f"damaged: {len(damage) - limit:,} more places (--report or --json lists them)", err=True)
+        say(f"damaged: {len(damage) - limit:,} more places (--report or --json lists them)", err=True)
 
 
 def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
     """Show the damage of a run's sources, and how much was recovered."""
     if report.damage:
         show_damage(report.damage, limit=limit)
-        typer.echo(recovery_text(report), err=True)
+        say(recovery_text(report), err=True)
 
 
 def recovery_text(report: Report) -> str:

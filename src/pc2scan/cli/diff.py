@@ -11,7 +11,8 @@ import typer
 from . import completion
 from .options.junit import JUnitGroup
 from .options.single import Json
-from .render import message, print_json
+from .render import print_json, say
+from .spelling import as_typed
 
 __all__ = ["diff"]
 
@@ -146,6 +147,6 @@ def diff(
     if as_json:
         print_json(result.as_dict())
     elif not quiet:
-        for line in str(result).splitlines():
-            typer.echo(message(line))
+        for line in str(result).split("\n"):
+            say(as_typed(line))
     raise typer.Exit(result.exit_status)

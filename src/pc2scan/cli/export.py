@@ -14,7 +14,8 @@ from .options.conversion import ConversionGroup
 from .options.frames import frame_option
 from .options.single import Json
 from .progress import progress_bar
-from .render import message, print_json, show_parts, warn
+from .render import print_json, say, show_parts, warn
+from .spelling import as_typed
 
 __all__ = ["export"]
 
@@ -38,7 +39,7 @@ def export(
             click_type=TyperPath(path_type=str),
         ),
     ],
-    written: Annotated[
+    format: Annotated[  # noqa: A002  # the name of the option
         FORMATS | None,
         typer.Option(
             "--format",
@@ -92,7 +93,7 @@ def export(
     place = named or folder
     assert place is not None
     form = ExportOptions(
-        format=written,
+        format=format,
         poses=PoseOptions(pose_frame=pose_frame, base_frame=base_frame, odom_topic=odom_topic),
         converting=conversion.projection.is_given or options.scan.may_combine,
         overwrite=overwrite,
@@ -112,7 +113,7 @@ def export(
     else:
         show_parts([report.table()])
         for text in report.remarks():
-            typer.echo(message(text), err=True)
+            say(as_typed(text), err=True)
         for text in report.warnings:
             warn(text)
     show_damage(report.damage)

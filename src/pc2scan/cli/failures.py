@@ -5,14 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import signal
-import sys
 from typing import TYPE_CHECKING, Any
-
-import typer
 
 from pc2scan.errors import DamageError, Pc2ScanError
 
-from .render import error_text, message
+from .render import say, show_error
 from .spelling import as_typed
 
 if TYPE_CHECKING:
@@ -41,7 +38,7 @@ def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
         status = max(status, 2)
         if isinstance(err, DamageError):
             err.hint = "pc2scan repair makes a sound recording of what is readable"
-    typer.echo(error_text(err), err=True)
+    show_error(err)
     if "--json" in (words[: words.index("--")] if "--" in words else words):
         from .render import print_json
 
@@ -75,5 +72,5 @@ def end_without_output(err: OSError, words: Sequence[str]) -> int:
         return 128 + getattr(signal, "SIGPIPE", 13)
     command = "" if {"-h", "--help"} & set(words) else "".join(words[:1])
     note = "; the output is written" if command in _WRITING else ""
-    sys.stderr.write(message(f"error: standard output cannot be written: {err.strerror}{note}") + "\n")
+    say(f"error: standard output cannot be written: {err.strerror}{note}", err=True)
     return 3 if command in _WRITING else 2 if command in VERDICTS else 1

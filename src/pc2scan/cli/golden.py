@@ -13,7 +13,8 @@ from pc2scan.shown import counted
 from . import completion
 from .options.junit import JUnitGroup
 from .options.single import Json
-from .render import message, print_json, printable, warn
+from .render import print_json, say, warn
+from .spelling import as_typed
 
 if TYPE_CHECKING:
     from pc2scan.golden.result import CaseResult, GoldenReport
@@ -133,8 +134,8 @@ def _init(
     if quiet:
         return
     for name, size in made.files:
-        typer.echo(printable(f"{made.folder / name}  {counted(size, 'byte')}"))
-    typer.echo(message(f"next: look at {made.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}"))
+        say(f"{made.folder / name}  {counted(size, 'byte')}")
+    say(as_typed(f"next: look at {made.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}"))
 
 
 def _conclude(report: GoldenReport, *, as_json: bool) -> None:
@@ -142,14 +143,14 @@ def _conclude(report: GoldenReport, *, as_json: bool) -> None:
         print_json(report.as_dict())
         return
     counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
-    typer.echo(f"{', '.join(counted)} in {report.seconds:.1f} s")
+    say(f"{', '.join(counted)} in {report.seconds:.1f} s")
     if report.exit_status == 1:
-        typer.echo("hint: if this is intended, --update makes it the expected output")
+        say("hint: if this is intended, --update makes it the expected output")
 
 
 def _show(result: CaseResult, *, quiet: bool) -> None:
     if result.outcome == "passed" and quiet:
         return
-    typer.echo(printable(f"{result.outcome.value:<8}{result.name}"))
+    say(f"{result.outcome.value:<8}{result.name}")
     for line in result.lines:
-        typer.echo(message(f"    {line}"))
+        say(as_typed(f"    {line}"))

@@ -15,6 +15,7 @@ from typer.main import get_command
 from pc2scan.errors import UsageError
 from pc2scan.golden.check import Ended
 
+from .render import say
 from .usage import TyperUsageError, in_our_words
 
 if TYPE_CHECKING:
@@ -52,7 +53,8 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
     if status == 128 + signal.SIGINT:
         raise KeyboardInterrupt
     if status > 128:
-        typer.echo(said.getvalue(), err=True, nl=False)
+        for line in said.getvalue().splitlines():
+            say(line, err=True)
         raise SystemExit(status)
     return Ended(status, said.getvalue())
 

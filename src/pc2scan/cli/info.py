@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pc2scan.errors import leading
+
 from .damage import show_damage
 from .options.frames import StaticTf, TfSources
 from .options.single import Json
-from .render import print_json, printable, show_parts, warn
+from .render import print_json, say, show_parts, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -91,13 +93,14 @@ def _show_findings(result: Info, given: Sequence[str]) -> None:
     found = [(cloud.topic, cloud.mounting) for cloud in result.clouds if cloud.mounting is not None]
     if not any(mounting.heights for _, mounting in found):
         return
-    typer.echo()
+    say()
     for topic, mounting in found:
-        typer.echo(printable(f"{topic}: {ground_text(mounting)}"))
-    typer.echo("\nready to convert:")
+        say(f"{leading(topic)}: {ground_text(mounting)}")
+    say()
+    say("ready to convert:")
     for topic, mounting in found:
         if mounting.heights is not None:
-            typer.echo(printable(f"  {shlex.join(_command(result, topic, mounting, given))}"))
+            say(f"  {shlex.join(_command(result, topic, mounting, given))}")
 
 
 def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str]) -> list[str]:

@@ -12,7 +12,8 @@ from .options.conversion import ConversionGroup, length
 from .options.frames import frame_option
 from .options.single import Json
 from .progress import progress_bar
-from .render import message, print_json, printable, warn
+from .render import print_json, say, warn
+from .spelling import as_typed
 
 __all__ = ["map"]
 
@@ -100,12 +101,12 @@ def map(  # noqa: A001  # the function of a command has its name
         print_json(made.as_dict())
     else:
         for line in made.lines():
-            typer.echo(message(line))
+            say(as_typed(line))
     for note in made.notes:
         warn(note)
     for skipped in made.skipped[:_SHOWN]:
-        typer.echo(printable(f"skipped: {skipped}"), err=True)
+        say(f"skipped: {skipped}", err=True)
     if len(made.skipped) > _SHOWN:
-        typer.echo(f"skipped: for {len(made.skipped) - _SHOWN:,} more reasons (--json lists them)", err=True)
+        say(f"skipped: for {len(made.skipped) - _SHOWN:,} more reasons (--json lists them)", err=True)
     show_damage(made.damage)
     raise typer.Exit(made.exit_status)

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 import typer
 
 from pc2scan.bags.formats import FORMATS
+from pc2scan.errors import leading
 from pc2scan.pipeline.parameters import PARAMETERS, in_words
-from pc2scan.shown import counted
+from pc2scan.shown import Table, counted
 
 from .damage import SHOWN, show_recovery
 from .next_command import next_command
-from .render import count, duration, error_text, message, printable, show_parts, size, stamp, table, warn
+from .render import count, duration, say, show_error, show_parts, show_table, size, stamp, warn
+from .spelling import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Container
@@ -31,34 +33,31 @@ _OWN = "each message's own"
 def show(report: Report, *, verbose: bool = False) -> None:
     """Print the result, or that of a dry run."""
     if report.dry_run:
-        typer.echo(printable(f"dry run, nothing is written: {', '.join(report.sources)}"))
-        typer.echo()
+        say(f"dry run, nothing is written: {', '.join(report.sources)}")
+        say()
     for spec in report.scans:
         names = [name for name in PARAMETERS if verbose or (report.dry_run and _origin(spec, name) != "default")]
         if spec.name and names:
-            typer.echo(printable(f"{spec.name}:"))
+            say(f"{leading(spec.name)}:")
         if names:
-            table(
-                ("parameter", "value", "from"),
-                [(name, in_words(getattr(spec.params, name)), _origin(spec, name)) for name in names],
-                left=("parameter", "from"),
-            )
-            typer.echo()
+            rows = [(name, in_words(getattr(spec.params, name)), _origin(spec, name)) for name in names]
+            show_table(Table(("parameter", "value", "from"), rows, left=("parameter", "from")))
+            say()
     show_parts(report.tables())
     written, read = size(report.bytes_written), size(report.bytes_read)
     if report.dry_run:
         frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in report.scans]
         named = ", ".join(dict.fromkeys(frames))
-        typer.echo(printable(f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"))
+        say(f"frame{'s' * (',' in named)}: {named}; points: those of the first messages")
         made = FORMATS[report.container].readable_one
-        typer.echo(printable(f"{report.written_to}: {made}, about {written} from {read}"))
+        say(f"{leading(report.written_to)}: {made}, about {written} from {read}")
     else:
-        typer.echo(printable(f"{report.written_to}: {written} from {read} in {duration(report.seconds)}"))
+        say(f"{leading(report.written_to)}: {written} from {read} in {duration(report.seconds)}")
     if report.container == "mcap":
         # Shown because the file's name does not say which ROS version it is for.
         converts = any(topic.action == "converted" for topic in report.topics)
         hint = ": --profile ros2 for ros2 tools" if converts and report.ros_version == 1 else ""
-        typer.echo(f"MCAP, ROS {report.ros_version} profile{hint}")
+        say(f"MCAP, ROS {report.ros_version} profile{hint}")
 
 
 def _origin(spec: ScanSpec, name: str) -> str:
@@ -67,7 +66,7 @@ def _origin(spec: ScanSpec, name: str) -> str:
 
 def show_next(report: Report) -> None:
     """Print the command that most users run next; the last line of all."""
-    typer.echo(printable(f"next: {next_command(report)}"))
+    say(f"next: {next_command(report)}")
 
 
 def _show_skipped(report: Report, limit: int) -> None:
@@ -81,16 +80,16 @@ def _show_skipped(report: Report, limit: int) -> None:
         when = "unknown" if first.stamp_ns is None else stamp(first.stamp_ns)
         several = f" and {len(entries) - 1} more" if len(entries) > 1 else ""
         to = f" (for {', '.join(first.targets)})" if report.scans[1:] and first.targets else ""
-        typer.echo(message(f"skipped: {topic}, stamp {when}{several}{to}: {reason}"), err=True)
+        say(as_typed(f"skipped: {topic}, stamp {when}{several}{to}: {reason}"), err=True)
         # A message counts once for each output that lacks it, like in the counts of the topics.
         shown += sum(max(1, len(entry.targets)) for entry in entries)
     # Topics that are skipped completely are not counted here: they have their own warning.
     single = sum(topic.skipped for topic in report.topics if topic.action != "skipped")
     if single > shown:
-        typer.echo(f"skipped: {single - shown:,} more (--verbose or --report lists them)", err=True)
+        say(f"skipped: {single - shown:,} more (--verbose or --report lists them)", err=True)
     hints = [entry.hint for entry in report.skipped if entry.hint]
     if hints:
-        typer.echo(message(f"hint: {hints[0]}"), err=True)
+        say(as_typed(f"hint: {hints[0]}"), err=True)
 
 
 def conclude(report: Report, *, verbose: bool = False, shown: Container[str] = ()) -> typer.Exit:
@@ -109,12 +108,12 @@ def conclude(report: Report, *, verbose: bool = False, shown: Container[str] = (
 def show_outcome(outcome: Outcome, *, verbose: bool = False) -> None:
     """Show the warnings and damage of one of several conversions, under the name of its source."""
     if outcome.error is not None:
-        typer.echo(error_text(outcome.error), err=True)
+        show_error(outcome.error)
     elif (report := outcome.report) is not None:
         if verbose:
             show(report, verbose=True)
         if report.exit_status or report.warnings:
-            typer.echo(printable(f"{outcome.source}:"), err=True)
+            say(f"{leading(str(outcome.source))}:", err=True)
         conclude(report, verbose=verbose)
 
 
@@ -134,11 +133,12 @@ def show_each(each: Each) -> None:
                 f"{outcome.exit_status}",
             )
         )
-    table(("source", "to", "converted", "empty", "skipped", "status"), rows, left=("source", "to"))
+    show_table(Table(("source", "to", "converted", "empty", "skipped", "status"), rows, left=("source", "to")))
     written = sum(outcome.report is not None for outcome in each.outcomes)
     failed = len(each.outcomes) - written
     dry_run = any(outcome.report is not None and outcome.report.dry_run for outcome in each.outcomes)
-    typer.echo(
-        f"\n{written} of {counted(len(each.outcomes), 'recording')} {'would be ' if dry_run else ''}converted"
+    say()
+    say(
+        f"{written} of {counted(len(each.outcomes), 'recording')} {'would be ' if dry_run else ''}converted"
         + (f", {failed} failed" if failed else "")
     )

@@ -25,10 +25,14 @@ def plot(
         Path,
         typer.Option("--output", "-o", metavar="FIGURE", help="The figure: *.png, *.svg or *.pdf.", show_default=False),
     ],
-    frames: Annotated[
+    clouds: Annotated[
         int,
         typer.Option(
-            metavar="N", min=1, help="Number of clouds of each topic, side by side, spread over the recording."
+            "--clouds",
+            "--frames",
+            metavar="N",
+            min=1,
+            help="Number of clouds of each topic, side by side, spread over the recording.",
         ),
     ] = 1,
     at: Moments = [],  # noqa: B006 - typer reads the default and never hands it out
@@ -50,7 +54,7 @@ def plot(
             sources,
             destination,
             options,
-            frames=frames,
+            clouds=clouds,
             at=[TimeBound.parse(time) for time in at],
             overwrite=overwrite,
         )

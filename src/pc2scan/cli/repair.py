@@ -18,7 +18,7 @@ def repair(
     source: Annotated[
         Path, typer.Argument(metavar="SRC", help="ROS 1 bag, rosbag2 directory, .db3 or .mcap file; damaged or not.")
     ],
-    output: Destination = None,
+    destination: Destination = None,
     *,
     storage: Annotated[
         Storage | None, typer.Option(help="Storage of a rosbag2 directory.  [default: SRC's]", show_default=False)
@@ -48,11 +48,11 @@ def repair(
 
     from .progress import progress_bar
 
-    destination, folder = destination_and_folder(output)
+    named, folder = destination_and_folder(destination)
     form = OutputOptions(storage=storage, compression=compression, overwrite=overwrite, report=report, folder=folder)
     options = ConvertOptions(repair=True, verify=not no_verify)
     with progress_bar(enabled=not (quiet or as_json)) as progress:
-        result = run([source], destination, options, form, progress=progress)
+        result = run([source], named, options, form, progress=progress)
     if as_json:
         print_json(result.as_dict())
     elif not quiet:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import TransformError, UnconnectedError, UsageError, stamp_text
+from pc2scan.errors import TransformError, UnconnectedError, UsageError, leading, stamp_text
 
 from . import completion
 from .damage import show_damage
 from .options.frames import StaticTf, TfTopics
 from .options.single import Json
-from .render import print_json, printable, show_parts, warn
+from .render import print_json, say, show_parts, warn
 
 if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
@@ -110,28 +110,28 @@ def _show_transform(target: str, source: str, stamp_ns: int, rigid: Rigid, *, as
         )
         return
     when = f"at {stamp_text(stamp_ns)}" if stamp_ns else "at the latest common time"
-    typer.echo(printable(f"{target} from {source} {when}"))
-    typer.echo("  translation  x {:.6f}  y {:.6f}  z {:.6f} m".format(*translation))
-    typer.echo("  quaternion   x {:.9f}  y {:.9f}  z {:.9f}  w {:.9f}".format(*quaternion))
-    typer.echo(f"  rotation     roll {roll:.6f}  pitch {pitch:.6f}  yaw {yaw:.6f} rad")
+    say(f"{leading(target)} from {source} {when}")
+    say("  translation  x {:.6f}  y {:.6f}  z {:.6f} m".format(*translation))
+    say("  quaternion   x {:.9f}  y {:.9f}  z {:.9f}  w {:.9f}".format(*quaternion))
+    say(f"  rotation     roll {roll:.6f}  pitch {pitch:.6f}  yaw {yaw:.6f} rad")
 
 
 def _show(tree: FrameTree) -> None:
     if not tree.frames:
-        typer.echo("no transforms")
+        say("no transforms")
     children: dict[str, list[FrameInfo]] = {}
     for frame in tree.frames:
         for parent in frame.parents:
             children.setdefault(parent, []).append(frame)
     for number, part in enumerate(tree.trees):
         if number:
-            typer.echo()
+            say()
         if len(tree.trees) > 1:
-            typer.echo(f"part {number + 1} of {len(tree.trees)}, not connected with the others:")
+            say(f"part {number + 1} of {len(tree.trees)}, not connected with the others:")
         for line in _drawn(part.roots or part.frames[:1], children):
-            typer.echo(printable(line))
+            say(line)
     if tree.frames:
-        typer.echo()
+        say()
         show_parts([tree.table()])
     for warning in tree.warnings:
         warn(warning)
@@ -148,7 +148,7 @@ def _drawn(roots: tuple[str, ...], children: dict[str, list[FrameInfo]]) -> list
             lines.append("... and more")
             break
         again = name in seen
-        lines.append(f"{'  ' * min(depth, _MAX_DEPTH)}{name}{kind}{' (see above)' if again else ''}")
+        lines.append(f"{'  ' * min(depth, _MAX_DEPTH)}{leading(name)}{kind}{' (see above)' if again else ''}")
         if again:
             continue
         seen.add(name)

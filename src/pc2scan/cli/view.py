@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pc2scan.errors import leading
+
 from .damage import DAMAGED, show_damage
 from .options.conversion import ConversionGroup
 from .options.single import Moments
-from .render import printable, size, warn
+from .render import say, size, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,7 +74,7 @@ def view(
     )
     for note in page.notes:
         warn(note)
-    typer.echo(printable(f"{path}: {size(len(page.html))}"))
+    say(f"{leading(str(path))}: {size(len(page.html))}")
     if open_page:
         _open(path)
     show_damage(page.damage)

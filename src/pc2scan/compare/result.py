@@ -68,4 +68,4 @@ class Difference(Shown):
         return f"<Difference of {self.a!r} and {self.b!r}: {found}>"
 
     def _shown(self) -> Iterator[str | Table]:
-        yield from self.text().splitlines()
+        yield from summary(self.topics, self.left_aside)

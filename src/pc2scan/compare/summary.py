@@ -1,4 +1,4 @@
-"""Summarizes differences as plain text; it may have control characters that a terminal must not get."""
+"""Summarizes differences as text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.core.rounding import CORRECT, GLIBC
-from pc2scan.errors import stamp_text
+from pc2scan.errors import leading, stamp_text, visible
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.shown import counted
@@ -41,10 +41,10 @@ def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str
         The names of the two sides.
     """
     for topic in topics:
-        yield f"{topic.name} ({topic.msgtype}): {'same' if topic.same else 'different'}"
+        yield visible(f"{leading(topic.name)} ({topic.msgtype}): {'same' if topic.same else 'different'}")
         lines = list(_lines(topic, names))
         width = max(len(label) for label, _ in lines)
-        yield from (f"  {label:<{width}}  {text}" for label, text in lines)
+        yield from (visible(f"  {label:<{width}}  {text}") for label, text in lines)
     apart = [topic for topic in topics if not topic.same]
     pairs = sum(topic.matched for topic in topics)
     if apart:

@@ -9,28 +9,34 @@ Sources of the rules, in C++ (floats of the message are float32, literals float6
   ``HandleRangefinder`` (sensor_bridge.cc), ``LocalTrajectoryBuilder2D::AddRangeData`` (cartographer).
 - gmapping: ``initMapper``, ``getOdomPose`` and ``addScan`` (slam_gmapping.cpp), ``RangeSensor`` (openslam,
   rangesensor.cpp), ``setLaserParameters``, ``computeActiveArea`` (scanmatcher.cpp).
-- AMCL: ``AmclNode::updateFilter`` and its message filter (nav2_amcl, amcl_node.cpp).
+- AMCL: ``AmclNode::updateFilter``, ``addNewScanner`` and its message filter (nav2_amcl, amcl_node.cpp).
 - Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap ignores infinite ranges: it accepts
   what laser_geometry accepts, ``range < range_max``.
-- MRPT: ``fromROS`` (ros2bridge, laser_scan.cpp).
+- MRPT: ``fromROS`` of two bridges (laser_scan.cpp): that of MRPT 2.5, in Debian and Ubuntu, and mrpt_ros_bridge 3.2.
 
-The arithmetic is that of the consumers, in plain Python: float64 operations on float32 operands, rounded to float32
-where the C++ result is a float, which is the float32 result (see `pc2scan.core.params.beam_count`).
+The arithmetic is that of the consumers: float64 operations on float32 operands, rounded to float32 where the C++ result
+is a float, which is the float32 result (see `pc2scan.core.params.beam_count`); NumPy's float32 for sums of all beams.
+A division of a float by a whole number is a float division. Cartographer and Nav2 add up the angles of the beams in a
+float, AMCL adds the first two angles in a float, and MRPT divides floats. slam_toolbox and gmapping compute the angles
+of their beams in doubles.
 """
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .layout import SYMMETRIC_BEAMS, symmetric_sector
 from .params import float32
 from .verdicts import Scan, ScanTransforms, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from numpy.typing import NDArray
 
     from .verdicts import Outcome
 
@@ -45,12 +51,22 @@ _GMAPPING_TILT = 0.001
 #: slam_toolbox's default of ``max_laser_range``, metres.
 _KARTO_RANGE = 25.0
 
-#: MRPT asserts ``ranges.size() > 1``.
-_MRPT_BEAMS = 2
+#: MRPT's bridges, and the types in which they multiply after divisions of floats.
+_MRPT_BRIDGES: dict[str, type[np.floating[Any]]] = {"MRPT 2.5": np.float64, "mrpt_ros_bridge 3.2": np.float32}
 
 #: Beams that are off by more than this share of an increment count as shifted. Smaller differences are roundings of a
 #: driver's angles. The limit is pc2scan's own: the consumers have none.
 _OFF = 0.1
+
+#: Roundings of the consumer's own count only if they move a beam by more than this share of an increment: it is then
+#: closer to a neighbour's direction than to its own.
+_DRIFTED = 0.5
+
+#: A scan's frame that has turned or moved on the robot by more than this since the first scan is misplaced by consumers
+#: that keep its first pose: radians, and metres. A joint that stands still trembles by less; at a range of 10 m, two
+#: degrees are 0.35 m.
+_TURNED = math.radians(2.0)
+_MOVED = 0.1
 
 #: Beams that are off by more than this many increments count as misplaced.
 _SHIFTED = 1.0 + _OFF
@@ -204,12 +220,14 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "`no_return=inf`, or `range_max=100.0`: pc2scan convert `preset=slam_toolbox`",
         )
     kept = _kept_angles("slam_toolbox", scan, first)
+    if kept.outcome == "accepted":
+        kept = _kept_pose("slam_toolbox", placed, angle=True)
     if kept.outcome != "accepted" or placed.up is None or placed.up > 0 or not scan.beams:
         return kept
     # If the sensor is upside down, Karto reads beam i in the place of beam N - 1 - i.
     return _off(
         "slam_toolbox",
-        scan,
+        scan.angle_increment,
         math.remainder(first.angle_min + last_beam(first), _TWO_PI),
         "ranges of a sensor that is upside down are taken in reverse order, at the same angles",
         f"angle_min {first.angle_min:.9g}, the last beam at {last_beam(first):.9g}",
@@ -270,7 +288,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
         )
     if scan.infinite and scan.range_max == math.inf:
         return _infinite_hits("cartographer", scan)
-    return Verdict("cartographer")
+    return _summed("cartographer", scan)
 
 
 def _gmapping(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
@@ -304,44 +322,45 @@ def _gmapping(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
             "give a finite `range_max`: pc2scan convert `preset=gmapping`",
         )
     kept = _kept_angles("gmapping", scan, first)
-    return kept if kept.outcome != "accepted" else _half_open(scan, placed)
+    if kept.outcome != "accepted" or not scan.beams:
+        return kept
+    down = placed.up is not None and placed.up <= 0
+    return _half_open(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams, down=down)
 
 
-def _half_open(scan: Scan, placed: ScanTransforms) -> Verdict:
-    """Return the verdict of gmapping on the places of a scan's beams.
+@lru_cache(maxsize=64)
+def _half_open(angle_min: float, angle_max: float, angle_increment: float, beams: int, *, down: bool) -> Verdict:
+    """Return the verdict of gmapping on the places of a scan's beams; ``down`` if the sensor is upside down.
 
     It orders beams by growing angle, and places beam ``i`` at ``(i - N / 2) * angle_increment`` from the middle between
     ``angle_min`` and ``angle_max``; for a sensor that is upside down, as seen from below.
     """
-    if not scan.beams:
-        return Verdict("gmapping")
-    step = abs(scan.angle_increment)
-    middle = float32(float32(scan.angle_min + scan.angle_max) / 2)
-    down = placed.up is not None and placed.up <= 0
-    reverse = scan.angle_min < scan.angle_max if down else scan.angle_min > scan.angle_max
+    step = abs(angle_increment)
+    middle = float32(float32(angle_min + angle_max) / 2)
+    reverse = angle_min < angle_max if down else angle_min > angle_max
     off = max(
         (
             middle
-            + (-1 if down else 1) * ((scan.beams - 1 - beam if reverse else beam) - scan.beams / 2) * step
-            - (scan.angle_min + beam * scan.angle_increment)
-            for beam in (0, scan.beams - 1)
+            + (-1 if down else 1) * ((beams - 1 - beam if reverse else beam) - beams / 2) * step
+            - (angle_min + beam * angle_increment)
+            for beam in (0, beams - 1)
         ),
         key=abs,
     )
-    steps = scan.beams - 2 if reverse else scan.beams
-    wanted = float32(scan.angle_min + steps * scan.angle_increment)
+    steps = beams - 2 if reverse else beams
+    wanted = float32(angle_min + steps * angle_increment)
     return _off(
         "gmapping",
-        scan,
+        angle_increment,
         off,
         "beam i is placed at (i - len(ranges) / 2) * angle_increment from the middle between angle_min and angle_max",
-        f"angle_max {scan.angle_max:.9g}",
+        f"angle_max {angle_max:.9g}",
         f"angle_max {wanted:.9g}",
         f"advertise angle_max = angle_min + {steps} * angle_increment: pc2scan convert `preset=gmapping`",
     )
 
 
-def _amcl(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
+def _amcl(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
     if scan.range_max <= 0:
         return Verdict(
             "amcl",
@@ -351,60 +370,150 @@ def _amcl(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
             "> 0",
             "give a positive `range_max`: pc2scan convert `preset=amcl`",
         )
-    return Verdict("amcl")
-
-
-def _nav2(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
-    return _infinite_hits("nav2", scan) if scan.infinite and scan.range_max == math.inf else Verdict("nav2")
-
-
-def _mrpt(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
-    if scan.beams < _MRPT_BEAMS:
-        return Verdict(
-            "mrpt",
-            "aborts",
-            "ASSERT(ranges.size() > 1)",
-            f"{scan.beams} ranges",
-            f"at least {_MRPT_BEAMS}",
-            "more beams",
-        )
-    off = _mrpt_off(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
-    half = (scan.beams - 1) * abs(scan.angle_increment) / 2
-    return _off(
-        "mrpt",
-        scan,
-        off,
-        "angles run from -(angle_max - angle_min) / 2 to + that, in equal steps; angle_increment is not read, and "
-        "each beam takes the range at its index, truncated",
-        f"angle_min {scan.angle_min:.9g}, angle_max {scan.angle_max:.9g}",
-        f"a sector around 0: {-half:.6g} to {half:.6g}",
-        "pc2scan convert `preset=mrpt`, or `geometry=symmetric`",
-    )
+    # AMCL looks up the directions of the beams anew for each scan, but not the place of the sensor.
+    kept = _kept_pose("amcl", placed, angle=False)
+    if kept.outcome != "accepted" or not has_angles(scan) or not scan.beams:
+        return kept
+    return _added_once(scan.angle_min, scan.angle_increment, scan.beams)
 
 
 @lru_cache(maxsize=64)
-def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> float:
-    """Return the largest angle between MRPT's beams and a scan's, radians; inf if MRPT reads outside of the ranges."""
+def _added_once(angle_min: float, angle_increment: float, beams: int) -> Verdict:
+    """Return the verdict of AMCL on its increment: the difference of two angles, of which one is a sum of floats."""
+    increment = float32(angle_min + angle_increment) - angle_min
+    rounding = math.remainder(increment - angle_increment, _TWO_PI) if math.isfinite(increment) else math.inf
+    return _off(
+        "amcl",
+        angle_increment,
+        (beams - 1) * rounding if beams > 1 else 0.0,
+        "the increment is the float32 sum angle_min + angle_increment, less angle_min",
+        f"angle_increment {angle_increment:.9g}, read as {increment:.9g} for {beams} ranges",
+        "a rounding that adds up to less than half an increment",
+        "fewer beams: give `beams`, or a larger `angle_increment`",
+        least=_DRIFTED,
+    )
+
+
+def _nav2(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
+    if scan.infinite and scan.range_max == math.inf:
+        return _infinite_hits("nav2", scan)
+    return _summed("nav2", scan)
+
+
+def _summed(consumer: str, scan: Scan) -> Verdict:
+    """Return the verdict of a consumer that adds the increment to a float, from beam to beam."""
+    if not has_angles(scan) or not scan.beams:
+        return Verdict(consumer)
+    return _added_up(consumer, scan.angle_min, scan.angle_increment, scan.beams)
+
+
+@lru_cache(maxsize=64)
+def _added_up(consumer: str, angle_min: float, angle_increment: float, beams: int) -> Verdict:
+    steps = np.full(beams, angle_increment, np.float32)
+    steps[0] = angle_min
+    with np.errstate(over="ignore"):
+        off = np.add.accumulate(steps).astype(np.float64)
+    off -= angle_min + np.arange(beams) * angle_increment
+    return _off(
+        consumer,
+        angle_increment,
+        float(np.abs(off).max()),
+        "the angles are a float32 sum: angle += angle_increment from beam to beam",
+        f"{beams} ranges by {angle_increment:.9g}",
+        "roundings that add up to less than half an increment",
+        "fewer beams: give `beams`, or a larger `angle_increment`",
+        least=_DRIFTED,
+    )
+
+
+def _mrpt(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
+    if scan.beams < SYMMETRIC_BEAMS[0]:
+        return Verdict(
+            "mrpt",
+            "aborts",
+            "ASSERT(ranges.size() > 2)",
+            f"{scan.beams} ranges",
+            f"at least {SYMMETRIC_BEAMS[0]}",
+            "more beams",
+        )
+    return _mrpt_sector(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
+
+
+@lru_cache(maxsize=64)
+def _mrpt_sector(angle_min: float, angle_max: float, angle_increment: float, beams: int) -> Verdict:
+    """Return the verdict of MRPT on the places of a scan's beams."""
+    found = {name: _mrpt_off(angle_min, angle_max, angle_increment, beams, name) for name in _MRPT_BRIDGES}
+    number, off = (max(values) for values in zip(*found.values(), strict=True))
+    misread = [name for name, (count, _) in found.items() if count]
+    allowed = "angles of the beams"
+    half = (beams - 1) * abs(angle_increment) / 2
+    if 0 < half <= math.pi:
+        low, high = symmetric_sector(half)
+        allowed = f"angle_min {low:.9g}, angle_max {high:.9g}"
+    return _off(
+        "mrpt",
+        angle_increment,
+        off,
+        "angles run from -(angle_max - angle_min) / 2 to + that, in equal steps; angle_increment is not read, and "
+        "each beam takes the range at its index, a truncated quotient with the roundings of float32",
+        f"angle_min {angle_min:.9g}, angle_max {angle_max:.9g}" + (f", in {misread[0]}" if len(misread) == 1 else ""),
+        allowed,
+        "pc2scan convert `preset=mrpt`, or `geometry=symmetric`",
+        which=f"{number:,} of {beams:,} beams",
+    )
+
+
+def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int, bridge: str) -> tuple[int, float]:
+    """Return how many beams of MRPT have the range of another direction, and the largest angle between the two.
+
+    In radians; inf if the bridge reads outside of the ranges.
+    """
     aperture = float32(angle_max - angle_min)
     if not (math.isfinite(aperture) and math.isfinite(angle_increment)) or aperture == 0:
-        return math.inf
-    number = np.arange(beams)
-    step, half, inverse = aperture / (beams - 1), 0.5 * aperture, (beams - 1) / aperture
-    # In MRPT's order of operations: the truncated value is often a whole number except for rounding.
-    taken = np.trunc(inverse * ((-half - angle_min) + step * number))
-    taken += np.where(taken < 0, beams, np.where(taken >= beams, -beams, 0))
-    if taken.min() < 0 or taken.max() >= beams:
-        return math.inf
-    off = (-half + step * number) - (angle_min + taken * angle_increment)
-    return float(np.abs(off - _TWO_PI * np.rint(off / _TWO_PI)).max())
+        return beams, math.inf
+    taken = _mrpt_indexes(angle_min, aperture, beams, _MRPT_BRIDGES[bridge])
+    # False for NaN, too.
+    if not (taken.min() >= 0 and taken.max() < beams):
+        return beams, math.inf
+    seen = aperture * (np.arange(beams) / (beams - 1) - 0.5)
+    off = seen - (angle_min + taken * angle_increment)
+    off = np.abs(off - _TWO_PI * np.rint(off / _TWO_PI))
+    return int((off > _OFF * abs(angle_increment)).sum()), float(off.max())
 
 
-def _off(consumer: str, scan: Scan, off: float, rule: str, observed: str, allowed: str, cure: str) -> Verdict:
-    """Return the verdict on a scan whose beams are off by up to ``off``, radians."""
-    share = abs(off) / abs(scan.angle_increment) if scan.angle_increment else math.inf if off else 0.0
-    if share <= _OFF:
+def _mrpt_indexes(angle_min: float, aperture: float, beams: int, kind: type[np.floating[Any]]) -> NDArray[np.float64]:
+    """Return the index of the range that each of MRPT's beams takes; NaN and numbers outside of the ranges, too.
+
+    In MRPT's order of operations: the truncated value is often a whole number except for roundings.
+    """
+    last, number = np.float32(beams - 1), np.arange(beams).astype(kind)
+    with np.errstate(all="ignore"):
+        step, inverse = kind(np.float32(aperture) / last), kind(last / np.float32(aperture))
+        half = kind(0.5) * kind(aperture)
+        taken: NDArray[np.float64] = np.trunc(inverse * ((-half - kind(angle_min)) + step * number)).astype(np.float64)
+    return taken + np.where(taken < 0, beams, np.where(taken >= beams, -beams, 0))
+
+
+def _off(
+    consumer: str,
+    angle_increment: float,
+    off: float,
+    rule: str,
+    observed: str,
+    allowed: str,
+    cure: str,
+    *,
+    which: str = "beams",
+    least: float = _OFF,
+) -> Verdict:
+    """Return the verdict on a scan of which beams are off by up to ``off``, radians.
+
+    It is accepted up to ``least``, a share of the increment.
+    """
+    share = abs(off) / abs(angle_increment) if angle_increment else math.inf if off else 0.0
+    if share <= least:
         return Verdict(consumer)
-    turned = f"beams off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"
+    turned = f"{which} off by up to {abs(math.degrees(off)):.3g} deg ({share:.3g} of an increment)"
     if off == math.inf:
         turned = "it reads beyond the end of the ranges"
     outcome: Outcome = "shifted" if share <= _SHIFTED else "misplaced"
@@ -445,6 +554,21 @@ def _kept_angles(consumer: str, scan: Scan, first: Scan) -> Verdict:
         f"a beam off by {math.degrees(off):.3g} deg",
         f"angle_min {first.angle_min:.9g}, angle_increment {first.angle_increment:.9g}",
         "give all scans the same angles (pc2scan convert does, to scans made from clouds)",
+    )
+
+
+def _kept_pose(consumer: str, placed: ScanTransforms, *, angle: bool) -> Verdict:
+    """Return the verdict of a consumer that keeps where the scan's frame was on the robot at first."""
+    if placed.moved <= _MOVED and not (angle and abs(placed.turned) > _TURNED):
+        return Verdict(consumer)
+    turned = f"turned by {math.degrees(placed.turned):.3g} deg, and " if angle else ""
+    return Verdict(
+        consumer,
+        "misplaced",
+        f"the {'pose' if angle else 'place'} of the scan's frame on the robot at the first scan is kept for all",
+        f"since then the frame {placed.frame_id!r} has {turned}moved by {placed.moved:.2f} m",
+        f"up to {f'{math.degrees(_TURNED):g} deg and ' if angle else ''}{_MOVED:g} m",
+        "a frame that is fixed on the robot: for scans made from clouds, pc2scan convert `target_frame=base_link`",
     )
 
 

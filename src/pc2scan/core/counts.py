@@ -29,7 +29,7 @@ class PointCounts:
     total
         Points of the cloud.
     used
-        Points that fall into a beam, even if another point is closer.
+        Points that fall into a beam, even if another point is closer, or the range of a beam without a return.
     rejected
         The other points, by reason: those of the projection, then those of filters.
 

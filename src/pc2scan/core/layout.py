@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 __all__ = [
     "FULL_TURN",
+    "SYMMETRIC_BEAMS",
     "TURN",
     "BeamLayout",
     "beam_count",
@@ -19,6 +20,7 @@ __all__ = [
     "float32",
     "half_open_layout",
     "symmetric_layout",
+    "symmetric_sector",
     "upstream_layout",
 ]
 
@@ -26,6 +28,10 @@ TURN = 2 * math.pi
 
 #: The largest angle, radians. Digits of pi may be missing: 6.2832 is a full turn, and so is -3.15 to 3.15.
 FULL_TURN = TURN * 1.01
+
+#: The least and the largest number of beams that MRPT reads right: its bridge asserts more than two, and the roundings
+#: of its float32 arithmetic grow with their number.
+SYMMETRIC_BEAMS = (3, 100_000)
 
 #: The share of a beam by which a sector may be too short for its last beam, and a circle too short to close: angles are
 #: written with few digits, and quotients such as pi / (pi / 180) have rounding errors.
@@ -158,21 +164,34 @@ def half_open_layout(angle_min: float, angle_max: float, angle_increment: float,
 def symmetric_layout(angle_min: float, angle_max: float, angle_increment: float, beams: int = 0) -> BeamLayout:
     """Return the beams of `centered_layout`, shifted so that their middle is 0.
 
-    A circle begins half an increment after -pi.
+    A circle begins half an increment after -pi. The beams are as MRPT reads them, see `symmetric_sector`.
+    """
+    layout = centered_layout(angle_min, angle_max, angle_increment, beams)
+    low, high = symmetric_sector((layout.count - 1) * layout.angle_increment / 2)
+    return replace(layout, angle_min=low, angle_max=high)
+
+
+def symmetric_sector(half: float) -> tuple[float, float]:
+    """Return the ``angle_min`` and ``angle_max`` of beams from ``-half`` to ``half``, radians, that MRPT reads right.
 
     Notes
     -----
-    MRPT assumes that beams are symmetric around 0 (see `pc2scan.core.consumers`), and truncates the quotient that is
-    a beam's index. ``angle_min`` is two float32 steps lower than ``-angle_max``, so that every such quotient is a
-    little above its whole number, and their difference is still a float32.
+    MRPT takes the middle of the sector for 0, and truncates the quotient that is a beam's index (see
+    `pc2scan.core.consumers`). Its bridges compute this index ``i`` with two (MRPT 2.5) or five (mrpt_ros_bridge 3.2)
+    roundings to float32, so the result may be too small by ``5 * 2**-24 * i``. Therefore ``angle_min`` is 20 steps of
+    float32 lower than ``-angle_max``: the result for the first beam is then not 0, but ten steps in increments, which
+    is at least ``5 * 2**-24`` times the number of increments. All angles are even multiples of the step, so that their
+    sums and differences are float32 values, too. The shift is less than a tenth of an increment with up to
+    `SYMMETRIC_BEAMS` beams; with 1,000 beams, it is a thousandth.
     """
-    layout = centered_layout(angle_min, angle_max, angle_increment, beams)
-    last = float32((layout.count - 1) * layout.angle_increment / 2)
-    return replace(layout, angle_min=-_float32_beside(last, 1), angle_max=_float32_beside(last, -1))
+    last = float32(half)
+    grid = 2 * (_float32_beside(last, 1) - last)
+    last, shift = round(last / grid) * grid, 5 * grid
+    return float32(-(last + shift)), float32(last - shift)
 
 
 def _float32_beside(value: float, steps: int) -> float:
-    """Return the float32 that is ``steps`` steps from a positive one."""
+    """Return the float32 that is ``steps`` steps from one that is positive or 0."""
     (bits,) = struct.unpack("<I", struct.pack("<f", value))
     beside: float = struct.unpack("<f", struct.pack("<I", bits + steps))[0]
     return beside

@@ -13,6 +13,7 @@ from pc2scan.errors import ParameterError
 from pc2scan.names import did_you_mean
 
 from .layout import (
+    SYMMETRIC_BEAMS,
     TURN,
     BeamLayout,
     beam_count,
@@ -293,7 +294,23 @@ class ProjectionParams:
                 f"{self.angle_max} rad a single direction; the {self.geometry} geometry needs two",
                 name="angle_increment",
             )
-        if self.geometry == "symmetric" and not layout.full_circle:
+        if self.geometry == "symmetric":
+            self._check_symmetry(layout)
+
+    def _check_symmetry(self, layout: BeamLayout) -> None:
+        least, most = SYMMETRIC_BEAMS
+        if not least <= layout.count <= most:
+            given = self.beams and self.beams != "auto"
+            made = (
+                f"beams is {layout.count:,}"
+                if given
+                else f"angle_increment is {self.angle_increment} rad, which makes {layout.count:,} beams"
+            )
+            raise ParameterError(
+                f"{made}; the symmetric geometry has {least} to {most:,} beams, which MRPT reads right",
+                name="beams" if given else "angle_increment",
+            )
+        if not layout.full_circle:
             off = abs(self.angle_min + self.angle_max)
             if off > layout.angle_increment / 2:
                 widest = max(abs(self.angle_min), abs(self.angle_max))

@@ -342,20 +342,27 @@ def follow(
     rows
         (N, 12), overwritten: the rows of the rotation, then the translation, of ``frame_from_source``, then of
         ``parent_from_source``; NaN outside of the samples.
+
+    Notes
+    -----
+    Within a lookup, tf2 rotates translations by quaternions as they are published. One that is not of unit length also
+    scales by its squared length.
     """
     with np.errstate(all="ignore"):
-        rotation, offset = _poses(times, stamps, poses)
+        quaternions, offset = _poses(times, stamps, poses)
+        squared = np.einsum("ni,ni->n", quaternions, quaternions)[:, np.newaxis]
+        rotation = np.moveaxis(rotation_matrices(quaternions.T), -1, 0)
         turned = rotation @ rows[:, :9].reshape(-1, 3, 3)
-        origin = np.einsum("nij,nj->ni", np.broadcast_to(rotation, (times.size, 3, 3)), rows[:, 9:]) + offset
+        origin = np.einsum("nij,nj->ni", np.broadcast_to(rotation, (times.size, 3, 3)), rows[:, 9:]) * squared + offset
     rows[:, :9], rows[:, 9:] = turned.reshape(-1, 9), origin
 
 
 def _poses(
     times: NDArray[np.int64], stamps: NDArray[np.int64], poses: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return rotations (N, 3, 3) and translations (N, 3) at times, or one for all of them."""
+    """Return quaternions (N, 4) and translations (N, 3) at times, NaN outside of the samples; or one for all times."""
     if not stamps.size:
-        return rotation_matrices(poses[0, 3:])[np.newaxis], poses[:, :3]
+        return poses[:, 3:], poses[:, :3]
     last = stamps.size - 1
     older = np.clip(stamps.searchsorted(times, "right") - 1, 0, last)
     newer = np.minimum(older + 1, last)
@@ -363,9 +370,8 @@ def _poses(
     offset = (1 - ratio) * poses[older, :3] + ratio * poses[newer, :3]
     quaternions = _slerp(poses[older, 3:], poses[newer, 3:], ratio)
     outside = (times < stamps[0]) | (times > stamps[-1])
-    rotation = np.moveaxis(rotation_matrices(quaternions.T), -1, 0)
-    rotation[outside], offset[outside] = np.nan, np.nan
-    return rotation, offset
+    quaternions[outside], offset[outside] = np.nan, np.nan
+    return quaternions, offset
 
 
 def _slerp(first: NDArray[np.float64], last: NDArray[np.float64], ratio: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,6 +10,10 @@ Source of the rule: ``cloudCb`` in pointcloud_to_laserscan_node.cpp. A point is 
 
 A beam reads the smallest range of its other points. Heights and ranges are compared as float64. Points are
 dropped for the same reasons, in the same order, with every geometry and every ``reduce``.
+
+A point is a return of its beam only if its range is below that of a beam without a return: upstream initialises its
+beams with that range. It excludes points if ``inf_epsilon`` is 0 or negative, and infinite ranges. This, too, is so
+with every ``reduce``, with intensities and without.
 """
 
 from __future__ import annotations
@@ -62,11 +66,15 @@ class ProjectedScan:
         How many points are used and rejected.
     intensities
         (N,) float32, 0 without a return; (0,) if no intensities were requested.
+    removed
+        How many beams have ``returns``, and how many of these are ``sparse``: they have no range, because they have
+        fewer returns than ``params.min_points`` or ``params.kth``. None if these are 1 or 0.
     """
 
     ranges: NDArray[np.float32]
     counts: PointCounts
     intensities: NDArray[np.float32]
+    removed: dict[str, int] | None = None
 
 
 class Part(NamedTuple):
@@ -97,9 +105,14 @@ class Projector:
     ----------
     params
         The projection's parameters; the caller handles ``target_frame``.
+
+    Attributes
+    ----------
+    reads_nearest
+        Whether beams read the closest return, so that the scan of several parts is the minimum of their scans.
     """
 
-    __slots__ = ("_beams", "_empty", "_limit", "_rule", "_rule_of_any_height", "params")
+    __slots__ = ("_beams", "_empty", "_is_limited", "_limit", "_rule", "_rule_of_any_height", "params", "reads_nearest")
 
     def __init__(self, params: ProjectionParams) -> None:
         if params.beams == "auto":
@@ -109,12 +122,15 @@ class Projector:
                 hint="`beams=720`, or `ProjectionParams.at_resolution`",
             )
         self.params = params
+        self.reads_nearest = params.reduce == "min" and params.min_points == 1
         self._rule = rule_of(params)
         self._rule_of_any_height = np.concatenate([[-math.inf, math.inf], self._rule[2:]])
         self._beams = params.length
         self._empty = params.empty_range
-        # Upstream initialises beams with the range of no return, and a return must be smaller than it.
+        # What the range of a return must be below. Upstream's beams begin with the range of no return.
         self._limit = self._empty if params.no_return in {"", "inf", "range-max-plus"} else math.inf
+        # Whether ranges up to range_max may not be below it.
+        self._is_limited = not self._limit > params.range_max
 
     def together(self, parts: Sequence[Part]) -> ProjectedScan:
         """Project the points of several messages to one scan.
@@ -131,7 +147,6 @@ class Projector:
         ProjectedScan
             As for one cloud.
         """
-        beams = self._beams
         lit = any(part.intensities is not None for part in parts)
         total = sum(part.x.size for part in parts)
         if self.reads_nearest and not lit:
@@ -140,36 +155,34 @@ class Projector:
         bins, returns = np.empty(total, np.int32), np.empty(total, np.float32)
         values: list[NDArray[Any]] = []
         for part in parts:
-            count = part.x.size
-            numbers = np.empty(count, np.int64)
-            places = slice(begin, begin + count)
-            arrays, transform = self._checked(part)
-            rejected = kernel.gather(
-                *arrays, self._rule_for(part), transform, beams, bins[places], returns[places], numbers
-            )
-            found = PointCounts.of_projection(count, rejected)
-            counts += found
+            numbers = np.empty(part.x.size, np.int64)
+            places = slice(begin, begin + part.x.size)
+            own_counts, found = self._gather(part, bins[places], returns[places], numbers)
+            counts += own_counts
             if lit:
                 own = part.intensities
-                values.append(np.zeros(found.used) if own is None else own.reshape(-1)[numbers[: found.used]])
+                values.append(np.zeros(found) if own is None else own.reshape(-1)[numbers[:found]])
             # The next part's returns follow directly.
-            begin += found.used
+            begin += found
         with np.errstate(all="ignore"):
             both = np.concatenate(values) if lit else None
-            ranges, shown = self._reduced(bins[:begin], returns[:begin], both)
-        return ProjectedScan(ranges, counts, shown)
-
-    @property
-    def reads_nearest(self) -> bool:
-        """Whether beams read the closest return, so that the scan of several parts is the minimum of their scans."""
-        return self.params.reduce == "min" and self.params.min_points == 1
+            return self._reduced(bins[:begin], returns[:begin], both, counts)
 
     def nearest(self, part: Part) -> ProjectedScan:
         """Project a part for `nearest_of`: beams without a return read infinity; intensities are ignored."""
-        ranges = np.empty(self._beams, np.float32)
-        arrays, transform = self._checked(part)
-        rejected = kernel.project(*arrays, self._rule_for(part), transform, ranges, self._limit, np.inf)
-        return ProjectedScan(ranges, PointCounts.of_projection(part.x.size, rejected), _NO_VALUES)
+        return self._nearest(*self._checked(part), self._rule_for(part), math.inf)
+
+    def _nearest(
+        self,
+        arrays: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
+        transform: NDArray[np.float32] | MovingTransform | None,
+        rule: NDArray[np.float64],
+        empty: float,
+    ) -> ProjectedScan:
+        """Return the closest return of each beam, and ``empty`` for beams without one."""
+        ranges = np.empty(self._beams, _FLOAT32)
+        rejected = kernel.project(*arrays, rule, transform, ranges, self._limit, empty)
+        return ProjectedScan(ranges, PointCounts.of_projection(arrays[0].size, rejected), _NO_VALUES)
 
     def nearest_of(self, scans: Sequence[ProjectedScan]) -> ProjectedScan:
         """Return the scan of several parts, the same as `together`, if beams read the closest return."""
@@ -183,18 +196,30 @@ class Projector:
         return ProjectedScan(ranges, counts, _NO_VALUES)
 
     def bins(self, part: Part) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-        """Return the beams that the points of a part fall into, and the numbers of these points, in their order."""
-        bins, _, numbers = self._gathered(part)
+        """Return the beams of a part's returns, and the numbers of their points, in their order."""
+        _, bins, _, numbers = self._gathered(part)
         return bins, numbers
 
-    def _gathered(self, part: Part) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
-        """Return the beam, the range and the number of each point that is not rejected, in their order."""
+    def _gathered(self, part: Part) -> tuple[PointCounts, NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
+        """Return the counts of a part, and the beam, range and point number of each return, in the points' order."""
         count = part.x.size
         bins, returns, numbers = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.int64)
+        counts, found = self._gather(part, bins, returns, numbers)
+        return counts, bins[:found], returns[:found], numbers[:found]
+
+    def _gather(
+        self, part: Part, bins: NDArray[np.int32], returns: NDArray[np.float32], numbers: NDArray[np.int64]
+    ) -> tuple[PointCounts, int]:
+        """Overwrite the beginning of arrays with a part's returns; return its counts, and how many returns it has."""
         arrays, transform = self._checked(part)
         rejected = kernel.gather(*arrays, self._rule_for(part), transform, self._beams, bins, returns, numbers)
-        used = count - sum(rejected)
-        return bins[:used], returns[:used], numbers[:used]
+        counts = PointCounts.of_projection(part.x.size, rejected)
+        found = counts.used
+        if self._is_limited:
+            near = np.flatnonzero(returns[:found] < self._limit)
+            found = near.size
+            bins[:found], returns[:found], numbers[:found] = bins[near], returns[near], numbers[near]
+        return counts, found
 
     def _rule_for(self, part: Part) -> NDArray[np.float64]:
         return self._rule_of_any_height if part.any_height else self._rule
@@ -237,21 +262,13 @@ class Projector:
         ValueError
             If the shapes differ, or have not one or two dimensions.
         """
-        x, y, z = _coordinates(x, y, z, intensities)
-        transform = _for_loops(target_from_source)
-        params = self.params
-        beams = self._beams
-        if params.reduce == "min" and params.min_points == 1 and intensities is None:
-            ranges = np.empty(beams, _FLOAT32)
-            rejected = kernel.project(x, y, z, self._rule, transform, ranges, self._limit, self._empty)
-            return ProjectedScan(ranges, PointCounts.of_projection(x.size, rejected), _NO_VALUES)
-        bins, returns, numbers = np.empty(x.size, np.int32), np.empty(x.size, np.float32), np.empty(x.size, np.int64)
-        rejected = kernel.gather(x, y, z, self._rule, transform, beams, bins, returns, numbers)
-        counts = PointCounts.of_projection(x.size, rejected)
-        values = None if intensities is None else intensities.reshape(-1)[numbers[: counts.used]]
+        if self.reads_nearest and intensities is None:
+            transform = _for_loops(target_from_source)
+            return self._nearest(_coordinates(x, y, z, None), transform, self._rule, self._empty)
+        counts, bins, returns, numbers = self._gathered(Part(x, y, z, target_from_source, intensities))
+        values = None if intensities is None else intensities.reshape(-1)[numbers]
         with np.errstate(all="ignore"):
-            ranges, lit = self._reduced(bins[: counts.used], returns[: counts.used], values)
-        return ProjectedScan(ranges, counts, lit)
+            return self._reduced(bins, returns, values, counts)
 
     def read(
         self,
@@ -284,7 +301,7 @@ class Projector:
         """
         from .reduce import read  # noqa: PLC0415  # few conversions need the points behind the ranges
 
-        bins, returns, numbers = zip(*map(self._gathered, parts), strict=True)
+        _, bins, returns, numbers = zip(*map(self._gathered, parts), strict=True)
         ends = np.cumsum([each.size for each in bins])
         with np.errstate(all="ignore"):
             chosen = read(np.concatenate(bins), np.concatenate(returns), self._beams, self.params)
@@ -295,9 +312,9 @@ class Projector:
         return found
 
     def _reduced(
-        self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return ranges and intensities (none without ``values``) of beams, from returns in the order of the cloud."""
+        self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None, points: PointCounts
+    ) -> ProjectedScan:
+        """Return the scan of returns in the order of the cloud, with intensities if there are values."""
         from .reduce import extremes, means, surfaces, winners  # noqa: PLC0415  # few conversions reduce otherwise
 
         params = self.params
@@ -305,6 +322,10 @@ class Projector:
         found = np.full(counts.size, self._empty, np.float32)
         lit = np.zeros(0 if values is None else counts.size, np.float32)
         seen = counts >= max(params.min_points, params.kth)
+        removed = None
+        if max(params.min_points, params.kth) > 1:
+            every = int(np.count_nonzero(counts))
+            removed = {"returns": every, "sparse": every - int(np.count_nonzero(seen))}
         if params.reduce == "mean":
             found[seen] = means(bins, returns, counts)[seen]
             if values is not None:
@@ -322,7 +343,7 @@ class Projector:
             found[seen] = returns[winner]
             if values is not None:
                 lit[seen] = values[winner]
-        return found, lit
+        return ProjectedScan(found, points, lit, removed)
 
 
 def _coordinates(

@@ -62,6 +62,9 @@ class Rejection(NamedTuple):
         there is none.
     absent
         The warning if no point of a topic is rejected; empty if that is normal.
+    remedy
+        What to type if many points are rejected, where nobody asks for that; empty for limits and regions, which
+        reject what users ask them to.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Rejection(NamedTuple):
     title: str = ""
     by_default: tuple[str, str] = ("", "")
     absent: str = ""
+    remedy: str = ""
 
     @property
     def heading(self) -> str:
@@ -96,8 +100,14 @@ REJECTIONS = (
 )
 
 #: Additional reasons for points that are placed at their own times.
-NO_TIME = Rejection("no_time", "without a time of their own")
-NO_TRANSFORM = Rejection("no_transform", "measured when there was no transform to `fixed_frame`")
+NO_TIME = Rejection(
+    "no_time", "without a time of their own", remedy="without `deskew` they are used, at the stamp of their cloud"
+)
+NO_TRANSFORM = Rejection(
+    "no_transform",
+    "measured when there was no transform to `fixed_frame`",
+    remedy="`tf_from` adds the transforms of another recording, `start` and `end` leave out clouds without any",
+)
 
 
 def rule_of(params: ProjectionParams) -> NDArray[np.float64]:

@@ -7,7 +7,8 @@ Intelligent Vehicles Symposium, 2010), which fits lines to the lowest points of 
 points.
 
 A cell continues the ground if its lowest point is on the line of the ground so far, or higher by a kerb, or on a slope.
-If it is higher than the ground so far, there must be few points above it, so that the ground does not climb walls.
+If it is higher than the ground so far, there must be few points above it, so that the ground does not climb walls, and
+the ground must go on behind it: where the next cells are down again, it was an object that one may drive around.
 Between these cells the ground is a straight line. Points that are lower, or not much higher, are on the ground.
 
 The ground begins with a plane beneath the robot, at the lowest height at which many cells have another cell of about
@@ -48,6 +49,10 @@ _HIGHEST = 0.3
 _BASE = 1.0
 #: How much the ground may rise where there are no points in between, metres.
 _RISE = 0.5
+#: How far behind a kerb, or the foot of a slope, the ground must not be down again, metres, and how many cells are
+#: compared for this at most.
+_ON = 3.0
+_LOOK = 12
 #: How much the heights of points on level ground differ, metres.
 _NOISE = 0.08
 #: How much higher than the ground a point may be, as a share of its distance.
@@ -225,39 +230,81 @@ def _has_neighbour_beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
 def _followed(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
     """Return the ground's height in the cells that continue it, (rings, sectors), NaN in others."""
     steepest = math.tan(rule.slope)
-    z0, r0 = np.zeros(_SECTORS), np.zeros(_SECTORS)
-    # The point that slopes are measured from, and the last kerb.
-    z1, r1, kerb, steep = z0, r0, np.full(_SECTORS, -np.inf), np.zeros(_SECTORS, np.bool_)
+    behind, far_behind = _lowest_behind(cells, steepest)
+    # The last cell of the ground; the one that slopes are measured from, the slope there, and the last kerb.
+    z0, r0, z1, r1, slope = (np.zeros(_SECTORS) for _ in range(5))
+    kerb = np.full(_SECTORS, -np.inf)
     ground = np.full(cells.height.shape, np.nan)
-    for ring, (z, r, cluttered) in enumerate(zip(cells.height, cells.distance, cells.cluttered, strict=True)):
-        rise, over, base = z - z0, z - z1, r - r1
-        most = np.where(cluttered, _NOISE + 0.02 * (r - r0), _RISE)
-        sloped = (over <= steepest * base + _NOISE) & (rise <= most)
-        kerbed = ~sloped & (rise > 0) & (rise <= rule.step) & (r - kerb >= _BASE) & ~cluttered
-        kerbed &= ~steep & (over <= rule.step + _NOISE + steepest * base / 2)
-        taken = np.isfinite(z) & (over >= -steepest * base - rule.step) & (sloped | kerbed)
+    for ring in np.flatnonzero(np.isfinite(cells.height).any(axis=1)).tolist():
+        z, r, cluttered = (each[ring] for each in cells)
+        rise, over, apart, base = z - z0, z - z1, r - r0, r - r1
+        fall = steepest * base
+        most = np.where(cluttered, _NOISE + 0.02 * apart, np.minimum(steepest * apart + _NOISE, _RISE))
+        sloped = (over <= fall + _NOISE) & (rise <= most)
+        kerbed = (rise > 0) & (rise <= rule.step) & (r - kerb >= _BASE) & ~(cluttered | sloped)
+        kerbed &= (slope <= steepest / 2) & (over <= fall / 2 + (rule.step + _NOISE))
+        # Where no ground is known yet, the top of an object may be seen before the ground in front of it.
+        goes_on = np.where(r0 > 0, behind[ring], far_behind[ring]) >= z - rise / 2
+        goes_on |= (rise <= _NOISE) | (sloped & (over <= slope * base + _NOISE))
+        # Comparisons with the height of a cell without points, which is inf or NaN, are false.
+        taken = (over >= -fall - rule.step) & (sloped | kerbed) & goes_on
         kerbed &= taken
-        kerb = np.where(kerbed, r, kerb)
+        np.copyto(kerb, r, where=kerbed)
         # A kerb is not a slope, so slopes are measured from its top.
-        moved = kerbed | (taken & (base >= _BASE))
-        steep = np.where(moved & ~kerbed, over > steepest * base / 2, steep)
-        z1, r1 = np.where(moved, z, z1), np.where(moved, r, r1)
-        z0, r0 = np.where(taken, z, z0), np.where(taken, r, r0)
-        ground[ring, taken] = z[taken]
+        risen = taken & (base >= _BASE) & ~kerbed
+        np.copyto(slope, np.clip(over / base, 0, steepest), where=risen)
+        for known, new, where in ((z1, z, kerbed | risen), (r1, r, kerbed | risen), (z0, z, taken), (r0, r, taken)):
+            np.copyto(known, new, where=where)
+        np.copyto(ground[ring], z, where=taken)
     return ground
+
+
+def _lowest_behind(cells: _Cells, steepest: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the height of the lowest cell behind each one: within `_ON` metres, and within its distance if it is more.
+
+    The first cell beyond counts, too: objects hide what is behind them. Cells that are higher than a slope from here do
+    not count, because they are obstacles. -inf if no cell counts.
+    """
+    known = np.isfinite(cells.height)
+    # The cells with points, from near to far.
+    order = np.argsort(~known, axis=0, kind="stable")[: int(known.sum(axis=0).max(initial=0))]
+    height, distance = (np.take_along_axis(each, order, axis=0) for each in (cells.height, cells.distance))
+    reaches = np.full_like(distance, _ON), np.maximum(distance, np.float32(_ON))
+    lowest = np.full((2, *height.shape), np.inf, np.float32)
+    last = np.zeros_like(height)
+    for away in range(1, min(_LOOK, len(height) - 1) + 1):
+        here, there = slice(None, -away), slice(away, None)
+        apart = distance[there] - distance[here]
+        counts = height[there] <= height[here] + (_NOISE + steepest * apart)
+        for each, reach in zip(lowest, reaches, strict=True):
+            lower = counts & (last[here] <= reach[here]) & (height[there] < each[here])
+            np.copyto(each[here], height[there], where=lower)
+        np.copyto(last[here], apart, where=counts)
+    lowest[lowest == np.inf] = -np.inf
+    found = np.full((2, *cells.height.shape), -np.inf, np.float32)
+    for each, low in zip(found, lowest, strict=True):
+        np.put_along_axis(each, order, low, axis=0)
+    return found[0], found[1]
 
 
 def _at_edges(
     ground: NDArray[np.float64], distance: NDArray[np.float32], edges: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the ground's height at the edges of cells, (rings + 1, sectors); -inf where it is unknown."""
-    heights = np.full((edges.size, _SECTORS), -np.inf)
-    known = ~np.isnan(ground)
-    for sector in np.flatnonzero(known.any(axis=0)).tolist():
-        rings = np.flatnonzero(known[:, sector])
-        z, r = ground[rings, sector], distance[rings, sector]
-        # Before the first cell the ground is a line from beneath the robot; after the last one it continues.
-        heights[:, sector] = np.interp(edges, np.concatenate([[0.0], r]), np.concatenate([[0.0], z]))
-        last = int(rings[-1])
-        heights[edges > edges[last + 1] + _BEYOND, sector] = -np.inf
-    return heights
+    rings = len(ground)
+    known, number = ~np.isnan(ground), np.arange(rings)[:, np.newaxis]
+    # The last cell before each edge, or -1, and the first one behind it, or the number of rings. Both stand for the
+    # place beneath the robot, where the line before the first cell begins.
+    begin, end = np.full((1, _SECTORS), -1), np.full((1, _SECTORS), rings)
+    before = np.maximum.accumulate(np.concatenate([begin, np.where(known, number, -1)]), axis=0)
+    after = np.minimum.accumulate(np.concatenate([np.where(known, number, rings), end])[::-1], axis=0)[::-1]
+    nothing = np.zeros((1, _SECTORS))
+    heights, distances = np.concatenate([ground, nothing]), np.concatenate([distance, nothing])
+    z0, z1 = (np.take_along_axis(heights, each, axis=0) for each in (before, after))
+    r0, r1 = (np.take_along_axis(distances, each, axis=0) for each in (before, after))
+    along = edges[:, np.newaxis]
+    found = np.where(after < rings, (z1 - z0) / (r1 - r0) * (along - r0) + z0, z0)
+    # After the last cell the ground continues for some metres.
+    last = before[-1]
+    found[(along > edges[last + 1] + _BEYOND) | (last < 0)] = -np.inf
+    return found

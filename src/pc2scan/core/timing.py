@@ -34,18 +34,20 @@ __all__ = [
 #: ``time``, Hesai's, RoboSense's and Livox's ``timestamp``, Autoware's ``time_stamp``, Livox's ``offset_time``.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 
-#: A cloud takes 2 ms to 2 s. These are the units of floating-point times, by the span of a cloud's times.
+#: A cloud takes 2 ms to 2 s. These are the units of floating-point times that count from the stamp, by their span.
 _UNITS = ((2.0, 1.0), (2e3, 1e-3), (2e6, 1e-6), (math.inf, 1e-9))
 
 #: Units that a user may name, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
+#: The least and the largest duration of a cloud, seconds.
+_SHORTEST, _LONGEST = 1e-9, 60.0
+
 #: Times of this many seconds and more do not count from the cloud's beginning, but from 1970, or from the sensor's
 #: start.
 _ABSOLUTE = 1000.0
-
-#: The least and the largest duration of a cloud, seconds.
-_SHORTEST, _LONGEST = 1e-9, 60.0
+#: Shorter times are absolute, too, if they differ from the stamp by less than this factor. It tells units apart.
+_NEAR = 2.0
 
 #: The number of equal parts of a cloud's time, to whose mean directions a sweep is fitted.
 _SLICES = 64
@@ -79,8 +81,7 @@ def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDA
     Parameters
     ----------
     values
-        One of the `TIME_FIELDS`, of any shape. Integers are nanoseconds; floating-point numbers are seconds, milli-,
-        micro- or nanoseconds, judged by their span. They count from the stamp, or are absolute.
+        One of the `TIME_FIELDS`, of any shape; see `offset_and_unit`.
     stamp_ns
         The cloud's stamp.
     unit_name
@@ -108,6 +109,10 @@ def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDA
 def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, whole: bool) -> tuple[float, float]:
     """Return the offset and the unit of the values of one of the `TIME_FIELDS`.
 
+    Integers are nanoseconds. Floating-point numbers are seconds, milli-, micro- or nanoseconds: the unit in which they
+    are about as large as the stamp, as absolute times are, even of a cloud with one point. If there is none, they count
+    from the stamp, and their span decides.
+
     Parameters
     ----------
     low, high
@@ -122,10 +127,19 @@ def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, w
     (float, float)
         A point was measured ``(value - offset) * unit`` seconds after the stamp.
     """
-    unit = 1e-9 if whole else next((unit for most, unit in _UNITS if high - low < most), 1e-9)
-    unit = TIME_UNITS.get(unit_name, unit)
+    near = [unit for unit in TIME_UNITS.values() if _are_near(low * unit, high * unit, stamp_ns / 1e9)]
+    if unit_name or whole:
+        unit = TIME_UNITS[unit_name or "ns"]
+    else:
+        unit = near[0] if near else next((unit for most, unit in _UNITS if high - low < most), 1e-9)
+    is_absolute = unit in near or abs(low * unit) >= _ABSOLUTE
     # Subtracted as whole numbers of the unit, because seconds since 1970 need all digits of a float64.
-    return (stamp_ns / round(1e9 * unit) if abs(low * unit) >= _ABSOLUTE else 0.0), unit
+    return (stamp_ns / round(1e9 * unit) if is_absolute else 0.0), unit
+
+
+def _are_near(low: float, high: float, stamp: float) -> bool:
+    """Whether times of a cloud are about as large as its stamp, and too large to count from it: seconds."""
+    return high - low <= _LONGEST <= low and stamp / _NEAR <= low and high <= stamp * _NEAR
 
 
 def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: int = 0) -> NDArray[np.float64] | None:

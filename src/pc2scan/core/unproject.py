@@ -261,7 +261,7 @@ def last_beam_ns(beams: int, time_increment: float) -> int:
     Parameters
     ----------
     beams
-        The number of beams.
+        The number of beams; without any, no product is computed.
     time_increment
         Seconds from beam to beam; float32 in the message and rounded to it here.
 
@@ -270,8 +270,10 @@ def last_beam_ns(beams: int, time_increment: float) -> int:
     DecodeError
         If the result is NaN, or longer than a ROS 1 duration can be.
     """
+    if not beams:
+        return 0
     with np.errstate(all="ignore"):
-        seconds = float(np.float32(max(beams - 1, 0)) * np.float32(time_increment))
+        seconds = float(np.float32(beams - 1) * np.float32(time_increment))
     if not -_LONGEST <= seconds < _LONGEST:
         raise DecodeError(
             f"time_increment is {time_increment} s: the last of {beams} beams would be {seconds} s after the first, "
@@ -400,5 +402,6 @@ def _transformed(
 ) -> NDArray[np.float64]:
     """Rotate and translate points (N, 3), each by its own matrix (3, 3, N) and origin (N, 3), in tf2's order."""
     x, y, z = xyz.T.astype(np.float64)
-    rows = [row[0] * x + row[1] * y + row[2] * z for row in matrix]
+    with np.errstate(invalid="ignore"):  # an infinite coordinate times 0
+        rows = [row[0] * x + row[1] * y + row[2] * z for row in matrix]
     return np.stack(rows, axis=1) + origin

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["OUTCOMES", "Outcome", "Scan", "ScanTransforms", "Verdict"]
+__all__ = ["OUTCOMES", "Outcome", "Scan", "ScanTransforms", "Verdict", "are_returns"]
 
 Outcome = Literal["accepted", "shifted", "misplaced", "ignored", "aborts"]
 
@@ -101,7 +101,6 @@ class Scan:
         infinite = int((ranges == math.inf).sum())
         nan = int((ranges != ranges).sum())  # noqa: PLR0124  # NaN is what does not equal itself
         low, high = float32(range_min), float32(range_max)
-        within = int(((ranges >= low) & (ranges <= high)).sum())
         return cls(
             angle_min=angle_min,
             angle_max=angle_max,
@@ -112,8 +111,7 @@ class Scan:
             time_increment=time_increment,
             beams=len(ranges),
             intensities=intensities,
-            # inf <= inf is true, but infinity is no return.
-            returns=within - (infinite if high == math.inf else 0),
+            returns=int(are_returns(ranges, low, high).sum()),
             infinite=infinite,
             nan=nan,
             zero=int((ranges == 0).sum()),
@@ -121,6 +119,15 @@ class Scan:
             long=int(((ranges > high) & (ranges < math.inf)).sum()),
             full=int(((ranges == high) | (ranges == range_max_minus(high))).sum()) if 0 < high < math.inf else 0,
         )
+
+
+def are_returns(ranges: NDArray[np.float32], range_min: float, range_max: float) -> NDArray[np.bool_]:
+    """Return which ranges are finite and within the limits, inclusive; the limits are float32 values."""
+    found: NDArray[np.bool_] = (ranges >= range_min) & (ranges <= range_max)
+    if range_max == math.inf:
+        # inf <= inf is true, but infinity is no return.
+        found &= ranges < math.inf
+    return found
 
 
 class ScanTransforms(NamedTuple):
@@ -135,6 +142,9 @@ class ScanTransforms(NamedTuple):
     up
         The z coordinate, in the scan's frame, of the point on the robot's z axis that is 1 m above the sensor: 1 for
         a level sensor, -1 for one that is upside down. None if unknown.
+    turned, moved
+        How far the scan's frame has turned around the robot's z axis (radians) and moved in its x-y plane (metres)
+        since the first scan in this frame that had both transforms.
     missing
         Why a transform is missing.
     cure
@@ -145,6 +155,8 @@ class ScanTransforms(NamedTuple):
     odometry: bool | None = None
     robot: bool | None = None
     up: float | None = None
+    turned: float = 0.0
+    moved: float = 0.0
     missing: str = ""
     cure: str = ""
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pc2scan.shown import csv_cell
+
 from .beams import SameBeams, has_intensities
 from .digits import float32_text, float32_texts, planar
 from .text import TextFile
@@ -39,7 +41,7 @@ class CsvWriter:
         if not self._begun:
             self._begun = True
             self._file.line(",".join(self._columns(item)))
-        row = [str(item.stamp_ns), str(item.log_time_ns), _quoted(item.frame)]
+        row = [str(item.stamp_ns), str(item.log_time_ns), csv_cell(item.frame)]
         if placed is not None:
             row += map(repr, planar(placed.robot))
         row += (float32_text(getattr(item, name)) for name in _GEOMETRY)
@@ -62,10 +64,3 @@ class CsvWriter:
     def abort(self) -> None:
         """Release the file."""
         self._file.abort()
-
-
-def _quoted(text: str) -> str:
-    """Return a text as a cell, in quotes if necessary."""
-    if not any(c in text for c in ',"\r\n'):
-        return text
-    return '"' + text.replace('"', '""') + '"'

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.errors import stamp_text
+from pc2scan.errors import stamp_text, visible
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
 from pc2scan.shown import Shown, Table, count, counted, listed
 
@@ -153,4 +153,4 @@ class ExportReport(Shown):
         return f"{counted(number, 'message')}: {reason}{first}"
 
     def __repr__(self) -> str:
-        return f"<ExportReport: {counted(self.messages, 'message')} as {self.format} in {self.destination}>"
+        return f"<ExportReport: {counted(self.messages, 'message')} as {self.format} in {visible(self.destination)}>"

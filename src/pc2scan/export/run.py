@@ -179,9 +179,9 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
             "transforms would have no effect: neither poses nor scans of clouds are requested",
             hint="`pose_frame=odom` writes poses",
         )
-    if not form.converting and (scan.filters or scan.deskew or scan.level):
+    if not form.converting and (scan.filters or scan.remove or scan.deskew or scan.level):
         raise UsageError(
-            "filters, `deskew` and `level` have an effect only if clouds become scans",
+            "filters, `deskew`, `level` and `remove` have an effect only if clouds become scans",
             hint="give parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`",
         )
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ET  # only written, never parsed
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+
+from pc2scan.errors import visible
 
 from .overlap import InputPath, OutputPath, refuse_overlap
 from .text_output import text_output
@@ -18,10 +19,6 @@ __all__ = ["JUnitCase", "Outcome", "junit_file", "junit_xml"]
 
 #: The first bytes of such a file; a file with these may be replaced.
 _BEGINNING = b'<?xml version="1.0" encoding="utf-8"?>\n<testsuites>\n  <testsuite name="pc2scan '
-
-#: Characters that XML 1.0 cannot hold, even escaped.
-_UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
 
 Outcome: TypeAlias = Literal["passed", "failure", "error"]
 
@@ -81,9 +78,9 @@ def junit_xml(command: str, cases: Sequence[JUnitCase]) -> str:
     )
     for case in cases:
         element = ET.SubElement(
-            suite, "testcase", classname=f"pc2scan.{command}", name=_clean(case.name), time=f"{case.seconds:.3f}"
+            suite, "testcase", classname=f"pc2scan.{command}", name=visible(case.name), time=f"{case.seconds:.3f}"
         )
-        text = _clean("\n".join(case.lines))
+        text = "\n".join(map(visible, case.lines))
         if case.outcome != "passed":
             ET.SubElement(element, case.outcome, message=text.partition("\n")[0]).text = text
         elif text:
@@ -92,7 +89,3 @@ def junit_xml(command: str, cases: Sequence[JUnitCase]) -> str:
     root.append(suite)
     ET.indent(root)
     return f'<?xml version="1.0" encoding="utf-8"?>\n{ET.tostring(root, encoding="unicode")}\n'
-
-
-def _clean(text: str) -> str:
-    return _UNPRINTABLE.sub("?", text)

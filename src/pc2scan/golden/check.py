@@ -120,7 +120,7 @@ def _compared(case: Case, actual: Path, *, update: bool) -> tuple[Difference | N
         if not update:
             raise
         return None, [str(err)]
-    return difference, [] if difference.same else difference.text(NAMES).splitlines()
+    return difference, [] if difference.same else difference.text(NAMES).split("\n")
 
 
 def _run_conversion(case: Case, command: Command, destination: Path, *further: str) -> Ended:

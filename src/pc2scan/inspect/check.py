@@ -12,7 +12,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
-from pc2scan.errors import DecodeError, TopicError, UsageError, stamp_text
+from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.names import did_you_mean
@@ -22,7 +22,7 @@ from pc2scan.tf.reading import read_transforms
 
 from .scan_frames import ScanFrames
 from .scan_mounting import mounting_findings
-from .scan_topic import Finding, ScanTopic
+from .scan_topic import ScanTopic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from pc2scan.core.verdicts import Scan, Verdict
     from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
+
+    from .findings import Finding
 
 
 #: How many frames, and how many damaged places, are shown as text.
@@ -43,8 +45,13 @@ __all__ = ["Check", "ConsumerCheck", "TopicCheck", "check"]
 _PROGRESS_EVERY = 64
 
 
-#: Defects of scans that are of no use to any consumer.
-_UNUSABLE = {"angles", "full-circle", "moving-frame", "no-returns", "optical-frame"}
+#: The defects of scans that are of no use, and the consumers to whom they are of none: Nav2 does not match scans.
+_UNUSABLE: dict[str, frozenset[str]] = {
+    **dict.fromkeys(
+        ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts"), frozenset(CONSUMERS)
+    ),
+    "few-directions": frozenset(CONSUMERS) - {"nav2"},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +122,7 @@ class TopicCheck:
 
     def lines(self, asked: tuple[str, ...]) -> Iterator[str]:
         """Yield the text of a report, with the verdicts of these consumers, or of all."""
-        yield f"{self.topic}: {self._summary()}"
+        yield f"{leading(self.topic)}: {self._summary()}"
         if self.first is not None:
             scan = self.first
             yield (
@@ -187,16 +194,18 @@ class Check(Shown):
         return {each.consumer: each.outcome for each in topic.consumers}.get(consumer) in taken
 
     def counts(self, finding: Finding) -> bool:
-        """Whether a finding is a failure: a defect, or if consumers are given, only one that is `unusable`."""
-        return finding.level == "defect" and (not self.asked or finding.kind in _UNUSABLE)
+        """Whether a finding is a failure: a defect, or if consumers are given, only one that is `unusable` for them."""
+        return finding.level == "defect" and (not self.asked or self._useless(finding))
+
+    def _useless(self, finding: Finding) -> bool:
+        """Whether a defect makes scans useless for a consumer that counts."""
+        return not _UNUSABLE.get(finding.kind, frozenset()).isdisjoint(self.counting)
 
     @property
     def unusable(self) -> bool:
-        """Whether no consumer can use the scans: empty, in a frame that is no sensor's, or at impossible angles."""
+        """Whether scans are of no use: empty, parts, in a frame that is no sensor's, or at impossible angles."""
         return any(
-            finding.level == "defect" and finding.kind in _UNUSABLE
-            for topic in self.topics
-            for finding in topic.findings
+            finding.level == "defect" and self._useless(finding) for topic in self.topics for finding in topic.findings
         )
 
     @property
@@ -371,7 +380,7 @@ def _with_mountings(found: Sequence[TopicCheck], reader: Reader, buffer: Transfo
 
 
 def _topic_check(name: str, scans: ScanTopic, places: ScanFrames) -> TopicCheck:
-    missing = places.findings() if scans.scans else []
+    missing = places.findings(scans.interval_ns) if scans.scans else []
     findings = sorted([*scans.findings(), *missing], key=lambda finding: finding.level)
     return TopicCheck(
         name,
@@ -382,8 +391,8 @@ def _topic_check(name: str, scans: ScanTopic, places: ScanFrames) -> TopicCheck:
         scans.first,
         tuple(
             ConsumerCheck(consumer, worst[0].outcome, worst[1], worst[0], worst[2])
-            for consumer, judged in scans.judged.items()
-            if (worst := judged.worst()) is not None
+            for consumer in CONSUMERS
+            if (worst := scans.worst(consumer)) is not None
         ),
         tuple(findings),
     )

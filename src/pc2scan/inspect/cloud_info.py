@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.core.level import thinned
-from pc2scan.errors import DecodeError, TransformError
+from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
@@ -98,7 +98,7 @@ class CloudInfo:
 
     def shown(self) -> Iterator[str | Table]:
         """Yield the text of `Info` about the clouds."""
-        yield f"{self.topic}: {counted(self.sampled, 'cloud')} sampled"
+        yield f"{leading(self.topic)}: {counted(self.sampled, 'cloud')} sampled"
         yield from (f"  cannot be described: {problem}" for problem in self.problems)
         if not self.fields:
             return

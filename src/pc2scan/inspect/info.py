@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import UsageError
+from pc2scan.errors import UsageError, leading
 from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
@@ -106,10 +106,10 @@ class ImuInfo:
     def shown(self) -> Iterator[str]:
         """Yield the text of `Info` about the IMU."""
         if self.usable:
-            yield f"{self.topic}: `imu={self.topic}` makes scans level"
+            yield f"{leading(self.topic)}: `imu={self.topic}` makes scans level"
             yield f"  frame   {self.frame!r}"
         else:
-            yield f"{self.topic}: cannot make scans level"
+            yield f"{leading(self.topic)}: cannot make scans level"
         yield f"  up      {self.text}"
 
 
@@ -144,7 +144,7 @@ class Info(Shown):
         """Yield files, times and topics, and the clouds and scans of each topic."""
         for file in self.files:
             kind = " ".join(filter(None, (file.container, file.storage, file.profile)))
-            yield f"{file.path}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"
+            yield f"{leading(file.path)}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"
         if self.start_ns is not None and self.end_ns is not None:
             yield f"from {stamp(self.start_ns)}"
             yield f"to   {stamp(self.end_ns)}"
@@ -183,7 +183,7 @@ class Info(Shown):
         mountings = [(cloud, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None]
         if any(mounting.heights for _, mounting in mountings):
             yield ""
-            yield from (f"{cloud.topic}: {ground_text(mounting)}" for cloud, mounting in mountings)
+            yield from (f"{leading(cloud.topic)}: {ground_text(mounting)}" for cloud, mounting in mountings)
             yield ""
             yield "ready to convert:"
             for cloud, mounting in mountings:

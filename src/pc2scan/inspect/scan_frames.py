@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
@@ -12,12 +13,15 @@ from pc2scan.names import nearest
 from pc2scan.shown import counted
 from pc2scan.tf.worlds import moving_below
 
-from .scan_topic import Finding, Tally, finding
+from .findings import Finding, Tally, few_unplaced, finding
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from pc2scan.tf.buffer import TransformBuffer
 
-    from .scan_topic import Level
+    from .findings import Level
 
 __all__ = ["BASE_FRAMES", "ScanFrames"]
 
@@ -46,6 +50,23 @@ def _no_transforms() -> Finding:
     )
 
 
+class _Pose(NamedTuple):
+    """Where a scan's frame is on the robot, as far as 2D consumers see it: metres, radians."""
+
+    x: float
+    y: float
+    yaw: float
+
+    @classmethod
+    def of(cls, base_from_scan: Rigid, matrix: NDArray[np.float64]) -> _Pose:
+        x, y, _ = (float(part) for part in base_from_scan.translation)
+        return cls(x, y, math.atan2(float(matrix[1, 0]), float(matrix[0, 0])))
+
+    def since(self, first: _Pose) -> tuple[float, float]:
+        """Return how far the frame has turned and moved since it had another pose."""
+        return math.remainder(self.yaw - first.yaw, TURN), math.hypot(self.x - first.x, self.y - first.y)
+
+
 class ScanFrames:
     """The transforms that the scans of one topic need, looked up scan by scan.
 
@@ -71,6 +92,7 @@ class ScanFrames:
         self._looked = 0
         self._tilted, self._sideways = Tally(), Tally()
         self._tilt = 0.0
+        self._first_poses: dict[str, _Pose] = {}
         self._named = bool(base_frame)
 
     def add(self, frame_id: str, stamp_ns: int) -> ScanTransforms:
@@ -86,11 +108,20 @@ class ScanFrames:
         if robot is None and self._trees and self._base not in self._trees and not self._named:
             # The name of the robot's frame is unknown.
             known = None
+        up, turned, moved = None, 0.0, 0.0
+        if robot is not None:
+            matrix = robot.matrix
+            up = self._up(robot, matrix, stamp_ns)
+            if odometry is not None:
+                pose = _Pose.of(robot, matrix)
+                turned, moved = pose.since(self._first_poses.setdefault(frame, pose))
         return ScanTransforms(
             frame_id=frame_id,
             odometry=odometry is not None,
             robot=known,
-            up=None if robot is None else self._up(robot, stamp_ns),
+            up=up,
+            turned=turned,
+            moved=moved,
             missing=missing or why,
             cure=self._cure(frame),
         )
@@ -113,9 +144,9 @@ class ScanFrames:
         except TransformError as err:
             return None, err.message
 
-    def _up(self, base_from_scan: Rigid, stamp_ns: int) -> float:
+    def _up(self, base_from_scan: Rigid, matrix: NDArray[np.float64], stamp_ns: int) -> float:
         """See `ScanTransforms.up`; counts how the sensor is tilted."""
-        ahead, left, up = (float(part) for part in base_from_scan.matrix[:, 2])
+        ahead, left, up = (float(part) for part in matrix[:, 2])
         # A sensor that is upside down is level, too.
         level = min(abs(up), 1.0)
         self._looked += 1
@@ -132,8 +163,8 @@ class ScanFrames:
         tree = self._trees.get(one)
         return tree is not None and tree == self._trees.get(other)
 
-    def findings(self) -> list[Finding]:
-        """Return the problems."""
+    def findings(self, interval_ns: float | None) -> list[Finding]:
+        """Return the problems, given the median interval between scans."""
         if not self._trees:
             return [_no_transforms(), *self._optical_findings()]
         found = []
@@ -155,7 +186,7 @@ class ScanFrames:
         for frame, scans in self._scans.items():
             # An empty name is reported with the scans themselves.
             if frame:
-                found += self._frame_findings(frame, scans)
+                found += self._frame_findings(frame, scans, interval_ns)
         optical = self._optical_findings()
         found += optical
         if self._tilted.count and not optical:
@@ -186,7 +217,7 @@ class ScanFrames:
         text = f"the frame {named[0]!r} is an optical frame, judging by its name: z is forward, scans lie across it"
         return [Finding("optical-frame", "defect", text, hint, self._scans[named[0]])]
 
-    def _frame_findings(self, frame: str, scans: int) -> list[Finding]:
+    def _frame_findings(self, frame: str, scans: int, interval_ns: float | None) -> list[Finding]:
         if frame not in self._trees:
             text = f"the scan's frame {frame!r} is not in the transforms"
             return [Finding("frame-unknown", "defect", text, self._cure(frame) or _HINT, scans)]
@@ -207,7 +238,7 @@ class ScanFrames:
         if missing is not None:
             share = f"{missing.count:,} of {scans:,} scans"
             text = f"{share} have no transform from {frame!r} to {self._odom!r} at their stamp"
-            if missing.count <= scans / 2:
+            if few_unplaced(missing.count, scans, interval_ns):
                 hint = "a few at the beginning and the end are usual, and SLAM drops them; " + _HINT
                 found.append(finding("no-transform", "notice", text, hint, missing))
             else:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.verdicts import OUTCOMES, Outcome
-from pc2scan.errors import DecodeError
+from pc2scan.errors import DecodeError, leading
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.shown import agreeing, counted
@@ -86,7 +86,7 @@ class ScanInfo:
     def shown(self) -> Iterator[str | Table]:
         """Yield the text of `Info` about the scans."""
         rate = "" if self.rate_hz is None else f", {self.rate_hz:.2f} Hz"
-        yield f"{self.topic}: {counted(self.sampled, 'scan')} sampled{rate}"
+        yield f"{leading(self.topic)}: {counted(self.sampled, 'scan')} sampled{rate}"
         for problem in self.problems:
             yield f"  cannot be decoded: {problem}"
         if self.angle_min is None or self.angle_max is None or self.angle_increment is None:

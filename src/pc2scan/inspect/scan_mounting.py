@@ -10,7 +10,7 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.tf.mounting import mounting
 
-from .scan_topic import Finding
+from .findings import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

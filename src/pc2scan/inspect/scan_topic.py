@@ -5,87 +5,32 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
 from pc2scan.core.verdicts import OUTCOMES, Outcome, Scan, ScanTransforms, Verdict
-from pc2scan.errors import stamp_text
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.shown import agreeing, counted
+
+from .findings import Finding, Tally, few_unplaced, finding
+from .scan_filling import ScanFilling
+from .scan_stamps import ScanStamps
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.messages.laserscan import LaserScan
 
-__all__ = ["Finding", "Judged", "Level", "ScanTopic", "Tally", "finding"]
-
-#: ``defect``: violates the definition of the message, or makes scans useless. ``notice``: worth knowing.
-Level = Literal["defect", "notice"]
-
-#: Intervals between stamps are counted in classes with this ratio, 1 %, so that their median needs little memory.
-_CLASS = math.log(1.01)
-
-#: An interval that differs from the median by more than this share is reported: scans are missing or repeated.
-_STUTTER = 0.5
-
-#: A ``scan_time`` that differs from the median interval by more than this share of it is reported.
-_SCAN_TIME = 0.2
+__all__ = ["Judged", "ScanTopic"]
 
 #: A median range from here on is taken for millimetres: no lidar sees half a kilometre in most directions.
 _MILLIMETRES = 500.0
 
 #: Rounding of a driver's ``time_increment``.
 _ROUNDING = 1.01
-
-#: Stamps and log times farther apart than this, nanoseconds, are reported: the difference is one of clocks, not a
-#: delay.
-_FAR_NS = 1_000_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """A problem of the scans of a topic, for all consumers.
-
-    Attributes
-    ----------
-    kind
-        A word for programs, such as ``stamps-back``.
-    level
-        ``defect`` or ``notice``.
-    text
-        The problem, with the numbers.
-    hint
-        What the user can do; empty if unknown.
-    count
-        How many scans have it.
-    stamp_ns
-        The stamp of the first of these scans; None if it does not concern single scans.
-    """
-
-    kind: str
-    level: Level
-    text: str
-    hint: str = ""
-    count: int = 0
-    stamp_ns: int | None = None
-
-
-@dataclass(slots=True)
-class Tally:
-    """A count, and the stamp of the first occurrence."""
-
-    count: int = 0
-    stamp_ns: int | None = None
-
-    def add(self, stamp_ns: int) -> None:
-        """Count one more."""
-        self.count += 1
-        if self.stamp_ns is None:
-            self.stamp_ns = stamp_ns
 
 
 @dataclass(slots=True)
@@ -94,7 +39,6 @@ class Judged:
 
     counts: Counter[Outcome] = field(default_factory=Counter)
     firsts: dict[Outcome, tuple[Verdict, int]] = field(default_factory=dict)
-    placed: int = 0
     unplaced: Tally = field(default_factory=Tally)
     reason: Verdict | None = None
 
@@ -108,18 +52,27 @@ class Judged:
         self.unplaced.add(stamp_ns)
         self.reason = self.reason or verdict
 
-    def worst(self) -> tuple[Verdict, int, int] | None:
+    def worst(self, interval_ns: float | None) -> tuple[Verdict, int, int] | None:
         """Return the worst verdict, the number of scans with it, and the first one's stamp; None without scans.
 
-        Missing transforms count only if no scan has them: at the beginning and the end they are usual. Problems of the
-        scans themselves come first.
+        A few missing transforms do not count, see `few_unplaced`. Problems of the scans themselves come first.
+
+        Parameters
+        ----------
+        interval_ns
+            The median interval between scans.
         """
         if not self.counts:
             return None
         outcome = max(self.counts, key=OUTCOMES.index)
         verdict, stamp_ns = self.firsts[outcome]
-        if outcome in {"accepted", "shifted"} and not self.placed and self.reason is not None:
-            return self.reason, self.unplaced.count, self.unplaced.stamp_ns or 0
+        missing = self.unplaced.count
+        if (
+            self.reason is not None
+            and outcome in {"accepted", "shifted"}
+            and not few_unplaced(missing, self.counts.total(), interval_ns)
+        ):
+            return self.reason, missing, self.unplaced.stamp_ns or 0
         return verdict, self.counts[outcome], stamp_ns
 
 
@@ -150,18 +103,14 @@ class ScanTopic:
         self._reason = ""
         self._first_of: dict[str, Scan] = {}
         self._kept_of: dict[tuple[str, str], Scan] = {}
-        self._back, self._repeated, self._zero_stamp = Tally(), Tally(), Tally()
+        self._stamps = ScanStamps()
+        self._filling = ScanFilling()
         self._empty, self._intensities, self._length = Tally(), Tally(), Tally()
         self._slow, self._no_frame, self._times, self._turned = Tally(), Tally(), Tally(), Tally()
         self._angles = Tally()
         self._at_sensor = 0
         self._spread = (0.0, 0.0, 0.0)
         self._ranges: Counter[str] = Counter()
-        self._last_ns: int | None = None
-        self._intervals: Counter[int] = Counter()
-        self._totals: Counter[int] = Counter()
-        self._largest = (0, 0)
-        self._offsets: tuple[int, int] | None = None
 
     def add_undecodable(self, log_time_ns: int, reason: str) -> None:
         """Count a message that cannot be decoded; its log time is used as its stamp."""
@@ -186,7 +135,6 @@ class ScanTopic:
                 judged.add_unplaced(verdict, stamp_ns)
                 verdict = judge(consumer, scan, kept)
             else:
-                judged.placed += 1
                 self._kept_of.setdefault(key, scan)
             judged.add(verdict, stamp_ns)
         self._at_sensor += scan.zero * (scan.range_min <= 0)
@@ -204,45 +152,27 @@ class ScanTopic:
         ):
             if wrong:
                 tally.add(stamp_ns)
-        self._add_stamp(stamp_ns, log_time_ns)
-
-    def _add_stamp(self, stamp_ns: int, log_time_ns: int) -> None:
-        if stamp_ns == 0:
-            self._zero_stamp.add(stamp_ns)
-            return
-        late = log_time_ns - stamp_ns
-        low, high = self._offsets or (late, late)
-        self._offsets = min(low, late), max(high, late)
-        last, self._last_ns = self._last_ns, stamp_ns
-        if last is None:
-            return
-        interval = stamp_ns - last
-        if interval <= 0:
-            (self._repeated if interval == 0 else self._back).add(stamp_ns)
-            return
-        number = round(math.log(interval) / _CLASS)
-        self._intervals[number] += 1
-        self._totals[number] += interval
-        self._largest = max(self._largest, (interval, last))
+        self._filling.add(message.frame_id, scan, message.ranges, stamp_ns)
+        self._stamps.add(stamp_ns, log_time_ns)
 
     @property
     def interval_ns(self) -> float | None:
-        """Return the median of the intervals between stamps, to one percent; None for fewer than two scans."""
-        total = sum(self._intervals.values())
-        seen = 0
-        for number in sorted(self._intervals):
-            seen += self._intervals[number]
-            if 2 * seen >= total:
-                return self._mean(number)
-        return None
+        """The median of the intervals between stamps of one clock, to one percent; None if there are none."""
+        return self._stamps.interval_ns
 
-    def _mean(self, number: int) -> float:
-        """Return the mean of the intervals of one class."""
-        return self._totals[number] / self._intervals[number]
+    def worst(self, consumer: str) -> tuple[Verdict, int, int] | None:
+        """Return a consumer's worst verdict, see `Judged.worst`."""
+        return self.judged[consumer].worst(self.interval_ns)
 
     def findings(self) -> list[Finding]:
         """Return the problems of the scans, the defects first."""
-        found = [*self._message_findings(), *self._stamp_findings(), *self._range_findings()]
+        found = [
+            *self._message_findings(),
+            *self._stamps.findings(self.first.scan_time if self.first is not None else 0.0),
+            *self._time_findings(),
+            *self._filling.findings(),
+            *self._range_findings(),
+        ]
         return sorted(found, key=lambda finding: finding.level)
 
     def _message_findings(self) -> list[Finding]:
@@ -327,28 +257,8 @@ class ScanTopic:
             )
         return found
 
-    def _stamp_findings(self) -> list[Finding]:
+    def _time_findings(self) -> list[Finding]:
         found = []
-        for kind, tally, verb, what in (
-            ("stamps-back", self._back, "have", "a stamp before that of the scan before"),
-            ("stamps-repeated", self._repeated, "repeat", "the stamp of the scan before"),
-            ("stamps-zero", self._zero_stamp, "have", "no stamp (0)"),
-        ):
-            if tally.count:
-                hint = "SLAM drops or mixes up such scans; look for a second publisher, or a clock that was set"
-                found.append(finding(kind, "defect", f"{self._of(tally, verb)} {what}", hint, tally))
-        if self._offsets is not None and max(map(abs, self._offsets)) > _FAR_NS:
-            side = "after" if sum(self._offsets) >= 0 else "before"
-            low, high = sorted(offset / (1e9 if side == "after" else -1e9) for offset in self._offsets)
-            found.append(
-                Finding(
-                    "stamps-far",
-                    "notice",
-                    f"log times lie {low:,.3f} to {high:,.3f} s {side} the stamps",
-                    "transforms are looked up by stamp: they must come from the same clock",
-                )
-            )
-        found += self._rate_findings()
         if self._slow.count and self.first is not None:
             found.append(
                 finding(
@@ -368,38 +278,6 @@ class ScanTopic:
                     f"{self._of(self._times, 'have')} a scan_time or time_increment that is not a valid duration",
                     "",
                     self._times,
-                )
-            )
-        return found
-
-    def _rate_findings(self) -> list[Finding]:
-        median = self.interval_ns
-        if median is None or self.first is None:
-            return []
-        found = []
-        off = sum(
-            count for number, count in self._intervals.items() if abs(self._mean(number) - median) > _STUTTER * median
-        )
-        if off:
-            longest, after = self._largest
-            found.append(
-                Finding(
-                    "rate",
-                    "notice",
-                    f"the rate stutters: {off} of {sum(self._intervals.values())} intervals are not the usual "
-                    f"{median / 1e9:.3f} s; the longest is {longest / 1e9:.3f} s, after {stamp_text(after)}",
-                    "scans are missing, or were stamped on arrival",
-                    off,
-                )
-            )
-        scan_time = self.first.scan_time * 1e9
-        if scan_time > 0 and abs(scan_time - median) > _SCAN_TIME * median:
-            found.append(
-                Finding(
-                    "scan-time",
-                    "notice",
-                    f"scan_time is {scan_time / 1e9:.4g} s, but scans come every {median / 1e9:.4g} s",
-                    f"pc2scan convert `scan_time={median / 1e9:.3g}`",
                 )
             )
         return found
@@ -458,11 +336,6 @@ class ScanTopic:
         """Return "N of M scans", with the verb in singular or plural."""
         of = f"{tally.count:,} of {counted(self.scans, 'scan')}"
         return f"{of} {agreeing(tally.count, verb)}" if verb else of
-
-
-def finding(kind: str, level: Level, text: str, hint: str, tally: Tally) -> Finding:
-    """Return the finding about a tally."""
-    return Finding(kind, level, text, hint, tally.count, tally.stamp_ns)
 
 
 def _spread(ranges: NDArray[np.floating[Any]]) -> tuple[float, float, float]:

@@ -13,13 +13,14 @@ import base64
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.errors import UsageError
+from pc2scan.errors import UsageError, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator
     from importlib.resources.abc import Traversable
     from pathlib import Path
 
@@ -102,10 +103,19 @@ def _collect(name: str, modules: dict[str, str]) -> None:
 
 
 def _data(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> Iterator[str]:
-    text = json.dumps(description, allow_nan=False, ensure_ascii=True).replace("<", "\\u003c")
+    text = json.dumps(_visible(description), allow_nan=False, ensure_ascii=True).replace("<", "\\u003c")
     yield f'<script type="application/json" id="recording">{text}</script>'
     for name, data in blobs.items():
         yield f'<script type="text/plain" id="{name}">{base64.b64encode(data).decode()}</script>'
+
+
+def _visible(value: Any) -> Any:
+    """Return JSON's types with all names as safe text: browsers obey marks of direction."""
+    if isinstance(value, str):
+        return visible(value, None)
+    if isinstance(value, Mapping):
+        return {visible(key, None): _visible(each) for key, each in value.items()}
+    return [_visible(each) for each in value] if isinstance(value, list | tuple) else value
 
 
 def _digest(text: str) -> str:

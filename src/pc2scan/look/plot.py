@@ -12,10 +12,9 @@ import numpy as np
 from pc2scan.core import kernel
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import rule_of
-from pc2scan.errors import UsageError
+from pc2scan.errors import UsageError, visible
 from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import file_output
-from pc2scan.shown import plain
 
 from .opened import opened, title_of
 from .shots import take_shots
@@ -38,7 +37,7 @@ __all__ = ["FORMATS", "Plotted", "plot"]
 FORMATS = ("png", "svg", "pdf")
 
 #: Maximum number of columns of a figure; more are too small to read.
-_MOST_FRAMES = 24
+_MOST_CLOUDS = 24
 
 #: Okabe and Ito's colours, which colour-blind people can distinguish; the same as on pages.
 _COLOURS = {"used": "#0072b2", "height": "#e69f00", "other": "#9aa7b3"}
@@ -57,7 +56,15 @@ _OUTLIERS = 0.01
 
 
 class Plotted(NamedTuple):
-    """Notes about a figure, and the damage of the recording."""
+    """What is known about a figure.
+
+    Attributes
+    ----------
+    notes
+        Notes about the options and the figure.
+    damage
+        The damage in the parts of the recording that were read.
+    """
 
     notes: list[str]
     damage: tuple[Damage, ...]
@@ -68,7 +75,7 @@ def plot(
     destination: Path,
     options: ConvertOptions,
     *,
-    frames: int = 1,
+    clouds: int = 1,
     at: Sequence[TimeBound] = (),
     overwrite: bool = False,
 ) -> Plotted:
@@ -82,8 +89,8 @@ def plot(
         The figure; its suffix, one of `FORMATS`, decides its format.
     options
         The options of a conversion: topics, parameters, frames, filters, ``start`` and ``end``.
-    frames
-        How many moments of each topic are shown, evenly spread.
+    clouds
+        Number of clouds of each topic, side by side, evenly spread over the recording.
     at
         Moments to show instead.
     overwrite
@@ -104,8 +111,8 @@ def plot(
         raise UsageError(
             f"has {shown}, a figure is one of {', '.join(f'.{name}' for name in FORMATS)}", path=destination
         )
-    if not 1 <= frames <= _MOST_FRAMES:
-        raise UsageError(f"frames is {frames}, it must be from 1 to {_MOST_FRAMES}")
+    if not 1 <= clouds <= _MOST_CLOUDS:
+        raise UsageError(f"`clouds` is {clouds}, it must be from 1 to {_MOST_CLOUDS}")
     refuse_overlap(
         [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
         [OutputPath(destination)],
@@ -116,7 +123,7 @@ def plot(
     ):
         at_ns = recording.log_times(at)
         taken = take_shots(
-            recording.reader, recording.buffer, options, count=frames, at_ns=at_ns, others=recording.others
+            recording.reader, recording.buffer, options, count=clouds, at_ns=at_ns, others=recording.others
         )
         deliver(_figure(taken, title_of(sources), kind))
         return Plotted(taken.notes, recording.damage)
@@ -140,7 +147,7 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
         inches = [min(_HIGHEST, max(_LOWEST, _WIDTH * height / across)) for height in heights]
         size = (_WIDTH + _BESIDE) * columns, sum(inches) + _AROUND
         figure = Figure(size, layout="constrained", dpi=150)
-        figure.suptitle(plain(title), fontsize=11)
+        figure.suptitle(visible(title), fontsize=11)
         axes: Any = figure.subplots(2, columns, squeeze=False, height_ratios=inches)
         for column, (shot, points) in enumerate(zip(taken.shots, placed, strict=True)):
             _draw(axes[0, column], axes[1, column], shot, points, taken.params, limits)
@@ -210,10 +217,10 @@ def _draw(
     for limit in (params.min_height, params.max_height):
         if low < limit < high:
             side.axhline(limit, c=_BAND, lw=0.9)
-    above.set_title(f"{plain(shot.topic)}\n{shot.moment}", fontsize=8)
+    above.set_title(f"{visible(shot.topic)}\n{shot.moment}", fontsize=8)
     above.set_ylabel("y (m)", fontsize=8)
     side.set_ylabel("z (m)", fontsize=8)
-    side.set_xlabel(f"x (m) in {plain(shot.place.frame_id)}", fontsize=8)
+    side.set_xlabel(f"x (m) in {visible(shot.place.frame_id)}", fontsize=8)
 
 
 def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:

@@ -40,7 +40,7 @@ class Page:
     html
         The whole HTML file.
     notes
-        The notes that the page shows above the pictures.
+        The notes that the page shows above the pictures, and notes about the options.
     damage
         The damage in the parts of the recording that were read.
     """

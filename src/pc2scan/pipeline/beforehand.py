@@ -9,7 +9,7 @@ from pc2scan.errors import TopicError, UnconnectedError, UsageError, name_list
 from pc2scan.shown import stamp
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.errors import MessageError
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Unconnected", "idle_cut", "refuse_no_messages"]
 
-#: How many of the first messages of each connection must fail before the conversion stops.
+#: How many of the first messages must fail before a user is warned.
 _LOOKED_AT = 10
 
 
@@ -118,38 +118,47 @@ def _meant(name: str, time_ns: int, first_ns: int, last_ns: int) -> str:
 
 
 class Unconnected:
-    """Detects, while messages are converted, that no transforms connect their frames with the target frame.
+    """Detects that no transforms connect the frames of any message to convert with the target frame.
 
-    This is so if the first messages of every topic to convert have failed for this reason, and none was converted.
+    Frames may differ from message to message, so it is certain only after the last one. The first ones draw a warning.
 
     Parameters
     ----------
-    converted
-        The connections to convert.
+    warn
+        Called with the warning; None: there is none.
+
+    Attributes
+    ----------
+    is_possible
+        Whether all messages so far have failed for this reason.
     """
 
-    def __init__(self, converted: Iterable[Connection]) -> None:
-        counts = {connection.id: connection.message_count for connection in converted}
-        self._left = {key: min(count or _LOOKED_AT, _LOOKED_AT) for key, count in counts.items() if count != 0}
+    def __init__(self, warn: Callable[[str], None] | None = None) -> None:
+        self.is_possible = True
+        self._warn = warn
+        self._failed = 0
+        self._first: tuple[str, UnconnectedError] | None = None
 
-    def note(self, connection: Connection, error: MessageError | None) -> None:
-        """Count whether a message was converted.
+    def note(self, topic: str, error: MessageError | None) -> None:
+        """Count whether a message was converted."""
+        if not isinstance(error, UnconnectedError):
+            self.is_possible = False
+            return
+        self._failed += 1
+        self._first = self._first or (topic, error)
+        if self._failed == _LOOKED_AT and self.is_possible and self._warn is not None:
+            topic, first = self._first
+            advice = f"; {first.hint}" if first.hint else ""
+            self._warn(f"none of the first {_LOOKED_AT} messages can be converted: {topic}: {first.message}{advice}")
+
+    def finish(self) -> None:
+        """Raise if there were messages, and all of them have failed.
 
         Raises
         ------
         TransformError
-            If nothing can be converted.
+            The first error.
         """
-        if not isinstance(error, UnconnectedError):
-            self._left.clear()
-        elif self._left.get(connection.id):
-            self._left[connection.id] -= 1
-            if not any(self._left.values()):
-                raise UnconnectedError(
-                    f"nothing can be converted: {error.message}", topic=connection.topic, hint=error.hint
-                )
-
-    @property
-    def is_possible(self) -> bool:
-        """Whether no message has been converted so far."""
-        return bool(self._left)
+        if self.is_possible and self._first is not None:
+            topic, first = self._first
+            raise UnconnectedError(f"nothing can be converted: {first.message}", topic=topic, hint=first.hint)

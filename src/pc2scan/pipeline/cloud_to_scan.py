@@ -157,7 +157,7 @@ class CloudToScan(Conversion):
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
         used = self._used(placed, beams.project) if self._keeps_used else None
-        return Result(message, scan.counts, empty, motion, sample, level, used=used)
+        return Result(message, scan.counts, empty, motion, sample, level, used=used, removed=scan.removed)
 
     def _used(self, placed: Placed, project: Projector) -> UsedPoints:
         """Return which of the decoded points the beams read."""

@@ -38,8 +38,9 @@ class Result:
     ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
     ``sample`` is for `FirstClouds`, as long as that takes samples, and a candidate until the message's log time is
     known. ``level`` is the transform of its frame, if that is made level. ``rebinned`` counts how beams of scans became
-    other beams. ``used`` are the points that beams read, if they are written. ``removed`` is how many beams each beam
-    filter removed, and how many had ``returns`` before.
+    other beams. ``used`` are the points that beams read, if they are written. ``removed`` is how many beams had
+    ``returns``, how many of these were too ``sparse`` for ``min_points`` or ``kth``, and how many each beam filter
+    removed; None without any of them.
     """
 
     message: Any

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 
 __all__ = ["forecast"]
 
-#: How many of the first messages of a topic are converted, not counting those that fail, and how many are read at most.
+#: How many of the first messages of a topic are converted, not counting those that fail, and how many are read at most,
+#: if there are transforms.
 _CONVERTED = 3
 _LOOKED_AT = 10
 #: How many of the first messages of all other topics are read to estimate the sizes of the rest.
@@ -70,7 +71,7 @@ def forecast(
     Raises
     ------
     TransformError
-        If no transforms connect the messages with the target frame.
+        If no transforms connect any message with the target frame.
     MessageError
         With ``on_error`` ``fail``, if one of the first messages cannot be converted.
     """
@@ -78,7 +79,7 @@ def forecast(
     routes = open_routes(plan.routes, conversions, target, target.same_kind(reader.summary), options, declared, report)
     routes = count_skipped(routes, reader, start_ns, stop_ns)
     sizes: dict[int, _Size] = _converted_sizes(
-        reader, routes, options, start_ns, stop_ns, report, is_packed=target.compression != "none"
+        reader, routes, options, start_ns, stop_ns, report, firsts, is_packed=target.compression != "none"
     )
     firsts.finish()
     report.damage += reader.damage
@@ -99,12 +100,13 @@ def _converted_sizes(
     start_ns: int | None,
     stop_ns: int | None,
     report: Report,
+    firsts: FirstClouds,
     *,
     is_packed: bool,
 ) -> dict[int, _Size]:
     """Convert the first messages of each topic."""
     converting = {key: route for key, route in routes.items() if route.convert is not None}
-    unconnected = Unconnected(route.connection for route in converting.values())
+    unconnected = Unconnected(firsts.warn)
     sizes: dict[int, _Size] = {}
     for key, route in converting.items():
         connection, read, sizes_made = route.connection, list[int](), list[int]()
@@ -147,12 +149,13 @@ def _converted_sizes(
                 failed = all(isinstance(result, MessageError) for result in converted)
                 if not failed:
                     sizes_made.append(size)
-                if unconnected.is_possible:
-                    unconnected.note(connection, next(iter(errors.values())) if failed else None)
-                if len(sizes_made) == _CONVERTED or len(read) == _LOOKED_AT:
+                unconnected.note(connection.topic, next(iter(errors.values())) if failed else None)
+                # Only all messages show that no transforms connect them.
+                if len(sizes_made) == _CONVERTED or (len(read) >= _LOOKED_AT and not unconnected.is_possible):
                     break
         kept = _mean(read) if route.passing_handle >= 0 else 0.0
         sizes[key] = _Size(_mean(read), kept, _mean(sizes_made))
+    unconnected.finish()
     return sizes
 
 

@@ -18,9 +18,11 @@ from pc2scan.names import did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from typing_extensions import Self
+
     from .parameters import Direction
 
-__all__ = ["LaunchNode", "LaunchParam", "is_launch_xml", "launch_node"]
+__all__ = ["LaunchNode", "LaunchParam", "LaunchText", "is_launch_xml", "launch_node"]
 
 #: Maximum number of levels of nested elements.
 _MAX_DEPTH = 50
@@ -48,6 +50,34 @@ class _Element:
     text: str = ""
 
 
+class LaunchText(str):
+    """A text of a launch file, after substitution.
+
+    Attributes
+    ----------
+    shown
+        The text for errors. If the value of an environment variable is in the text, it is the text as written, which
+        names the variable.
+    """
+
+    __slots__ = ("shown",)
+    shown: str
+
+    def __new__(cls, value: str, shown: str | None = None) -> Self:
+        """Make a text from its value and what errors show."""
+        made = super().__new__(cls, value)
+        made.shown = value if shown is None else shown
+        return made
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether errors must not show the text."""
+        return self.shown != str(self)
+
+
+_NOTHING = LaunchText("")
+
+
 @dataclass(frozen=True, slots=True)
 class LaunchParam:
     """One parameter element of a node.
@@ -55,9 +85,9 @@ class LaunchParam:
     Attributes
     ----------
     name
-        The name as written; empty for a file or a block of YAML.
+        The name; empty for a file or a block of YAML.
     value
-        The text, after substitution.
+        The text.
     kind
         ``value``; ``yaml``, a block of YAML; or ``file``, the path of one.
     line
@@ -66,8 +96,8 @@ class LaunchParam:
         ROS 1's type; empty if there is none.
     """
 
-    name: str
-    value: str
+    name: LaunchText
+    value: LaunchText
     kind: str
     line: int
     type: str = ""
@@ -91,7 +121,7 @@ class LaunchNode:
         ``include`` elements, with their places. They are not read, but may set parameters.
     """
 
-    name: str
+    name: LaunchText
     direction: Direction
     params: tuple[LaunchParam, ...]
     remaps: tuple[str, ...]
@@ -128,7 +158,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
             f"{path}: no node of pointcloud_to_laserscan in it",
             hint="includes are not followed: name the file that has the node" if reader.ignored else None,
         )
-    names = [name for name, *_ in nodes]
+    names = [name.shown for name, *_ in nodes]
     if node is not None:
         chosen = [entry for entry in nodes if entry[0] == "/" + node.strip("/") or entry[0].endswith(f"/{node}")]
         if not chosen:
@@ -137,7 +167,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     else:
         chosen = nodes
     if len(chosen) > 1:
-        names = [name for name, *_ in chosen]
+        names = [name.shown for name, *_ in chosen]
         message, hint = (
             f"{path}: several nodes match: {name_list(names)}",
             f"choose one, for example `node={names[0]}`",
@@ -145,14 +175,14 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         others = any(_direction_of(element) == "laserscan_to_pointcloud" for _, element, _ in chosen)
         if others or len(set(names)) < len(names):
             raise ParameterError(message, hint=hint)
-        raise SeveralNodesError(message, nodes=tuple(names), hint=hint)
+        raise SeveralNodesError(message, nodes=tuple(name for name, *_ in chosen), hint=hint)
     ((name, element, scope),) = chosen
     found = reader.node(name, element, scope)
-    if unused := sorted(arguments.keys() - reader.declared):
+    if unused := sorted(arguments.keys() - reader.arguments.keys()):
+        declared = sorted(name.shown for name in reader.arguments)
         raise ParameterError(
             f"{path}: it has no argument {unused[0]!r}",
-            hint=f"{did_you_mean(unused[0], sorted(reader.declared))} "
-            f"its arguments are {name_list(sorted(reader.declared))}".strip(),
+            hint=f"{did_you_mean(unused[0], declared)} its arguments are {name_list(declared)}".strip(),
         )
     return found
 
@@ -202,11 +232,11 @@ def _parsed(text: str, path: Path) -> _Element:
 class _Scope:
     """The namespace, parameters and remappings that apply to an element."""
 
-    namespace: str = ""
+    namespace: LaunchText = _NOTHING
     remaps: tuple[str, ...] = ()
 
 
-_Found = tuple[str, _Element, _Scope]
+_Found = tuple[LaunchText, _Element, _Scope]
 
 
 class _LaunchReader:
@@ -216,12 +246,8 @@ class _LaunchReader:
         self.path = path
         self.given = arguments
         #: Arguments of the file, with a value or None.
-        self.arguments: dict[str, str | None] = {}
+        self.arguments: dict[LaunchText, LaunchText | None] = {}
         self.ignored: list[str] = []
-
-    @property
-    def declared(self) -> set[str]:
-        return set(self.arguments)
 
     def nodes(self, parent: _Element, scope: _Scope | None = None) -> Iterator[_Found]:
         """Yield the nodes of pointcloud_to_laserscan below an element."""
@@ -239,15 +265,15 @@ class _LaunchReader:
                 scope = _Scope(_qualified_name(scope.namespace, self._read(element, "namespace")), scope.remaps)
             elif tag in {"group", "node_container", "load_composable_node"}:
                 if self._applies(element):
-                    space = self._read(element, "ns") if tag == "group" else ""
+                    space = self._read(element, "ns" if tag == "group" else "")
                     yield from self.nodes(element, _Scope(_qualified_name(scope.namespace, space), scope.remaps))
             elif tag in {"node", "composable_node"} and _is_upstream_node(element) and self._applies(element):
                 space = self._read(element, "ns") or self._read(element, "namespace")
                 inner = _Scope(_qualified_name(scope.namespace, space), scope.remaps)
-                own = self._read(element, "name") or _direction_of(element)
+                own = self._read(element, "name") or LaunchText(_direction_of(element))
                 yield _qualified_name(inner.namespace, own), element, inner
 
-    def node(self, name: str, element: _Element, scope: _Scope) -> LaunchNode:
+    def node(self, full: LaunchText, element: _Element, scope: _Scope) -> LaunchNode:
         """Read a node."""
         remaps = list(scope.remaps)
         params: list[LaunchParam] = []
@@ -261,35 +287,40 @@ class _LaunchReader:
             elif child.tag == "rosparam":
                 params.append(self._rosparam(child))
         # Arguments of roslaunch and ros2: _name:=value, -p name:=value, -r from:=to, from:=to.
-        words = re.findall(r"(?:(-[pr]|--param|--remap)\s+)?(\S+:=\S*)", self._read(element, "args"))
+        args = self._read(element, "args")
+        words = re.findall(r"(?:(-[pr]|--param|--remap)\s+)?(\S+:=\S*)", args)
         for option, word in words:
             left, _, right = word.partition(":=")
             if option in {"-p", "--param"} or (left.startswith("_") and not left.startswith("__")):
-                params.append(LaunchParam(left.lstrip("_"), right, "value", element.line))
+                name, value = (
+                    LaunchText(each, args.shown if args.is_hidden else None) for each in (left.lstrip("_"), right)
+                )
+                params.append(LaunchParam(name, value, "value", element.line))
             elif not left.startswith("__"):
                 remaps.append(word)
         own = _TOPICS[_direction_of(element)]
         resolved = tuple(
             _qualified_remap(remap, scope.namespace) for remap in remaps if remap.partition(":=")[0].strip("~/") in own
         )
-        return LaunchNode(name, _direction_of(element), tuple(params), resolved, tuple(self.ignored))
+        return LaunchNode(full, _direction_of(element), tuple(params), resolved, tuple(self.ignored))
 
-    def _params(self, element: _Element, above: str = "") -> Iterator[LaunchParam]:
+    def _params(self, element: _Element, above: LaunchText = _NOTHING) -> Iterator[LaunchParam]:
         source = self._read(element, "from")
         if source:
-            yield LaunchParam("", str(self._file(source)), "file", element.line)
+            yield LaunchParam(_NOTHING, self._file(source), "file", element.line)
             return
-        name = above + self._read(element, "name")
+        own = self._read(element, "name")
+        name = LaunchText(above + own, above.shown + own.shown)
         if element.children:
             for child in element.children:
-                yield from self._params(child, f"{name}.")
+                yield from self._params(child, LaunchText(f"{name}.", f"{name.shown}."))
             return
         if "value" not in element.attributes:
             raise ParameterError(
-                f"{name}: <param> has no value here (from {self._place(element)})",
-                name=name,
+                f"{name.shown}: <param> has no value here (from {self._place(element)})",
+                name=name.shown,
                 hint=f"textfile, binfile and command are not supported; give its value: `{name}=...`"
-                if name.isidentifier()
+                if name.shown.isidentifier()
                 else None,
             )
         value = self._read(element, "value")
@@ -300,22 +331,23 @@ class _LaunchReader:
         if command != "load":
             raise ParameterError(f"<rosparam command={command!r}> is not supported (from {self._place(element)})")
         if "file" in element.attributes:
-            return LaunchParam("", str(self._file(self._read(element, "file"))), "file", element.line)
+            return LaunchParam(_NOTHING, self._file(self._read(element, "file")), "file", element.line)
         substituted = element.attributes.get("subst_value", "").lower() in {"1", "true"}
-        text = self._substituted(element.text, element) if substituted else element.text
+        text = self._substituted(element.text, element) if substituted else LaunchText(element.text)
         name = self._read(element, "param")
         return LaunchParam(name, text, "value" if name else "yaml", element.line)
 
-    def _file(self, text: str) -> Path:
-        found = Path(text)
-        return found if found.is_absolute() else self.path.parent / found
+    def _file(self, text: LaunchText) -> LaunchText:
+        if Path(text).is_absolute():
+            return text
+        return LaunchText(str(self.path.parent / text), str(self.path.parent / text.shown))
 
     def _declare(self, element: _Element) -> None:
         name = self._read(element, "name")
         if element.tag == "let" or "value" in element.attributes:
             self.arguments[name] = self._read(element, "value")
         elif name in self.given:
-            self.arguments[name] = self.given[name]
+            self.arguments[name] = LaunchText(self.given[name])
         elif "default" in element.attributes:
             self.arguments[name] = self._read(element, "default")
         else:
@@ -324,12 +356,12 @@ class _LaunchReader:
     def _applies(self, element: _Element) -> bool:
         for attribute, wanted in (("if", True), ("unless", False)):
             if attribute in element.attributes:
-                text = self._read(element, attribute).strip()
-                if text not in _TRUE | _FALSE:
+                text = self._read(element, attribute)
+                if text.strip() not in _TRUE | _FALSE:
                     raise ParameterError(
-                        f"{attribute}={text!r} is neither true nor false (from {self._place(element)})"
+                        f"{attribute}={text.shown!r} is neither true nor false (from {self._place(element)})"
                     )
-                if (text in _TRUE) is not wanted:
+                if (text.strip() in _TRUE) is not wanted:
                     return False
         return True
 
@@ -339,59 +371,67 @@ class _LaunchReader:
     def _place(self, element: _Element) -> str:
         return f"{self.path}, line {element.line}"
 
-    def _read(self, element: _Element, attribute: str) -> str:
+    def _read(self, element: _Element, attribute: str) -> LaunchText:
         return self._substituted(element.attributes.get(attribute, ""), element)
 
-    def _substituted(self, text: str, element: _Element) -> str:
+    def _substituted(self, written: str, element: _Element) -> LaunchText:
         """Replace substitutions such as ``$(arg ...)``, the innermost first."""
+        text = LaunchText(written)
         for _ in range(_MAX_SUBSTITUTIONS):
             found = _SUBSTITUTION.search(text)
             if found is None:
                 if "$(" in text:
-                    self._refuse(text[text.index("$(") :], element)
+                    self._refuse(text.shown[text.shown.index("$(") :], element)
                 return text
-            value = self._value(found[1], found[2].strip(), element)
-            text = text[: found.start()] + value + text[found.end() :]
+            # Once the value of a variable is in the text, a substitution that fails is shown as it is written.
+            shown = text.shown if text.is_hidden else ""
+            value = self._value(found[1], found[2].strip(), element, shown)
+            made = text[: found.start()] + value + text[found.end() :]
+            text = LaunchText(made, written if shown or value.is_hidden else None)
             if len(text) > 10_000:
                 break
         raise ParameterError(f"too many substitutions (from {self._place(element)})")
 
-    def _value(self, kind: str, rest: str, element: _Element) -> str:
+    def _value(self, kind: str, rest: str, element: _Element, shown: str) -> LaunchText:
+        """Return the value of a substitution; errors have ``shown``, or its name if that is empty."""
         name, *more = rest.split()[:2] or [""]
         name, default = name.strip("'\""), " ".join(more).strip("'\"")
         match kind:
             case "arg" | "var":
-                value = self.arguments.get(name, self.given.get(name))
+                key = LaunchText(name, shown or None)
+                value = self.arguments.get(key)
+                if value is None and name in self.given:
+                    value = LaunchText(self.given[name])
                 if value is None:
-                    self.arguments.setdefault(name, None)
+                    self.arguments.setdefault(key, None)
                     raise ParameterError(
-                        f"{self.path}: needs a value for its argument {name!r} (from {self._place(element)})",
-                        hint=f"`launch_args={name}:=VALUE`",
+                        f"{self.path}: needs a value for its argument {key.shown!r} (from {self._place(element)})",
+                        hint=None if shown else f"`launch_args={name}:=VALUE`",
                     )
                 return value
             case "env" | "optenv":
-                value = os.environ.get(name, default if more or kind == "optenv" else None)
-                if value is None:
+                found = os.environ.get(name, default if more or kind == "optenv" else None)
+                if found is None:
                     raise ParameterError(
-                        f"{self.path}: needs the environment variable {name} (from {self._place(element)})",
-                        hint=f"{name}=VALUE pc2scan ...",
+                        f"{self.path}: needs the environment variable {shown or name} (from {self._place(element)})",
+                        hint=None if shown else f"{name}=VALUE pc2scan ...",
                     )
-                return value
+                return LaunchText(found, f"$({kind} {rest})" if name in os.environ else None)
             case "dirname":
-                return str(self.path.parent)
+                return LaunchText(str(self.path.parent))
             case "find" | "find-pkg-share":
-                return str(self._package(name, element))
+                return LaunchText(str(self._package(name, element, shown)))
             case "anon":
-                return name
-        return self._refuse(f"$({kind} {rest})", element)
+                return LaunchText(name)
+        return self._refuse(shown or f"$({kind} {rest})", element)
 
-    def _package(self, name: str, element: _Element) -> Path:
+    def _package(self, name: str, element: _Element, shown: str) -> Path:
         """Return the folder of the package that the file is in. Other packages would need a ROS installation."""
         for folder in self.path.resolve().parents:
             if folder.name == name or (folder / "package.xml").exists():
                 return folder
         raise ParameterError(
-            f"{self.path}: the package {name!r} was not found (from {self._place(element)})",
+            f"{self.path}: the package {shown or name!r} was not found (from {self._place(element)})",
             hint="give the parameter file in it: `params_file=FILE`",
         )
 
@@ -413,8 +453,12 @@ def _direction_of(element: _Element) -> Direction:
     return "laserscan_to_pointcloud" if "laserscantopointcloud" in said else "pointcloud_to_laserscan"
 
 
-def _qualified_name(above: str, name: str) -> str:
+def _qualified_name(above: LaunchText, name: LaunchText) -> LaunchText:
     """Return a name inside a namespace."""
+    return LaunchText(_qualified(above, name), _qualified(above.shown, name.shown))
+
+
+def _qualified(above: str, name: str) -> str:
     if name.startswith("/"):
         return name.rstrip("/")
     return "/".join(filter(None, (above, name.strip("/")))) if above else f"/{name}".rstrip("/")
@@ -423,4 +467,4 @@ def _qualified_name(above: str, name: str) -> str:
 def _qualified_remap(remap: str, namespace: str) -> str:
     """Return a remapping with the fully qualified name on its right side."""
     left, _, right = remap.partition(":=")
-    return f"{left}:={_qualified_name(namespace, right)}"
+    return f"{left}:={_qualified(namespace, right)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import UsageError
+from pc2scan.errors import ParameterError, UsageError
 
 from .parameters import preset_settings, resolve
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
 
     from .parameters import Direction, Setting
+    from .params_file import Hidden
 
 __all__ = ["ResolvedSources", "resolve_sources"]
 
@@ -95,6 +96,7 @@ def resolve_sources(
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
+    hidden: tuple[Hidden, ...] = ()
     if assignments:
         from .param_assignment import parse_param  # noqa: PLC0415
 
@@ -104,14 +106,24 @@ def resolve_sources(
 
         loaded = load_params_file(file, node=node, arguments=_launch_arguments(launch_args))
         found += loaded.settings
-        ignored, remaps, files = loaded.ignored, loaded.remaps, loaded.files
+        ignored, remaps, files, hidden = loaded.ignored, loaded.remaps, loaded.files, loaded.hidden
         if reverse and loaded.direction == "pointcloud_to_laserscan":
             raise UsageError(f"{loaded.node} is for pointcloud_to_laserscan, `reverse=True` is not", path=file)
         reverse = reverse or loaded.direction == "laserscan_to_pointcloud"
     if preset is not None:
         found += preset_settings(preset)
     direction: Direction = "laserscan_to_pointcloud" if reverse else "pointcloud_to_laserscan"
-    resolved = resolve(found, direction=direction)
+    try:
+        resolved = resolve(found, direction=direction)
+    except ParameterError as err:
+        from .concealed import is_about, without_content, without_value  # noqa: PLC0415  # only for errors
+
+        for place, written, named_in in hidden:
+            if is_about(err, place):
+                raise (
+                    without_value(err, place, written) if written else without_content(err, place, named_in)
+                ) from None
+        raise
     return ResolvedSources(resolved.params, resolved.origin, reverse, ignored, remaps, files)
 
 

@@ -38,6 +38,7 @@ __all__ = [
     "ResolvedParams",
     "Setting",
     "default_in_words",
+    "expected",
     "expected_message",
     "from_option",
     "from_preset",
@@ -283,11 +284,16 @@ _EXPECTED = {"float": "a number", "bool": "true or false", "int": "a whole numbe
 
 def expected_message(name: str, found: str, origin: str) -> str:
     """Return the message that a value is not of the parameter's kind."""
+    return f"{name}: expected {expected(name)}, got {found} (from {origin})"
+
+
+def expected(name: str) -> str:
+    """Return the kind of a parameter's values in words."""
     parameter = PARAMETERS.get(ALIASES.get(name, name))
-    expected = _EXPECTED[parameter.kind] if parameter else "a value"
+    kind = _EXPECTED[parameter.kind] if parameter else "a value"
     if parameter and parameter.words:
-        expected = " or ".join(filter(None, ("" if parameter.kind == "str" else expected, ", ".join(parameter.words))))
-    return f"{name}: expected {expected}, got {found} (from {origin})"
+        kind = " or ".join(filter(None, ("" if parameter.kind == "str" else kind, ", ".join(parameter.words))))
+    return kind
 
 
 def shown(value: object) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, get_args
 
 from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.names import did_you_mean
 
+from .concealed import is_about, without_content
 from .launch_file import is_launch_xml, launch_node
 from .parameters import (
     ALIASES,
@@ -21,7 +22,6 @@ from .parameters import (
     Direction,
     Setting,
     names_of,
-    shown,
     unknown_parameter,
 )
 from .ros_scalars import plain_scalar
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.params import ProjectionParams
 
-    from .launch_file import LaunchParam
+    from .launch_file import LaunchNode, LaunchParam
 
 __all__ = ["ParamsFile", "load_params_file", "render_params_file"]
 
@@ -44,6 +44,24 @@ MAX_DEPTH = 50
 
 #: Parameters that every ROS 2 node has.
 _EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
+
+
+class Hidden(NamedTuple):
+    """A place whose content errors must not show.
+
+    Attributes
+    ----------
+    place
+        As it is in the text of errors: a path, or a line of a launch file.
+    written
+        The text there, which names environment variables; empty for a file.
+    named_in
+        For a file: the place in the launch file that names it.
+    """
+
+    place: str
+    written: str = ""
+    named_in: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +84,9 @@ class ParamsFile:
         The remappings of a launch file, ``cloud_in:=/points``, of the node's topics and of the transforms'.
     files
         Other files that a launch file names, and that were read.
+    hidden
+        Places of values that errors must not show: for a value with an environment variable, its place and the text
+        that names the variable; for a file that the launch file names, its path and the place that names it.
     """
 
     direction: Direction | None
@@ -74,6 +95,7 @@ class ParamsFile:
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
+    hidden: tuple[Hidden, ...] = ()
 
 
 def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[str, str] | None = None) -> ParamsFile:
@@ -127,7 +149,7 @@ def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
     if root is None or is_empty(root):
         raise ParameterError(f"{path}: the file is empty")
     if not is_mapping(root):
-        found = "a list" if root.id == "sequence" else f"only the text {shown(root.value)}"
+        found = "a list" if root.id == "sequence" else "only a text"
         raise ParameterError(f"{path}: expected parameters as 'name: value', got {found}")
     leaves = []
     for leaf in _leaves(root, path, ()):
@@ -148,42 +170,74 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
     settings: dict[str, Setting] = {}
     ignored = list(found.ignored)
     files: list[Path] = []
+    hidden: list[Hidden] = []
     for param in found.params:
         place = f"{path}, line {param.line}"
         if param.kind == "file":
-            file = Path(param.value)
-            inner = read_text(file)
-            if is_launch_xml(inner):
-                raise ParameterError(f"{file}: is a launch file, where parameters are expected (from {place})")
-            files.append(file)
-            loaded = _section_for(found.name, inner, file)
-            ignored += loaded.ignored
+            loaded = _named_file(param, place, found)
+            files.append(Path(param.value))
+            hidden.append(Hidden(param.value.shown, named_in=place))
+            # Their names are content of the file.
+            ignored += [re.sub(r"(, line \d+), .*", r"\1", origin) for origin in loaded.ignored]
             settings |= {setting.name: setting for setting in loaded.settings}
             continue
-        if param.kind == "yaml":
-            root = compose(param.value, place)
-            if root is None or not is_mapping(root):
-                raise ParameterError(f"{place}: expected parameters as 'name: value' in <rosparam>")
-            values = [
-                (
-                    ".".join(leaf.path),
-                    scalar_value(leaf.node, leaf.path[-1], f"{place}, {'.'.join(leaf.path)}", ros1=True),
-                )
-                for leaf in _leaves(root, path, ())
-            ]
-        else:
-            values = [(param.name, _launch_value(param))]
-        for written, value in values:
-            name, origin = ALIASES.get(written, written), f"{place}, {written}"
+        for written, value in _launch_values(param, path, place):
+            name, called = ALIASES.get(written, written), param.name.shown or written
             if _is_every_nodes(written):
                 continue
+            if param.value.is_hidden and param.kind == "yaml":
+                called = name if name in PARAMETERS else "<rosparam>"
+            origin = f"{place}, {called}"
+            if param.value.is_hidden:
+                hidden.append(Hidden(origin, "$(env ...)" if param.kind == "yaml" else param.value.shown.strip()))
             if name in names_of(found.direction):
                 settings[name] = Setting(name, _as_bool(name, value), origin, "file")
             elif written in TOPICS:
                 ignored.append(origin)
             else:
-                raise unknown_parameter(written, origin, found.direction)
-    return ParamsFile(found.direction, tuple(settings.values()), found.name, tuple(ignored), found.remaps, tuple(files))
+                raise unknown_parameter(called, origin, found.direction)
+    return ParamsFile(
+        found.direction,
+        tuple(settings.values()),
+        found.name.shown,
+        tuple(ignored),
+        found.remaps,
+        tuple(files),
+        tuple(hidden),
+    )
+
+
+def _named_file(param: LaunchParam, place: str, node: LaunchNode) -> ParamsFile:
+    """Read a parameter file that a launch file names. Errors do not quote it, because it may be any file."""
+    shown = Path(param.value.shown)
+    try:
+        text = read_text(Path(param.value), shown)
+        if not is_launch_xml(text):
+            return _section_for(node.name, text, shown)
+    except ParameterError as err:
+        if is_about(err, shown):
+            raise without_content(err, shown, place) from None
+        raise
+    raise ParameterError(f"{shown}: is a launch file, where parameters are expected (from {place})")
+
+
+def _launch_values(param: LaunchParam, path: Path, place: str) -> list[tuple[str, object]]:
+    """Return the names and values of a parameter element."""
+    if param.kind != "yaml":
+        return [(param.name, _launch_value(param))]
+    try:
+        root = compose(param.value, place)
+        if root is None or not is_mapping(root):
+            raise ParameterError(f"{place}: expected parameters as 'name: value' in <rosparam>")
+        return [
+            (".".join(leaf.path), scalar_value(leaf.node, leaf.path[-1], f"{place}, {'.'.join(leaf.path)}", ros1=True))
+            for leaf in _leaves(root, path, ())
+        ]
+    except ParameterError:
+        if param.value.is_hidden:
+            message = f"{place}: the values of environment variables make this <rosparam> no parameters"
+            raise ParameterError(message) from None
+        raise
 
 
 def _section_for(node: str, text: str, file: Path) -> ParamsFile:
@@ -212,9 +266,11 @@ def _as_bool(name: str, value: object) -> object:
     return value
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, shown: Path | None = None) -> str:
+    """Return the text of a parameter file; ``shown`` is its path for errors."""
+    actual, path = path, shown or path
     try:
-        with opened_bytes(path) as file:
+        with opened_bytes(actual) as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError as err:
         hint = missing_hint(path, (".yaml", ".yml"))

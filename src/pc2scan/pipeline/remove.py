@@ -50,7 +50,7 @@ class Remove:
         # Beams without a return may have a finite range, which filters must not take for a return.
         seen[seen == self._empty] = np.inf
         returns = np.isfinite(seen)
-        counts = {"returns": int(np.count_nonzero(returns))}
+        counts = dict(result.removed or {"returns": int(np.count_nonzero(returns))})
         closed = abs(seen.size * float(scan.angle_increment) - TURN) < abs(float(scan.angle_increment)) / 2
         for chosen in self._filters:
             gone = chosen(seen, float(scan.angle_increment), closed=closed) & np.isfinite(seen)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.formats import FORMATS
 from pc2scan.core.rule import REJECTIONS, Rejection
-from pc2scan.errors import stamp_text
+from pc2scan.errors import leading, stamp_text
 from pc2scan.json_types import json_value
 from pc2scan.shown import Shown, Table, count, listed, size
 from pc2scan.version import __version__
@@ -268,7 +268,7 @@ class Report(Shown):
             yield ""
         yield from self.tables()
         written, read = size(self.bytes_written), size(self.bytes_read)
-        yield f"{self.written_to}: {written} from {read}, exit status {self.exit_status}"
+        yield f"{leading(self.written_to)}: {written} from {read}, exit status {self.exit_status}"
         yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
         yield from listed([str(entry) for entry in self.skipped], "skipped", _MAX_SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):

@@ -27,6 +27,12 @@ _MAX_WARNED = 5
 #: If a default rejects this share of the points, a warning names it.
 _NOTABLE_SHARE = 0.25
 
+#: If a filter that should remove faults alone removes more than this share, a warning names it.
+_MOST_REMOVED = 0.1
+
+#: What to type if `min_points` or `kth` removes too many beams.
+_OF_SPARSE = "they have fewer returns than `min_points` or `kth`: lower these, or use more heights or wider beams"
+
 #: If the seconds between two transforms exceed this, deskewing warns: odometry has ten transforms a second and more.
 _NOTABLE_GAP = 0.25
 
@@ -61,6 +67,7 @@ def topic_warnings(
         yield f"no message of {topic.topic} {why}"
     elif topic.action == "converted":
         yield from _point_warnings(topic, topic.spec or scan, rejections)
+        yield from _removal_warnings(topic, topic.spec or scan, rejections)
     yield from _joined_warnings(topic)
     if (motion := topic.motion) and motion["longest_gap_s"] > _NOTABLE_GAP:
         yield (
@@ -107,6 +114,26 @@ def _point_warnings(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str,
             yield f"{topic.target}: {share:.0%} of the points were {each.by_default[1]}{advice}"
 
 
+def _removal_warnings(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejection]) -> Iterator[str]:
+    """Yield warnings of filters that remove far more than the faults that they are for.
+
+    Not of limits, conditions and regions, nor of the ground: they reject what users ask them to, and often most of it.
+    """
+    points, beams = topic.points, topic.removed_beams
+    faulty = [(each.name, each.explanation, each.remedy) for each in rejections.values() if each.remedy]
+    removals = [(points.rejected.get(name, 0), points.total, "point", what, remedy) for name, what, remedy in faulty]
+    remedies = {"sparse": _OF_SPARSE} | {each.name: each.remedy for each in spec.remove}
+    removals += [
+        (beams[name], beams["returns"], "beam", f"removed as {name}", remedy)
+        for name, remedy in remedies.items()
+        if name in beams
+    ]
+    for number, total, kind, what, remedy in removals:
+        if number > _MOST_REMOVED * total:
+            share = f"{number:,} of {counted(total, kind)} ({number / total:.0%})"
+            yield f"{topic.target}: {share} {agreeing(number, 'were')} {what}; {remedy}"
+
+
 def _surprises(spec: ScanSpec, rejection: Rejection) -> bool:
     """Whether a parameter that was not given rejects more points by its default than users expect."""
     name, _ = rejection.by_default
@@ -125,7 +152,9 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
             explanation += f": {topic.advice}"
         explained[explanation] += points.rejected.get(name, 0)
     explanation, count = explained.most_common(1)[0]
-    return f"{count / points.total:.0%} of all points were {explanation}" if count else "the clouds have no points"
+    if count:
+        return f"{count / points.total:.0%} of all points were {explanation}"
+    return "all of their beams were removed" if points.used else "the clouds have no points"
 
 
 def _joined_warnings(topic: TopicReport) -> Iterator[str]:

@@ -39,7 +39,7 @@ from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads
 
 from .acceptance import ghosts
-from .beforehand import idle_cut, refuse_no_messages
+from .beforehand import Unconnected, idle_cut, refuse_no_messages
 from .declarations import Declarations
 from .first_clouds import FirstClouds
 from .idle import doubts, refuse_unusable
@@ -339,7 +339,11 @@ def _run(
                 from pc2scan.bags.splitting import narrowed  # noqa: PLC0415  # most recordings are one file
 
                 rule = narrowed(rule, cut, reader.connections)
-            stream(reader, routes, options, span, rule, pool, writer, report, progress, levels)
+            # Only the messages of all pieces show that nothing can be converted.
+            unconnected = Unconnected(firsts.warn) if firsts is not None and piece is None else None
+            stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
+            if unconnected is not None:
+                unconnected.finish()
             if firsts is not None:
                 firsts.finish()
             for spec in plan.specs:

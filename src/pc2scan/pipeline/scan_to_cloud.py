@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.counts import PointCounts
+from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unprojected
@@ -19,7 +20,6 @@ from .conversion import Conversion, Result
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.core.rigid import Rigid
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Frames
 
@@ -81,10 +81,12 @@ class ScanToCloud(Conversion):
         place = self._frames.place(scan.frame_id, scan.stamp_ns)
         own = _Header(scan.sequence, scan.stamp_ns, place.frame_id)
         start = place.target_from_source
+        if self._deskewed:
+            # laser_geometry looks up the identity if both frames are the same, and multiplies by it.
+            identity = Rigid.identity()
+            return own, deskew(points, start or identity, self._end(scan) or identity)
         if start is None:
             return own, points
-        if self._deskewed:
-            return own, deskew(points, start, self._end(scan) or start)
         # Source of the rule: tf2_sensor_msgs gives a cloud the header of the transform, which has no sequence number.
         stamp_ns = self._frames.transform_stamp(scan.frame_id, scan.stamp_ns)
         moved = points.with_xyz(start.apply(points.xyz), start.translation)

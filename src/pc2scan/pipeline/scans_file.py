@@ -12,6 +12,7 @@ from pc2scan.errors import ParameterError, UsageError
 from pc2scan.names import did_you_mean
 
 from .combine.asked import Combining
+from .concealed import is_about, without_content
 from .param_sources import resolve_sources
 from .parameters import ALIASES, PARAMETERS, Setting, names_of, shown
 from .scan_spec import ScanSpec, TopicRequest
@@ -126,7 +127,8 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
         if isinstance(root.value, list) or (isinstance(root.value, dict) and not root.value.keys() & set(_TOP)):
             root = _Entry({"scans": root}, root.place)
     if not isinstance(root.value, dict):
-        raise UsageError(f"{root.place}: expected scans, got {_found(root)}", hint=_EXAMPLE)
+        found = "a list" if isinstance(root.value, list) else "only a text"
+        raise UsageError(f"{root.place}: expected scans, got {found}", hint=_EXAMPLE)
     for key, entry in root.value.items():
         if key not in _TOP:
             raise UsageError(f"{entry.place}: unknown key {key!r}", hint=did_you_mean(key, _TOP) or _EXAMPLE)
@@ -261,8 +263,8 @@ def _spec(
                     or f"an output has {', '.join(OUTPUT_KEYS)}, and the parameters of pointcloud_to_laserscan",
                 )
     values = {key: _checked_value(key, found) for key, found in chosen.items()}
-    with _naming_place(entry, topic, chosen):
-        file = Path(base, values["params_file"]) if "params_file" in values else None
+    file = Path(base, values["params_file"]) if "params_file" in values else None
+    with _naming_place(entry, topic, chosen, file):
         resolved = resolve_sources(settings, file=file, node=values.get("node"), preset=values.get("preset"))
         if resolved.reverse:
             raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
@@ -296,11 +298,13 @@ def _checked_topic(source: str) -> str:
 
 
 @contextmanager
-def _naming_place(entry: _Entry, topic: str, chosen: Mapping[str, _Entry]) -> Iterator[None]:
-    """Add an output's topic and place to errors."""
+def _naming_place(entry: _Entry, topic: str, chosen: Mapping[str, _Entry], file: Path | None) -> Iterator[None]:
+    """Add an output's topic and place to errors; those about its parameter file do not quote it."""
     try:
         yield
     except UsageError as err:
+        if file is not None and is_about(err, file):
+            raise without_content(err, file, f"{entry.place}, {topic}") from None
         # If the error names a key, the line of this key is shown.
         named_keys = ((f"`{key}`", f"'{key}'", found) for key, found in chosen.items())
         named = next((found for *names, found in named_keys if any(name in err.message for name in names)), entry)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import MessageError, UnwritableError
 from pc2scan.model import StoredChunk, own, owned
 
-from .beforehand import Unconnected
 from .conversion import Converted
 from .first_clouds import Candidate, Sampled
 from .report import Report, Skipped
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, ChunkRule, RawMessage, Writer
     from pc2scan.threads import Threads
 
+    from .beforehand import Unconnected
     from .combine.joint import Arrived, MadeScan
     from .levelling import LevelFrames
     from .options import ConvertOptions
@@ -89,10 +89,11 @@ def stream(
     report: Report,
     progress: Progress | None,
     levels: LevelFrames | None = None,
+    unconnected: Unconnected | None = None,
 ) -> None:
     """Convert all messages of the cut, and write them in the order of reading.
 
-    ``levels`` writes the frames of level scans.
+    ``levels`` writes the frames of level scans; ``unconnected`` is told of the messages until one is converted.
     """
     total = reader.summary.size_bytes
     outcomes: Generator[_Outcome | StoredChunk | MadeScan] = _outcomes(reader, routes, options, span, rule, pool)
@@ -102,10 +103,6 @@ def stream(
 
         outcomes = with_scans(outcomes, _arrivals, joints, pool)
     steps = 0
-    # Not in later pieces, whose first messages are not those of the whole recording.
-    judged = [route.connection for route in routes.values() if route.convert is not None and span.latched]
-    unconnected = Unconnected(judged)
-    is_connected = not unconnected.is_possible
     # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
     with closing(outcomes):
         for outcome in outcomes:
@@ -115,9 +112,9 @@ def stream(
                 _write_scan(outcome, writer, report, options.on_error, levels)
             else:
                 _write(outcome, writer, report, options.on_error, levels)
-                if not is_connected and outcome.route.convert is not None:
-                    unconnected.note(outcome.route.connection, outcome.failure)
-                    is_connected = not unconnected.is_possible
+                if unconnected is not None and outcome.route.convert is not None:
+                    unconnected.note(outcome.route.connection.topic, outcome.failure)
+                    unconnected = unconnected if unconnected.is_possible else None
             if progress is not None:
                 steps += _PROGRESS_EVERY if isinstance(outcome, StoredChunk) else 1
                 if steps >= _PROGRESS_EVERY:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pc2scan.cli.in_process import run_command
+from pc2scan.errors import visible
 from pc2scan.golden.case import is_case
 from pc2scan.golden.check import check_case
 
@@ -68,7 +69,7 @@ class GoldenItem(pytest.Item):
 
     def reportinfo(self) -> tuple[Path, None, str]:
         """Name the case."""
-        return self.path, None, f"golden case {self.path.name}"
+        return self.path, None, visible(f"golden case {self.path.name}")
 
 
 class _Unexpected(Exception):  # noqa: N818 - a failure of a test, not an error

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.errors import stamp_text
+from pc2scan.errors import stamp_text, visible
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder, PointCloud2
 
@@ -188,8 +188,8 @@ class Cloud(Stamped):
 
     def __repr__(self) -> str:
         return (
-            f"<Cloud on {self.topic} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
-            f"{len(self):,} points of {', '.join(self.fields)}>"
+            f"<Cloud on {visible(self.topic)} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
+            f"{len(self):,} points of {', '.join(map(visible, self.fields))}>"
         )
 
 

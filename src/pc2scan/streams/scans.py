@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.core.unproject import UnprojectParams, unproject
-from pc2scan.errors import MessageError, UsageError, stamp_text
+from pc2scan.errors import MessageError, UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.pipeline.beforehand import Unconnected, idle_cut
@@ -163,7 +163,7 @@ class Scan(Stamped):
     def __repr__(self) -> str:
         returns = np.count_nonzero(self.valid)
         return (
-            f"<Scan on {self.topic} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
+            f"<Scan on {visible(self.topic)} at {stamp_text(self.stamp_ns)} in {self.frame!r}: "
             f"{len(self.ranges)} beams, {returns} with a return>"
         )
 
@@ -420,8 +420,7 @@ class _Conversion:
         early: list[str],
     ) -> None:
         self._report, self._firsts, self._early = report, firsts, early
-        converted = [route.connection for route in routes if route.targets]
-        self._unconnected = Unconnected(converted)
+        self._unconnected = Unconnected()
         entries: dict[tuple[str, str], TopicReport] = {}
         #: The entries of each connection, and whether their scans are made of several messages.
         self._entries: dict[int, list[tuple[TopicReport, bool]]] = {}
@@ -445,8 +444,8 @@ class _Conversion:
         made = message.converted
         if made is not None and isinstance(made.sample, Sampled):
             made.sample.add(made.counts)
-        if self._unconnected.is_possible and not message.is_joint:
-            self._unconnected.note(message.connection, message.error)
+        if not message.is_joint:
+            self._unconnected.note(message.connection.topic, message.error)
         for entry, is_joint in self._entries[message.connection.id]:
             if message.is_joint and not is_joint:
                 continue
@@ -461,6 +460,10 @@ class _Conversion:
                     entry.motions.append(message.converted.motion)
                 if message.converted.level is not None:
                     entry.tilts.append(message.converted.level.tilt)
+
+    def finish(self) -> None:
+        """Raise if nothing could be converted; see `Account`."""
+        self._unconnected.finish()
 
     def early_warnings(self) -> Sequence[str]:
         """Return new warnings about the first clouds; see `Account`."""

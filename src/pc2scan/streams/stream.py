@@ -13,7 +13,7 @@ from weakref import WeakSet, finalize
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.bags.units import in_time_order
-from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list
+from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.pipeline.beforehand import refuse_no_messages
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
@@ -144,7 +144,11 @@ class Account(Protocol):
     """Counts the results of all messages."""
 
     def note(self, message: Read) -> None:
-        """Count a message. Raises a `MessageError` if it is certain that no other message can be used."""
+        """Count a message."""
+        ...
+
+    def finish(self) -> None:
+        """Raise a `MessageError` if, in the end, no message could be used."""
         ...
 
     def early_warnings(self) -> Sequence[str]:
@@ -415,7 +419,7 @@ class Stream(ABC, Generic[Item]):
     def __repr__(self) -> str:
         paths = ", ".join(repr(str(path)) for path in self._selection.paths)
         more = ", ..." if len(self.topics) > _SHOWN else ""
-        return f"<{type(self).__name__} on {', '.join(self.topics[:_SHOWN])}{more} of {paths}>"
+        return f"<{type(self).__name__} on {', '.join(map(visible, self.topics[:_SHOWN]))}{more} of {paths}>"
 
 
 def _accounted(source: Source) -> Generator[Read]:
@@ -426,6 +430,8 @@ def _accounted(source: Source) -> Generator[Read]:
                 source.account.note(message)
             yield message
             del message
+    if source.account is not None:
+        source.account.finish()
 
 
 def _warn_of_damage(damage: tuple[Damage, ...], warned: int) -> int:

@@ -31,16 +31,17 @@ from nanoseconds, which differs in the last bits of float64.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pc2scan.core.rigid import Rigid
+from pc2scan.errors import TransformError, UnconnectedError
 
 from .history import FrameHistory
-from .lookup_errors import empty_name, extrapolation, looping, unconnected, unknown_frame
+from .lookup_errors import empty_name, extrapolation, looping, often_changing, unconnected, unknown_frame
 from .query import Query
 from .summary import frame_info, trees_of
 from .walk import joined, walk_up
@@ -55,6 +56,9 @@ if TYPE_CHECKING:
     from .summary import FrameInfo, Tree
 
 __all__ = ["TransformBuffer"]
+
+#: How often frames may change their parents while a cloud is measured.
+_MOST_CHANGES = 1000
 
 
 @dataclass(frozen=True, eq=False)  # not slotted: `infos` and `trees` are computed when first asked for
@@ -84,6 +88,7 @@ class TransformBuffer:
     _numbers: dict[str, int] = field(repr=False)
     _histories: dict[int, FrameHistory | None] = field(default_factory=dict, repr=False)
     _chains: dict[tuple[int, int], Chain | None] = field(default_factory=dict, repr=False)
+    _changes: dict[tuple[int, int], NDArray[np.int64]] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         """Return the number of samples that are kept."""
@@ -179,16 +184,18 @@ class TransformBuffer:
             Both ends, the times of all samples between them, and times between these.
         rows : (2 N - 1, 12) float64
             ``target_from_source`` at these times, and in the middle between each and the next one: the rows of the
-            rotation, then the translation; NaN where there is no transform.
+            rotation, then the translation; NaN where there is no transform. If a frame changes its parent, both the
+            nanosecond before and the stamp of the change are among the times.
         gap_ns : int
             The longest time between two samples that it was interpolated over, nanoseconds.
 
         Raises
         ------
         TransformError
-            If a frame is unknown, or the two are not connected.
+            If a frame is unknown, the two are not connected, or frames change their parents more than a thousand times
+            in the interval.
         """
-        from .many import node_times, rows_of  # noqa: PLC0415  # only deskewing needs it
+        from .many import in_turn, sampled  # noqa: PLC0415  # only deskewing needs it
 
         query = self._query(target, source, begin_ns, 0)
         if query is None:
@@ -197,15 +204,19 @@ class TransformBuffer:
         key = query.target_number, query.source_number
         if key not in self._chains:
             self._chains[key] = self._timeless_chain(*key)
-        # If frames change parents, the chain at the beginning is used.
-        chain = self._chains[key] or self._timed_chain(query, begin_ns)
-        times, gap_ns = node_times(chain, begin_ns, end_ns, step_ns)
-        found = rows_of(chain, times)
-        needed = needed_ns(times[::2], found)
-        if needed < step_ns:
-            times, gap_ns = node_times(chain, begin_ns, end_ns, needed)
-            found = rows_of(chain, times)
-        return times[::2], found, gap_ns
+        chain = self._chains[key]
+        if chain is not None:
+            return sampled(chain, begin_ns, end_ns, step_ns, needed_ns)
+        changes = self._changes_ns(key)
+        inside = changes[(changes > begin_ns) & (changes <= end_ns)].tolist()
+        if len(inside) > _MOST_CHANGES:
+            raise often_changing(query, len(inside), _MOST_CHANGES, end_ns - begin_ns)
+        ends = [*(change_ns - 1 for change_ns in inside), end_ns]
+        parts = []
+        for first_ns, last_ns in zip([begin_ns, *inside], ends, strict=True):
+            part = self._chain_during(replace(query, stamp_ns=first_ns))
+            parts.append(sampled(part, first_ns, last_ns, step_ns, needed_ns))
+        return in_turn(parts)
 
     def between_ns(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> int:
         """Return over how long a time `lookup` interpolates: the longest one of all frames of the chain, nanoseconds.
@@ -347,6 +358,30 @@ class TransformBuffer:
         if blocked is not None:
             raise extrapolation(query, blocked, self.frames, time_ns)
         raise unconnected(query, source_walk, target_walk, self.frames, self.trees)
+
+    def _chain_during(self, query: Query) -> Chain | None:
+        """Return the chain from a stamp until a frame changes its parent; None if there is none at the stamp."""
+        try:
+            return self._timed_chain(query, query.stamp_ns).during(query.stamp_ns)
+        except UnconnectedError:
+            raise
+        except TransformError:
+            return None
+
+    def _changes_ns(self, frames: tuple[int, int]) -> NDArray[np.int64]:
+        """Return when any frame that two frames may lead up to is first known, or changes its parent; increasing."""
+        if frames not in self._changes:
+            met: set[int] = set()
+            ahead, found = list(frames), [np.empty(0, np.int64)]
+            while ahead:
+                number = ahead.pop()
+                link = None if number in met else self._history(number)
+                met.add(number)
+                if link is not None:
+                    ahead += np.unique(link.parents).tolist()
+                    found += [] if link.static else [link.changes_ns]
+            self._changes[frames] = np.unique(np.concatenate(found))
+        return self._changes[frames]
 
     def _latest_common_time(self, query: Query) -> int | None:
         """Return the earliest of the frames' latest stamps; None if no frame of the chain is dynamic.

@@ -75,6 +75,15 @@ class Chain:
         """The links that have to be known."""
         return self.source_side.links + self.target_side.links
 
+    def during(self, stamp_ns: int) -> Chain:
+        """Return the chain with the samples around a stamp, until any of its frames changes its parent."""
+
+        def during(links: Iterable[FrameHistory]) -> tuple[FrameHistory, ...]:
+            return tuple(link.during(stamp_ns) for link in links)
+
+        target_side, source_side = (Side.of(during(side.links)) for side in (self.target_side, self.source_side))
+        return Chain(target_side, source_side, during(self.above))
+
     def target_from_source(self, time_ns: int | None) -> Rigid:
         """Multiply the links' transforms at a time; None asks for each link's latest.
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pc2scan.core.rigid import interpolate_poses
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Pose
@@ -78,6 +79,32 @@ class FrameHistory:
     def parent_at(self, stamp_ns: int | None) -> int:
         """Return the index of the parent at a stamp; outside the history, the nearest known one."""
         return self.sole_parent if self.sole_parent >= 0 else int(self.parents[self._older(stamp_ns)])
+
+    @property
+    def changes_ns(self) -> NDArray[np.int64]:
+        """(K,) int64, increasing: the stamps from which on a parent is known, or another one."""
+        changes: NDArray[np.int64] = self.stamps_ns[np.diff(self.parents, prepend=-1) != 0]
+        return changes
+
+    def during(self, stamp_ns: int) -> FrameHistory:
+        """Return the samples from the last change of the parent before a stamp until the next one.
+
+        The last of them is valid until the change, unchanged; it is there twice.
+        """
+        if self.static or self.sole_parent >= 0:
+            return self
+        changes = self.changes_ns
+        next_change = int(changes.searchsorted(stamp_ns, "right"))
+        begin = int(self.stamps_ns.searchsorted(changes[next_change - 1])) if next_change else 0
+        stamps, poses = self.stamps_ns[begin:], self.poses[begin:]
+        if next_change < changes.size:
+            end_ns = changes[next_change] - 1
+            end = int(stamps.searchsorted(end_ns, "right"))
+            stamps, poses = stamps[:end], poses[:end]
+            if stamps[-1] < end_ns:
+                stamps, poses = np.append(stamps, end_ns), np.append(poses, poses[-1:], axis=0)
+        parents = np.full(stamps.size, self.parents[begin])
+        return FrameHistory(self.child, False, stamps, poses, parents, int(parents[0]), int(stamps[0]), int(stamps[-1]))
 
     def pose_at(self, stamp_ns: int | None) -> Pose:
         """Return ``parent_from_child`` at a stamp; outside the history, the nearest known one."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .summary import Tree
     from .walk import Walk
 
-__all__ = ["empty_name", "extrapolation", "frames_text", "looping", "unconnected", "unknown_frame"]
+__all__ = ["empty_name", "extrapolation", "frames_text", "looping", "often_changing", "unconnected", "unknown_frame"]
 
 #: Maximum number of frames that an error message names.
 MAX_NAMES = 20
@@ -127,6 +127,16 @@ def looping(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> Trans
         f"{' in '.join([*names, names[0]])}",
         stamp_ns=query.stamp_ns,
         hint=_SEE_TF,
+    )
+
+
+def often_changing(query: Query, changes: int, most: int, duration_ns: int) -> TransformError:
+    """Return the error for frames that change their parents too often within an interval."""
+    return TransformError(
+        f"between [{query.source}] and [{query.target}], frames change their parents {changes:,} times within "
+        f"{stamp_text(duration_ns)} s, at most {most:,} times are followed",
+        stamp_ns=query.stamp_ns,
+        hint=f"two nodes may publish one frame with different parents; {_SEE_TF}",
     )
 
 

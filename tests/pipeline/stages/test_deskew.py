@@ -10,7 +10,7 @@ import pytest
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import TIME, Points
-from pc2scan.core.rigid import Rigid
+from pc2scan.core.rigid import Pose, Rigid
 from pc2scan.errors import DecodeError, TransformError, UsageError
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
@@ -72,6 +72,84 @@ def test_every_point_is_where_one_lookup_with_two_times_puts_it(target: str, sta
     for place, (point, time) in enumerate(zip(xyz.astype(np.float64), times.tolist(), strict=True)):
         expected = from_fixed.compose(known.buffer.lookup("odom", "lidar", T0 + time)).apply(point[np.newaxis])[0]
         np.testing.assert_allclose(found[place], expected, rtol=0, atol=1e-6 + 1e-7 * abs(expected).max())
+
+
+def assert_placed_by_lookups(known: Frames, fixed: str, xyz: Any, times: Any) -> None:
+    """Each point is where a lookup with two times puts it, to the micrometre."""
+    moving = moving_of(Deskew(known, fixed, PointTime()), points(xyz, times))
+    placed, _, rejected = moving.place(moving.points)
+    found = np.stack(placed.xyz(), axis=1)
+    assert known.buffer is not None
+    target, lost = known.target_frame or "lidar", 0
+    for place, (point, time) in enumerate(zip(xyz.astype(np.float64), times.tolist(), strict=True)):
+        try:
+            transform = known.buffer.lookup_through(target, T0, "lidar", T0 + time, fixed)
+        except TransformError:
+            assert np.isnan(found[place]).all()
+            lost += 1
+            continue
+        expected = transform.apply(point[np.newaxis])[0]
+        np.testing.assert_allclose(found[place], expected, rtol=0, atol=1e-6 + 1e-7 * abs(expected).max())
+    assert rejected["no_transform"] == lost
+
+
+@pytest.mark.parametrize("target", ["", "base_link", "hall"])
+@pytest.mark.parametrize("known_from", [-1.0, 0.0305], ids=["always", "late"])
+def test_a_frame_that_changes_its_parent_is_not_interpolated(target: str, known_from: float) -> None:
+    # On a cart until 30 ms after the stamp, which turns; then on the floor, 5 m away and turned by half a turn.
+    builder = TransformBuilder()
+    for number in range(-50, 51):
+        stamp_ns = T0 + number * SECOND // 50
+        pose = Rigid.from_rpy(0.0, 0.02 * number, 0.05 * number, (0.02 * number, 1.0, 0.1)).pose
+        builder.add([("hall", "cart", stamp_ns, *pose)], static=False)
+        parent = "cart" if number <= 1 else "floor"
+        turned = Rigid.from_rpy(0.0, 0.0, 0.1 * number + 3.0 * (number > 1), (5.0 * (number > 1), 0.0, 0.0)).pose
+        builder.add([(parent, "base_link", stamp_ns + 10_000_000, *turned)], static=False)
+        if number / 50 >= known_from:
+            builder.add([("hall", "floor", stamp_ns, *driven(number / 50).pose)], static=False)
+    builder.add([("base_link", "lidar", T0, *MOUNT.pose)], static=True)
+    change = 50_000_000
+    times = np.array([-5_000_000, 0, 10_000_000, 30_000_000, change - 1, change, change + 1, 60_000_000, 95_000_000])
+    xyz = np.random.default_rng(6).uniform(-8, 8, (times.size, 3)).astype(np.float32)
+    assert_placed_by_lookups(Frames(target, "", builder.build(), 0), "hall", xyz, times)
+
+
+@pytest.mark.parametrize("squared", [0.9901, 0.999, 1.0, 1.0099])
+@pytest.mark.parametrize("fixed", ["odom", "map", "wheel"])
+def test_quaternions_of_other_lengths_scale_as_in_a_lookup(fixed: str, squared: float) -> None:
+    builder = TransformBuilder()
+    length = math.sqrt(squared)
+
+    def longer(pose: Pose) -> Pose:
+        x, y, z, i, j, k, r = pose
+        return (x, y, z, length * i, length * j, length * k, length * r)
+
+    for number in range(-50, 51):
+        stamp_ns = T0 + number * SECOND // 50
+        builder.add([("odom", "base_link", stamp_ns, *longer(driven(number / 50).pose))], static=False)
+        builder.add([("map", "odom", stamp_ns, *longer(driven(number / 100).pose))], static=False)
+        builder.add([("map", "wheel", stamp_ns, *longer(driven(number / 25).pose))], static=False)
+    builder.add([("base_link", "lidar", T0, *longer(Rigid.from_rpy(0, 0, 1, (1.28, 0, 0.5)).pose))], static=True)
+    times = np.arange(0, 100_000_000, 5_000_000)
+    xyz = np.random.default_rng(7).uniform(-8, 8, (times.size, 3)).astype(np.float32)
+    assert_placed_by_lookups(Frames("base_link", "", builder.build(), 0), fixed, xyz, times)
+
+
+@pytest.mark.parametrize("unit", [1, 1_000, 1_000_000, 1_000_000_000])
+@pytest.mark.parametrize("times", [[20_000_000], [20_000_000, 20_400_000], [0, 999_000], [5_000_000, 105_000_000]])
+def test_absolute_times_are_those_after_the_stamp(times: list[int], unit: int) -> None:
+    xyz = np.arange(3 * len(times)).reshape(-1, 3) + 1.0
+    # A driver writes 0 for points without a return.
+    values = np.array([*((T0 + time) / unit for time in times), 0.0])
+    stage = Deskew(frames(rate=30), "odom", PointTime())
+    relative, absolute = (
+        moving_of(stage, points(some, these))
+        for some, these in ((xyz, np.array(times)), (np.concatenate([xyz, np.full((1, 3), np.nan)]), values))
+    )
+    expected = np.stack(relative.place(relative.points)[0].xyz(), axis=1)
+    found = np.stack(absolute.place(absolute.points)[0].xyz(), axis=1)[:-1]
+    # At 1.5 m/s and 1 rad/s, in the 0.24 us that a float64 of seconds since 1970 resolves.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
 
 
 #: Half the width of the beams below, metres at the farthest corner: not even exact scans are nearer to the walls.

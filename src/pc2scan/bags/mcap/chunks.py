@@ -93,7 +93,7 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
         start_ns=start_ns,
         end_ns=end_ns,
         record_offset=record_offset,
-        padding=padding if padding > 0 else 0,
+        padding=max(0, padding),
     )
 
 

@@ -147,10 +147,9 @@ class ConversionGroup(Group):
 
     def first_output(self, verb: str) -> "ConvertOptions":
         """Return the library's options with the first output only; ``verb`` says in the warning what it is used for."""
-        options = self.options()
-        if options.scans[1:]:
-            warn(f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}")
-        return options.with_scan()
+        from pc2scan.requests import first_output
+
+        return first_output(self.options(), verb, warn)
 
     def read_files(self) -> dict[str, Path]:
         """Return the files other than recordings that the options name, by option."""

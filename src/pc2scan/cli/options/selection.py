@@ -90,9 +90,9 @@ class PointsGroup(Group):
         typer.Option(
             "--remove",
             metavar="BEAMS",
-            help="Remove beams by the rules of laser_filters: shadows (returns between an edge and the surface behind "
-            "it) or speckles. Its parameters follow: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'. "
-            "Repeatable.",
+            help="Remove beams: shadows (returns between an edge and the surface behind it) or speckles. Parameters of "
+            "laser_filters may follow, and it is its filter then: 'shadows min_angle=5 neighbors=10', "
+            "'speckles filter_window=3'. Repeatable.",
             rich_help_panel=POINTS,
         ),
     ]

@@ -3,25 +3,28 @@
 #include "arrays.h"
 #include "functions.h"
 
-/* A rotation's matrix, in the order of operations of rigid.py's rotation_matrices. */
-static void matrix_of(const double q[4], double m[9]) {
+/* Compute a rotation's matrix, in the order of operations of rigid.py's rotation_matrices. Returns the quaternion's
+   squared length. */
+static double matrix_of(const double q[4], double m[9]) {
     const double x = q[0], y = q[1], z = q[2], w = q[3];
-    const double scale = 2.0 / (x * x + y * y + z * z + w * w);
+    const double squared = x * x + y * y + z * z + w * w, scale = 2.0 / squared;
     const double xs = x * scale, ys = y * scale, zs = z * scale;
     const double wx = w * xs, wy = w * ys, wz = w * zs, xx = x * xs, xy = x * ys, xz = x * zs;
     const double yy = y * ys, yz = y * zs, zz = z * zs;
     const double all[9] = {1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz),
                            yz - wx,         xz - wy, yz + wx, 1.0 - (xx + yy)};
     memcpy(m, all, sizeof all);
+    return squared;
 }
 
-/* Apply a transform to a row that holds another transform. */
-static void compose(const double m[9], const double t[3], double *row) {
+/* Apply a link's transform to a row that holds another transform. tf2 rotates the translation by the quaternion as it
+   is, which scales it by the quaternion's squared length. */
+static void compose(const double m[9], const double t[3], const double squared, double *row) {
     double turned[12];
     for (int i = 0; i < 3; i++) {
         const double *own = m + 3 * i;
         for (int k = 0; k < 3; k++) turned[3 * i + k] = own[0] * row[k] + own[1] * row[3 + k] + own[2] * row[6 + k];
-        turned[9 + i] = own[0] * row[9] + own[1] * row[10] + own[2] * row[11] + t[i];
+        turned[9 + i] = squared * (own[0] * row[9] + own[1] * row[10] + own[2] * row[11]) + t[i];
     }
     memcpy(row, turned, sizeof turned);
 }
@@ -45,7 +48,7 @@ static void set_between(Between *between, const double *first, const double *las
     between->sign = product < 0 ? -1 : 1;
 }
 
-static void interpolate(const Between *between, double ratio, double m[9], double t[3]) {
+static double interpolate(const Between *between, double ratio, double m[9], double t[3]) {
     const double *first = between->first, *last = between->last, angle = between->angle;
     double q[4];
     for (int k = 0; k < 3; k++) t[k] = (1 - ratio) * first[k] + ratio * last[k];
@@ -55,7 +58,7 @@ static void interpolate(const Between *between, double ratio, double m[9], doubl
         const double to = sin(ratio * angle) * between->sign / between->over;
         for (int k = 0; k < 4; k++) q[k] = from * first[3 + k] + to * last[3 + k];
     }
-    matrix_of(q, m);
+    return matrix_of(q, m);
 }
 
 static void follow_link(const int64_t *times, Py_ssize_t count, const int64_t *stamps, const double *poses,
@@ -82,8 +85,9 @@ static void follow_link(const int64_t *times, Py_ssize_t count, const int64_t *s
         const double *first = poses + 7 * older, *last = poses + 7 * newer;
         if (between.first != first || between.last != last) set_between(&between, first, last);
         const double whole = (double)(stamps[newer] - stamps[older]);
-        interpolate(&between, newer > older ? (double)(times[i] - stamps[older]) / whole : 0, m, t);
-        compose(m, t, rows);
+        const double ratio = newer > older ? (double)(times[i] - stamps[older]) / whole : 0;
+        const double squared = interpolate(&between, ratio, m, t);
+        compose(m, t, squared, rows);
     }
 }
 
@@ -102,8 +106,8 @@ PyObject *follow(PyObject *self, PyObject *args) {
     else {
         const double *pose = poses.buf;
         double m[9], *row = rows.buf;
-        matrix_of(pose + 3, m);
-        for (Py_ssize_t i = 0; i < count; i++) compose(m, pose, row + 12 * i);
+        const double squared = matrix_of(pose + 3, m);
+        for (Py_ssize_t i = 0; i < count; i++) compose(m, pose, squared, row + 12 * i);
     }
     result = Py_NewRef(Py_None);
     PyBuffer_Release(&rows);

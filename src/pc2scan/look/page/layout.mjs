@@ -97,7 +97,13 @@ export function halfOpenLayout(angleMin, angleMax, increment, beams) {
 }
 
 /**
- * The beams of `centeredLayout`, shifted so that their middle is 0.
+ * The least and the largest number of beams of `symmetricLayout` that MRPT reads right.
+ * @type {[number, number]}
+ */
+export const SYMMETRIC_BEAMS = [3, 100_000];
+
+/**
+ * The beams of `centeredLayout`, shifted so that their middle is 0, but for ten float32 steps: MRPT then misreads none.
  * @param {number} angleMin
  * @param {number} angleMax
  * @param {number} increment
@@ -106,8 +112,10 @@ export function halfOpenLayout(angleMin, angleMax, increment, beams) {
  */
 export function symmetricLayout(angleMin, angleMax, increment, beams) {
   const layout = centeredLayout(angleMin, angleMax, increment, beams);
-  const last = fround(((layout.count - 1) * layout.increment) / 2);
-  return { ...layout, angleMin: -nextUp32(last), angleMax: -nextUp32(-last) };
+  const half = fround(((layout.count - 1) * layout.increment) / 2);
+  const grid = 2 * (nextUp32(half) - half);
+  const last = roundHalfEven(half / grid) * grid;
+  return { ...layout, angleMin: fround(-(last + 5 * grid)), angleMax: fround(last - 5 * grid) };
 }
 
 /** @param {number} value */

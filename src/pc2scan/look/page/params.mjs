@@ -1,5 +1,6 @@
 // The projection's parameters, with the checks of core/params.py.
 
+import { SYMMETRIC_BEAMS } from "./layout.mjs";
 import { layoutOf } from "./rule.mjs";
 
 /**
@@ -53,8 +54,14 @@ export function problemOf(params) {
     return { name: "angle_increment", message: `makes ${layout.count.toLocaleString("en")} beams of this sector` };
   if (!(layout.angleMin < layout.angleMax))
     return { name: "angle_increment", message: "is so large that the sector has only one beam" };
-  if (params.geometry === "symmetric" && !layout.fullCircle) {
-    if (Math.abs(angle_min + angle_max) > layout.increment / 2)
+  if (params.geometry === "symmetric") {
+    const [least, most] = SYMMETRIC_BEAMS;
+    if (layout.count < least || layout.count > most)
+      return {
+        name: beams ? "beams" : "angle_increment",
+        message: `must make ${least} to ${most.toLocaleString("en")} beams, which MRPT reads right`,
+      };
+    if (!layout.fullCircle && Math.abs(angle_min + angle_max) > layout.increment / 2)
       return { name: "angle_min", message: "and angle_max must be symmetric around 0, or a full circle" };
   }
   for (const name of /** @type {const} */ (["surface_depth", "surface_slope"])) {

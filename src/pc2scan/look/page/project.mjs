@@ -67,6 +67,7 @@ export function project(cloud, params, values = null, filtered = null) {
   const squares = new Float64Array(points);
   const counts = count(cloud, params, layout, filtered, outcomes, bins, squares);
   const empty = emptyRange(params);
+  const returned = returnsOf(params, empty, outcomes, squares);
   const ranges = new Float32Array(layout.count).fill(empty);
   const intensities = values && new Float32Array(layout.count);
   let returns = 0;
@@ -75,7 +76,7 @@ export function project(cloud, params, values = null, filtered = null) {
       seen,
       ranges: found,
       values: lit,
-    } = means(layout.count, params.min_points, outcomes, bins, squares, values);
+    } = means(layout.count, params.min_points, returned, bins, squares, values);
     for (let bin = 0; bin < layout.count; bin++) {
       if (!seen[bin]) continue;
       returns += 1;
@@ -85,19 +86,31 @@ export function project(cloud, params, values = null, filtered = null) {
     return { layout, ranges, intensities, counts, outcomes, bins, returns };
   }
   const readers = new Int32Array(layout.count).fill(-1);
-  winners(readers, params, outcomes, bins, squares, layout.increment);
-  const plain = params.reduce === "min" && params.min_points === 1 && !values;
-  const limited = plain && ["", "inf", "range-max-plus"].includes(params.no_return);
+  winners(readers, params, returned, bins, squares, layout.increment);
   for (let bin = 0; bin < layout.count; bin++) {
     const point = readers[bin];
     if (point < 0) continue;
-    const range = Math.fround(Math.sqrt(squares[point]));
-    if (limited && !(range < empty)) continue;
-    ranges[bin] = range;
+    ranges[bin] = Math.sqrt(squares[point]);
     returns += 1;
     if (intensities && values) intensities[bin] = values[point];
   }
   return { layout, ranges, intensities, counts, outcomes, bins, returns };
+}
+
+/**
+ * Outcomes in which only the returns are `USED`: their range is below that of a beam without a return, if that is not
+ * a choice of pc2scan's own, and finite.
+ * @param {Params} params
+ * @param {number} empty the range of a beam without a return
+ * @param {Uint8Array} outcomes
+ * @param {Float64Array} squares
+ */
+function returnsOf(params, empty, outcomes, squares) {
+  const limit = ["", "inf", "range-max-plus"].includes(params.no_return) ? empty : Infinity;
+  if (limit > params.range_max) return outcomes;
+  return outcomes.map((outcome, n) =>
+    outcome === USED && !(Math.fround(Math.sqrt(squares[n])) < limit) ? RANGE : outcome,
+  );
 }
 
 /**

@@ -6,7 +6,7 @@
  * The point that gives each beam its range; of points with the same range, the first in the cloud.
  * @param {Int32Array} readers -1 on entry; the winners on return
  * @param {Params} params
- * @param {Uint8Array} outcomes 0 for the points that count
+ * @param {Uint8Array} outcomes 0 for the returns, whose ranges are finite
  * @param {Int32Array} bins
  * @param {Float64Array} squares
  * @param {number} increment radians
@@ -65,8 +65,7 @@ function closest(readers, outcomes, bins, squares) {
     const bin = bins[point];
     // Different squares may have the same float32 root.
     const range = Math.fround(Math.sqrt(squares[point]));
-    // An infinite range is a return, too; it is chosen last.
-    if (range < smallest[bin] || readers[bin] < 0) {
+    if (range < smallest[bin]) {
       smallest[bin] = range;
       readers[bin] = point;
     }

@@ -418,7 +418,8 @@ class CombineToScan(Conversion):
         shared = self._rebinned(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
         used = self._used(message, parts, sources) if self._keeps_used else None
-        result = Result(message, sum(others, scan.counts), empty, largest, lead.sample, level, shared, used)
+        counts = sum(others, scan.counts)
+        result = Result(message, counts, empty, largest, lead.sample, level, shared, used, scan.removed)
         return result if self._remove is None else self._remove(result)
 
     def _placed(

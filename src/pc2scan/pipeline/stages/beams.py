@@ -1,17 +1,19 @@
-"""Beam filters by the rules of laser_filters: shadows and speckles."""
+"""Beam filters: shadows and speckles."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from pc2scan.core.beam_filters import shadows, speckles_by_distance, speckles_by_neighbors
+from pc2scan.core.beam_filters import between_surfaces, shadows, speckles_by_distance, speckles_by_neighbors
 from pc2scan.errors import UsageError
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -19,34 +21,67 @@ __all__ = ["BeamFilter", "Shadows", "Speckles", "beam_filter"]
 
 _TRUE = {"true": True, "false": False}
 
+#: The parameters of ``ScanShadowsFilter``, with the values of laser_filters' example.
+_SHADOWS: Mapping[str, float | int | bool] = {
+    "min_angle": 10.0,
+    "max_angle": 170.0,
+    "window": 1,
+    "neighbors": 20,
+    "remove_shadow_start_point": False,
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Shadows:
-    """``ScanShadowsFilter``: finds returns between an edge and the object behind it, which are on neither.
+    """Finds returns between an edge and the surface behind it, which are on neither.
+
+    Without parameters by pc2scan's own rule, `pc2scan.core.beam_filters.between_surfaces`. With any of them it is
+    laser_filters' ``ScanShadowsFilter``, `pc2scan.core.beam_filters.shadows`; the others then have the values of
+    laser_filters' example.
 
     Parameters
     ----------
     min_angle, max_angle, window, neighbors, remove_shadow_start_point
-        As in laser_filters, with the values of its example; see `pc2scan.core.beam_filters.shadows`.
+        As in laser_filters; all are None, or none is.
     """
 
-    min_angle: float = 10.0
-    max_angle: float = 170.0
-    window: int = 1
-    neighbors: int = 20
-    remove_shadow_start_point: bool = False
+    min_angle: float | None = None
+    max_angle: float | None = None
+    window: int | None = None
+    neighbors: int | None = None
+    remove_shadow_start_point: bool | None = None
 
     name: ClassVar[str] = "shadows"
 
     def __post_init__(self) -> None:
-        _refuse_unless(0 <= self.min_angle <= 90, "min_angle", self.min_angle, "0 to 90 degrees")
-        _refuse_unless(90 <= self.max_angle <= 180, "max_angle", self.max_angle, "90 to 180 degrees")
-        _refuse_unless(1 <= self.window <= 1000, "window", self.window, "1 to 1000 beams")
-        _refuse_unless(0 <= self.neighbors <= 1000, "neighbors", self.neighbors, "0 to 1000 beams")
+        if not self._parameters:
+            return
+        for name, value in _SHADOWS.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+        low, high, window, neighbors, _ = self._parameters.values()
+        _refuse_unless(0 <= low <= 90, "min_angle", low, "0 to 90 degrees")
+        _refuse_unless(90 <= high <= 180, "max_angle", high, "90 to 180 degrees")
+        _refuse_unless(1 <= window <= 1000, "window", window, "1 to 1000 beams")
+        _refuse_unless(0 <= neighbors <= 1000, "neighbors", neighbors, "0 to 1000 beams")
 
     def __call__(self, ranges: NDArray[np.float32], increment: float, *, closed: bool) -> NDArray[np.bool_]:
         """Return which beams to remove."""
-        return shadows(ranges, increment, closed=closed, **dataclasses.asdict(self))
+        if not self._parameters:
+            return between_surfaces(ranges, increment, closed=closed)
+        return shadows(ranges, increment, closed=closed, **self._parameters)
+
+    @property
+    def remedy(self) -> str:
+        """What to type if it removes too many returns."""
+        if self._parameters:
+            return "`remove=shadows` without parameters keeps returns that continue a surface"
+        return "so many are hardly mixed pixels, but thin or rough things (plants, meshes): leave out `remove=shadows`"
+
+    @property
+    def _parameters(self) -> dict[str, Any]:
+        """The parameters of laser_filters; empty if they are not used."""
+        return {name: value for name in _SHADOWS if (value := getattr(self, name)) is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +124,25 @@ class Speckles:
             ranges, increment, max_range=most, max_range_difference=difference, filter_window=window, closed=closed
         )
 
+    @property
+    def remedy(self) -> str:
+        """What to type if it removes too many returns."""
+        milder = dataclasses.asdict(self) | {"max_range_difference": 2 * self.max_range_difference}
+        given = (
+            f"{each.name}={str(value).removesuffix('.0')}"
+            for each in fields(self)
+            if (value := milder[each.name]) != each.default
+        )
+        return f"`remove='{self.name} {' '.join(given)}'` removes fewer"
+
 
 BeamFilter = Shadows | Speckles
 
-_FILTERS: dict[str, type[Shadows | Speckles]] = {kind.name: kind for kind in (Shadows, Speckles)}
+#: Each filter by its name, and a value of each of its parameters.
+_FILTERS: dict[str, tuple[type[BeamFilter], Mapping[str, object]]] = {
+    Shadows.name: (Shadows, _SHADOWS),
+    Speckles.name: (Speckles, {each.name: each.default for each in fields(Speckles)}),
+}
 
 
 def _refuse_unless(holds: bool, name: str, value: object, allowed: str) -> None:  # the result of the check
@@ -114,33 +164,32 @@ def beam_filter(text: str) -> BeamFilter:
             f"`remove` is {text!r}, it must begin with one of {', '.join(_FILTERS)}",
             hint=did_you_mean(name, _FILTERS) or None,
         )
-    kind = _FILTERS[name]
-    defaults = {each.name: each.default for each in fields(kind)}
+    kind, known = _FILTERS[name]
     given: dict[str, object] = {}
     for setting in settings:
         key, _, value = setting.partition("=")
-        if key not in defaults:
+        if key not in known:
             raise UsageError(
-                f"`remove`: {name} has no parameter {key!r}, only {', '.join(defaults)}",
-                hint=did_you_mean(key, defaults) or None,
+                f"`remove`: {name} has no parameter {key!r}, only {', '.join(known)}",
+                hint=did_you_mean(key, known) or None,
             )
-        given[key] = _read_value(name, key, value, defaults[key])
+        given[key] = _read_value(name, key, value, known[key])
     return kind(**given)  # type: ignore[arg-type]  # of the types of the defaults
 
 
-def _read_value(name: str, key: str, value: str, default: object) -> object:
-    """Return a value of the same type as the default."""
+def _read_value(name: str, key: str, value: str, known: object) -> object:
+    """Return a value of the same type as a known one."""
     try:
-        if isinstance(default, bool):
+        if isinstance(known, bool):
             return _TRUE[value.lower()]
-        if isinstance(default, int):
+        if isinstance(known, int):
             return int(value)
-        if isinstance(default, float):
+        if isinstance(known, float):
             number = float(value)
             if math.isnan(number):
                 raise ValueError(value)
             return number
     except (KeyError, ValueError):
-        kind = "true or false" if isinstance(default, bool) else "a number"
+        kind = "true or false" if isinstance(known, bool) else "a number"
         raise UsageError(f"`remove`: {key} of {name} is {value!r}, it must be {kind}") from None
     return value

@@ -72,7 +72,7 @@ class PointTime:
     field
         The field with the times. Empty: the first of `TIME_FIELDS` that the cloud has.
     unit
-        ``s``, ``ms``, ``us`` or ``ns``. Empty: nanoseconds for integers; for other numbers, their span decides.
+        ``s``, ``ms``, ``us`` or ``ns``. Empty: the numbers decide; see `offset_and_unit`.
     turn
         How the lidar turned, if its points have no times. None: the times are in ``field``.
     """
@@ -249,7 +249,7 @@ class Track(NamedTuple):
         """
         rows = self.rows.copy() if rows is None else rows
         any_time = np.zeros(len(rows), np.int64)
-        kernel.follow(any_time, _ALWAYS, np.array([target_from_fixed.pose]), rows)
+        kernel.follow(any_time, _ALWAYS, _as_matrix(target_from_fixed), rows)
         values = self.points.field(self.time_field)
         transform = MovingTransform(values, self.offset, self.unit, self.node_times, rows, self.timed)
         motion = _motion(rows, reference, self.gap_ns)
@@ -478,6 +478,14 @@ def _motion(rows: NDArray[np.float64], reference: tuple[Rigid, ...] | int, gap_n
     else:
         row = _IDENTITY.copy()
         for transform in reversed(reference):
-            kernel.follow(_ONCE, _ALWAYS, np.array([transform.pose]), row)
+            kernel.follow(_ONCE, _ALWAYS, _as_matrix(transform), row)
     turned, moved = kernel.apart(rows, row)
     return Motion(math.sqrt(moved), 2 * math.asin(min(1.0, math.sqrt(turned) / math.sqrt(8))), gap_ns / 1e9)
+
+
+def _as_matrix(transform: Rigid) -> NDArray[np.float64]:
+    """Return a pose, (1, 7), that does not scale: tf2 multiplies two lookups as matrices; see `kernel.follow`."""
+    x, y, z, i, j, k, r = transform.pose
+    # Not 0: the product of thousands of quaternions that are a little too short may underflow.
+    length = math.sqrt(i * i + j * j + k * k + r * r) or 1.0
+    return np.array([(x, y, z, i / length, j / length, k / length, r / length)])

@@ -1,0 +1,173 @@
+"""Beams that are removed: mixed pixels, walls and posts in simulated recordings, and warnings of removing too much."""
+
+from __future__ import annotations
+
+import json
+import math
+from contextlib import closing
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pytest
+
+from labelled_worlds import labelled
+from mounted_worlds import write_clouds
+from pc2scan.bags.opening import open_recording
+from pc2scan.cli.in_process import run_command
+from pc2scan.cli.spelling import as_typed
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.project import project
+from pc2scan.messages.laserscan import decode_laserscan
+from veiled_worlds import LIDARS, PLANS, Kind, Scan, Veiled, scan_of, veiled
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+LOWEST, HIGHEST = -0.3, 0.6
+BEAMS = (360, 720)
+#: In these there is an edge every few degrees.
+CROWDED = {"store 1", "store 2", "store 3"}
+
+
+class Converted(NamedTuple):
+    """The scans of a recording, its warnings about removed beams, and the counts of beams."""
+
+    scans: list[NDArray[np.float32]]
+    warnings: list[str]
+    removed: dict[str, int]
+
+
+def written(folder: Path, *clouds: Veiled) -> Path:
+    return write_clouds(folder / "in.mcap", [cloud.points for cloud in clouds])
+
+
+def expected(cloud: Veiled, beams: int) -> Scan:
+    return scan_of(cloud, ProjectionParams(angle_increment=2 * math.pi / beams, min_height=LOWEST, max_height=HIGHEST))
+
+
+def converted(recording: Path, beams: int, *options: str) -> Converted:
+    """Converted by the real command, within this process."""
+    folder = recording.parent
+    ended = run_command([
+        "convert", str(recording), "-o", str(folder / "out.mcap"), "--overwrite", "--report", str(folder / "r.json"),
+        "--angle-increment", repr(2 * math.pi / beams), "--min-height", str(LOWEST), "--max-height", str(HIGHEST),
+        *options,
+    ])  # fmt: skip
+    assert ended.status == 0, ended.messages
+    report = json.loads((folder / "r.json").read_text())
+    with closing(open_recording(folder / "out.mcap")) as reader:
+        scans = [
+            decode_laserscan(message.data, message.connection.serialization).ranges
+            for message in reader.messages()
+            if message.connection.topic == "/scan"
+        ]
+    (topic,) = (entry for entry in report["topics"] if entry["action"] == "converted")
+    warnings = [as_typed(each) for each in report["warnings"] if " removed " in each]
+    return Converted(scans, warnings, topic["removed_beams"])
+
+
+@pytest.mark.parametrize("plan", sorted(PLANS.keys() - CROWDED))
+def test_shadows_keep_clean_walls_and_posts(plan: str, tmp_path: Path) -> None:
+    clouds = [veiled(plan, lidar, noise=noise) for lidar in LIDARS for noise in (0.0, 0.02)]
+    recording = written(tmp_path, *clouds)
+    for beams in BEAMS:
+        found = converted(recording, beams, "--remove", "shadows")
+        assert not found.warnings
+        for cloud, scan in zip(clouds, found.scans, strict=True):
+            ranges, kinds = expected(cloud, beams)
+            gone = np.isfinite(ranges) & ~np.isfinite(scan)
+            assert np.count_nonzero(gone[kinds == Kind.WALL]) <= 0.01 * np.count_nonzero(kinds == Kind.WALL)
+            assert not gone[kinds == Kind.POST].any()
+
+
+def test_shadows_remove_most_mixed_pixels(tmp_path: Path) -> None:
+    clouds = [veiled(plan, lidar, noise=0.02, mixed=True) for plan in PLANS for lidar in ("16 rings", "1 ring")]
+    recording = written(tmp_path, *clouds)
+    mixed, true = np.zeros(2, int), np.zeros(2, int)
+    for beams in BEAMS:
+        for cloud, scan in zip(clouds, converted(recording, beams, "--remove", "shadows").scans, strict=True):
+            kinds, gone = expected(cloud, beams).kinds, ~np.isfinite(scan)
+            mixed += [gone[kinds == Kind.MIXED].sum(), np.count_nonzero(kinds == Kind.MIXED)]
+            surface = (kinds == Kind.WALL) | (kinds == Kind.POST)
+            true += [gone[surface].sum(), np.count_nonzero(surface)]
+    assert mixed[1] > 100
+    assert mixed[0] > 0.9 * mixed[1]
+    assert true[0] < 0.005 * true[1]
+
+
+def test_laser_filters_values_remove_walls_with_a_warning(tmp_path: Path) -> None:
+    """The values of its example, all given or one of them."""
+    recording = written(tmp_path, veiled("empty corridor", "16 rings", noise=0.02))
+    text = "shadows min_angle=10 max_angle=170 window=1 neighbors=20 remove_shadow_start_point=false"
+    found = converted(recording, 720, "--remove", text)
+    number, returns = found.removed["shadows"], found.removed["returns"]
+    assert number > 0.1 * returns
+    (warning,) = found.warnings
+    share = f"/scan: {number:,} of {returns:,} beams ({number / returns:.0%}) were removed as shadows"
+    assert warning == f"{share}; --remove shadows without parameters keeps returns that continue a surface"
+    one = converted(recording, 720, "--remove", "shadows neighbors=20")
+    np.testing.assert_array_equal(one.scans, found.scans)
+
+
+@pytest.mark.parametrize(
+    ("plan", "lidar", "options", "said"),
+    [
+        (
+            "empty corridor", "1 ring", ("--remove", "speckles max_range=30"),
+            "--remove 'speckles max_range=30 max_range_difference=0.2' removes fewer",
+        ),
+        ("room with posts", "1 ring", ("--reduce", "kth", "--kth", "3"), "lower these, or use more heights or wider"),
+        ("room with posts", "1 ring", ("--min-points", "3"), "they have fewer returns than --min-points or --kth"),
+    ],
+)  # fmt: skip
+def test_filters_that_remove_a_tenth_are_warned_of(
+    plan: str, lidar: str, options: tuple[str, ...], said: str, tmp_path: Path
+) -> None:
+    recording = written(tmp_path, veiled(plan, lidar, noise=0.02))
+    found = converted(recording, 576, *options)
+    (warning,) = found.warnings
+    assert said in warning
+    name = "speckles" if "--remove" in options else "sparse"
+    assert f"{found.removed[name]:,} of {found.removed['returns']:,} beams" in warning
+    (whole,), (scan,) = converted(recording, 576).scans, found.scans
+    assert found.removed == {
+        "returns": int(np.isfinite(whole).sum()),
+        name: int(np.isfinite(whole).sum() - np.isfinite(scan).sum()),
+    }
+
+
+def test_scans_whose_every_beam_is_sparse_are_explained(tmp_path: Path) -> None:
+    """A ring of 1440 points has two in each of 720 beams."""
+    recording = written(tmp_path, veiled("empty room", "1 ring"))
+    output = str(tmp_path / "out.mcap")
+    ended = run_command(["convert", str(recording), "-o", output, "--beams", "720", "--min-points", "3"])
+    assert ended.status == 4
+    assert "1 of 1 scan on /scan has no return at all: all of their beams were removed" in ended.messages
+    assert "720 of 720 beams (100%) were removed as sparse; they have fewer returns than --min-points" in ended.messages
+
+
+@pytest.mark.parametrize(("lidar", "height"), [("16 rings", 1.0), ("32 rings", 1.8), ("64 rings", 1.8)])
+def test_beams_end_on_boxes_where_the_ground_is_removed(lidar: str, height: float, tmp_path: Path) -> None:
+    cloud = labelled("boxes of 0.3 m", lidar, lidar=height)
+    high = ~cloud.ground & (cloud.above > 0.16 + 0.008 * np.hypot(cloud.points[:, 0], cloud.points[:, 1]))
+    params = ProjectionParams(min_height=LOWEST, max_height=HIGHEST, angle_increment=math.tau / 360)
+    boxes, nearest = (project(cloud.points[those], params).ranges for those in (~cloud.ground, high))
+    (scan,) = converted(write_clouds(tmp_path / "in.mcap", [cloud.points]), 360, "--ground", "remove").scans
+    seen = np.isfinite(nearest)
+    # Nothing but boxes is in the scan, and at most one beam lost its box.
+    assert np.count_nonzero(scan[seen] > nearest[seen] + 0.5) <= 1
+    assert not np.isfinite(scan[~np.isfinite(boxes)]).any()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--where", "x > 0"), ("--exclude-box", "lidar 0 9 -9 9 -1 1"), ("--min-height-slope", "0.05"),
+        ("--reduce", "kth", "--kth", "2"), ("--remove", "speckles"),
+    ],
+)  # fmt: skip
+def test_what_is_asked_for_draws_no_warning(options: tuple[str, ...], tmp_path: Path) -> None:
+    recording = written(tmp_path, veiled("room with posts", "16 rings", noise=0.02))
+    assert not converted(recording, 360, *options).warnings

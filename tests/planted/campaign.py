@@ -1,0 +1,171 @@
+"""Plants faults in the source, one after the other, and records which of them the tests catch.
+
+By hand; the first command records which tests run which lines, the second plants the faults in a copy of the project::
+
+    python -m pytest -q --cov --cov-context=test --cov-report=
+    PYTHONPATH=tests python tests/planted/campaign.py --count 200 --seed 1 --lines .coverage --json planted.json
+
+Of each fault the tests that run its line are run, those that run the fewest lines first, until one fails. A fault that
+none of them notices is missed. A fault whose line no test runs is missed without a run. Faults in C and at the level of
+modules, which no test is recorded for, are held against all the tests that run a line of the same module, for C of
+``core/kernel.py``.
+
+``--again planted.json`` plants the faults of an earlier run, as far as the source still has them: a fault is found
+again by its text.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+from coverage import CoverageData
+
+from planted.faults import Fault, faults_in, plant, sample
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def main() -> None:
+    """Plant the faults, and print a table by room."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--again", type=Path, help="the faults of this earlier run")
+    parser.add_argument("--lines", type=Path, required=True, help="coverage's data, recorded with --cov-context=test")
+    parser.add_argument("--json", type=Path, required=True, help="write the result of each fault here; continues a run")
+    parser.add_argument("--most", type=int, default=400, help="run at most this many tests for a fault")
+    parser.add_argument(
+        "--timeout", type=float, default=300, help="seconds for a fault's tests; a hang is noticed, too"
+    )
+    parser.add_argument("--workers", default="0", help="pytest-xdist's -n")
+    arguments = parser.parse_args()
+    faults = _again(arguments.again) if arguments.again else sample(ROOT, arguments.count, arguments.seed)
+    tests = _Tests(arguments.lines)
+    results = json.loads(arguments.json.read_text()) if arguments.json.exists() else []
+    done = {_key(result) for result in results}
+    with tempfile.TemporaryDirectory(prefix="pc2scan-planted-") as name:
+        copy = _copy(Path(name))
+        for fault in faults:
+            if _key(fault._asdict()) in done:
+                continue
+            chosen = tests.of(fault)[: arguments.most]
+            began = time.monotonic()
+            caught = _caught(copy, fault, chosen, arguments.timeout, arguments.workers) if chosen else ""
+            seconds = round(time.monotonic() - began, 1)
+            results.append({**fault._asdict(), "room": fault.room, "tests": len(chosen), "by": caught, "s": seconds})
+            arguments.json.write_text(json.dumps(results, indent=1))
+            sys.stdout.write(f"{'caught' if caught else 'MISSED'} {seconds:6.1f} s  {fault}  {caught[:100]}\n")
+            sys.stdout.flush()
+    _print(results)
+
+
+class _Tests:
+    """Which tests run which lines."""
+
+    def __init__(self, path: Path) -> None:
+        data = CoverageData(str(path))
+        data.read()
+        self._data = data
+        self._files = {Path(name).as_posix().rpartition("/src/")[2]: name for name in data.measured_files()}
+        self._lines: dict[str, int] = Counter()
+        self._by_file: dict[str, dict[int, list[str]]] = {}
+        for name in data.measured_files():
+            for contexts in data.contexts_by_lineno(name).values():
+                self._lines.update(contexts)
+
+    def of(self, fault: Fault) -> list[str]:
+        """Return the tests to run for a fault, those that run the fewest lines of the package first."""
+        path = "pc2scan/core/kernel.py" if fault.path.endswith(".c") else fault.path.removeprefix("src/")
+        if path not in self._files:
+            return []
+        lines = self._by_file.setdefault(path, self._data.contexts_by_lineno(self._files[path]))
+        last = fault.line + fault.old.count("\n")
+        here = {test for line in range(fault.line, last + 1) for test in lines.get(line, ())} - {""}
+        if not here:
+            # Run when the module is loaded, in C, or by no test.
+            loaded = "" in lines.get(fault.line, ()) or fault.path.endswith(".c")
+            here = {test for tests in lines.values() for test in tests} - {""} if loaded else set()
+        named = {test.rpartition("|")[0] or test for test in here}
+        return sorted(named, key=lambda test: (self._lines[f"{test}|run"] or self._lines[test], test))
+
+
+def _caught(copy: Path, fault: Fault, tests: list[str], timeout: float, workers: str) -> str:
+    """Return the first test that notices the fault; empty if none does."""
+    path = copy / fault.path
+    text = path.read_text("utf-8")
+    path.write_text(plant(text, fault), "utf-8")
+    env = {**os.environ, "PYTHONPATH": str(copy / "src"), "CI": "true", "PYTHONDONTWRITEBYTECODE": "1"}
+    ids = copy / "tests.txt"
+    ids.write_text("".join(f"{test}\n" for test in tests), "utf-8")
+    try:
+        if path.suffix == ".c" and _build(copy).returncode:
+            return "the compiler"
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-p", "no:cacheprovider", f"@{ids}"]
+        done = subprocess.run(command, cwd=copy, env=env, capture_output=True, text=True, timeout=timeout, check=False)
+    except subprocess.TimeoutExpired:
+        return "a test that does not end"
+    finally:
+        path.write_text(text, "utf-8")
+        if path.suffix == ".c":
+            _build(copy)
+    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    # A crash of the interpreter, or of what pytest needs before it runs a test, is noticed, too.
+    return failed[0].partition(" ")[2] if failed else f"pytest's status {done.returncode}" if done.returncode else ""
+
+
+def _build(copy: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "setup.py", "-q", "build_ext", "--inplace", "--force"]
+    return subprocess.run(command, cwd=copy, capture_output=True, text=True, check=False)
+
+
+def _copy(folder: Path) -> Path:
+    """Copy the project, with its compiled loops; the shared recordings stay where they are."""
+    copy = folder / "pc2scan"
+    shutil.copytree(ROOT, copy, symlinks=True, ignore=shutil.ignore_patterns(".git", ".venv", "__pycache__", "build"))
+    if (ROOT.parent / "shared").is_dir():
+        (folder / "shared").symlink_to((ROOT.parent / "shared").resolve())
+    return copy
+
+
+def _again(path: Path) -> list[Fault]:
+    """Return the faults of an earlier run that the source still has, wherever in their modules they are now."""
+    found: list[Fault] = []
+    for result in json.loads(path.read_text()):
+        module = ROOT / result["path"]
+        if not module.is_file():
+            continue
+        same = [
+            fault
+            for fault in faults_in(result["path"], module.read_text("utf-8"))
+            if (fault.old, fault.new, fault.kind) == (result["old"], result["new"], result["kind"])
+        ]
+        if same:
+            found.append(min(same, key=lambda fault: abs(fault.line - result["line"])))
+    return found
+
+
+def _key(fault: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(fault[name] for name in ("path", "start", "end", "new"))
+
+
+def _print(results: list[dict[str, Any]]) -> None:
+    rooms = Counter(result["room"] for result in results)
+    caught = Counter(result["room"] for result in results if result["by"])
+    sys.stdout.write(f"{'room':20} {'planted':>8} {'caught':>8}\n")
+    for room in sorted(rooms):
+        sys.stdout.write(f"{room:20} {rooms[room]:8} {caught[room]:8}\n")
+    sys.stdout.write(f"{'all':20} {rooms.total():8} {caught.total():8}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+"""What a command takes, the function of its name takes, under the same names; and nothing more, with few exceptions."""
+
+from __future__ import annotations
+
+import inspect
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from builders import SCAN, Recording, Stream, item, write_mcap
+from builders import scan as scan_message
+from pc2scan.batch.request import all_keywords
+from pc2scan.cli.app import COMMANDS
+from pc2scan.cli.groups import flat
+from pc2scan.errors import UsageError
+from pc2scan.requests import parameter_names
+from support import ROOT
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+
+#: Names of options that differ, because an option can only be given, or has another meaning beside others.
+RENAMED = {"no_verify": "verify", "tf_topic": "tf_topics", "workers": "jobs"}
+
+#: Options that only commands have. What is printed:
+PRESENTATION = {"as_json", "quiet", "verbose"}
+#: and what a result does in Python, or a notation of the command line:
+ONLY_COMMANDS = {
+    "convert": {"each": "a loop over `convert`", "ros_args": "marks ROS's notation on the command line"},
+    "batch": {"ros_args": "marks ROS's notation on the command line"},
+    "export": {"ros_args": "marks ROS's notation on the command line"},
+    "plot": {"ros_args": "marks ROS's notation on the command line"},
+    "view": {
+        "destination": "`Page.save`",
+        "overwrite": "`Page.save`",
+        "open_page": "notebooks show the page",
+        "ros_args": "marks ROS's notation on the command line",
+    },
+    "map": {
+        "destination": "`Map.save`",
+        "overwrite": "`Map.save`",
+        "png": "`Map.png`",
+        "ros_args": "marks ROS's notation on the command line",
+    },
+    "check": {"junit": "the result, for a CI system", "overwrite": "of --junit"},
+    "diff": {"junit": "the result, for a CI system", "overwrite": "of --junit"},
+    "golden": {"junit": "the result, for a CI system", "overwrite": "of --junit"},
+    "tf": {"frames": "--lookup is `FrameTree.lookup`", "at": "`FrameTree.lookup`"},
+}
+
+#: Arguments that only functions have: objects of Python, and a function that is called.
+OBJECTS = {"params", "frames", "filters", "progress"}
+
+
+def options_of(command: str) -> set[str]:
+    """The options and arguments of a command, by the names that they have in Python."""
+    function = flat(getattr(import_module(f"pc2scan.cli.{command}"), command))
+    return {RENAMED.get(name, name) for name in inspect.signature(function).parameters}
+
+
+def keywords_of(function: str) -> set[str]:
+    """The arguments of a function, with parameters of the projection by name."""
+    parameters = inspect.signature(getattr(pc2scan, function)).parameters
+    named = {name for name, each in parameters.items() if each.kind is not each.VAR_KEYWORD}
+    if function == "batch":
+        return named | all_keywords()
+    return named | (set(parameter_names()) if len(named) < len(parameters) else set())
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_function_takes_what_its_command_takes(command: str) -> None:
+    missing = options_of(command) - keywords_of(command) - PRESENTATION - ONLY_COMMANDS.get(command, {}).keys()
+    assert missing == set()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_takes_what_its_function_takes(command: str) -> None:
+    assert keywords_of(command) - options_of(command) - OBJECTS == set()
+
+
+@pytest.mark.parametrize("command", ONLY_COMMANDS)
+def test_exceptions_are_still_needed(command: str) -> None:
+    assert ONLY_COMMANDS[command].keys() <= options_of(command)
+    if command != "tf":
+        assert not ONLY_COMMANDS[command].keys() & keywords_of(command)
+
+
+#: Why a keyword of `convert` is none of `scans`, which writes no recording.
+NOT_FOR_SCANS = {
+    "a recording is written": {
+        *("destination", "keep", "drop", "keep_clouds", "only_scans", "keep_used", "write_static_tf", "storage"),
+        *("compression", "profile", "metadata_version", "ros_distro", "to", "split", "repeat_latched", "overwrite"),
+        *("report", "dry_run", "scratch", "scratch_size"),
+    },
+    "a loop can check its scans itself": {"fail_on", "min_used"},
+    "clouds are made": {"reverse", "channels", "range_cutoff"},
+    "a loop has one output": {"scans"},
+    "a loop has one thread, and shows its own progress": {"jobs", "progress"},
+}
+
+
+def test_scans_takes_what_convert_takes() -> None:
+    others = set().union(*NOT_FOR_SCANS.values())
+    assert keywords_of("convert") - keywords_of("scans") == others
+    assert keywords_of("scans") - keywords_of("convert") == set()
+    assert keywords_of("clouds") == {"sources", "topics", "start", "end", "on_error", "verify", "strict"}
+
+
+@pytest.mark.parametrize("function", ["scans", "clouds"])
+@pytest.mark.parametrize(("old", "new"), [("topic", "topics"), ("source", "sources")])
+def test_old_names_are_errors_with_the_new_name(function: str, old: str, new: str) -> None:
+    with pytest.raises(TypeError, match=rf"{function}\(\) has no argument '{old}'; did you mean '{new}'\?"):
+        getattr(pc2scan, function)(**{"sources": HALL, old: "/points"} if old == "topic" else {old: HALL})
+
+
+def test_keywords_through_another_function_are_checked() -> None:
+    for call in (pc2scan.map, pc2scan.scans, pc2scan.view):
+        assert "remove: 'str | Iterable[str]' = ()" in str(inspect.signature(call))
+        with pytest.raises(TypeError, match="deskew is 'no' \\(str\\), it must be True or False"):
+            call(HALL, deskew="no")
+        with pytest.raises(TypeError, match="did you mean 'min_height'"):
+            call(HALL, min_hight=1)
+
+
+@pytest.fixture
+def spotted(tmp_path: Path) -> Path:
+    """Scans with a beam that stands alone: a speckle."""
+    ranges = np.full(60, 5.0, np.float32)
+    ranges[30] = 1.0
+    stream = Stream("/scan", SCAN)
+    items = tuple(item(stream, 10**9 + n, lambda g, s: scan_message(ranges, g, seq=s)) for n in range(2))
+    return write_mcap(tmp_path / "spotted.mcap", Recording((stream,), items))
+
+
+def test_beams_are_removed_in_every_function(tmp_path: Path) -> None:
+    asked: dict[str, Any] = {"preset": "slam_toolbox", "min_height": -0.3, "remove": "shadows"}
+    pc2scan.convert(HALL, tmp_path / "removed.mcap", only_scans=True, **asked)
+    pc2scan.convert(HALL, tmp_path / "whole.mcap", only_scans=True, **{**asked, "remove": ()})
+    written = [scan.ranges for scan in pc2scan.scans(tmp_path / "removed.mcap")]
+    looped = [scan.ranges for scan in pc2scan.scans(HALL, **asked)]
+    np.testing.assert_array_equal(written, looped)
+    assert not np.array_equal(written, [scan.ranges for scan in pc2scan.scans(tmp_path / "whole.mcap")])
+    pc2scan.export(HALL, tmp_path / "a.npz", **asked)
+    with np.load(tmp_path / "a.npz") as exported:
+        np.testing.assert_array_equal(exported["ranges"], written)
+    drawn = [pc2scan.map(HALL, odom_frame="odom", **{**asked, "remove": each}) for each in ("shadows", ())]
+    assert not np.array_equal(drawn[0].cells, drawn[1].cells)
+
+
+def test_beams_of_recorded_scans_are_not_removed_unasked(spotted: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="`remove` have no effect"):
+        pc2scan.scans(spotted, remove="speckles")
+    with pytest.raises(UsageError, match="have an effect only if clouds become scans"):
+        pc2scan.export(spotted, tmp_path / "a.npz", remove="speckles")
+    (first, *_) = pc2scan.scans(spotted, rebin=True, remove="speckles")
+    assert np.isinf(first.ranges[30])
+
+
+def test_a_launch_files_arguments_in_python(tmp_path: Path) -> None:
+    launch = tmp_path / "me.launch"
+    launch.write_text(
+        '<launch><arg name="low"/><node pkg="pointcloud_to_laserscan" name="a">'
+        '<param name="min_height" value="$(arg low)"/></node></launch>'
+    )
+    report = pc2scan.convert(HALL, tmp_path / "a.mcap", params_file=launch, launch_args="low:=-0.3")
+    assert report.scans[0].params.min_height == -0.3
+    again = pc2scan.convert(HALL, tmp_path / "b.mcap", param="min_height:=-0.3", remap=["scan:=/flat"])
+    assert [topic.target for topic in again.topics if topic.action == "converted"] == ["/flat"]
+    assert len(list(pc2scan.scans(HALL, params_file=launch, launch_args=["low:=-0.3"]))) == 5
+
+
+def test_of_several_outputs_the_first_is_shown(tmp_path: Path) -> None:
+    asked: dict[str, Any] = {"/scan": {"min_height": -0.3}, "/low": {"max_height": 0.1}}
+    note = "only the first of 2 outputs is {}: /scan"
+    assert note.format("shown") in pc2scan.view(HALL, clouds=1, scans=asked).notes
+    assert note.format("drawn") in pc2scan.map(HALL, scans=asked).notes
+    drawn = pc2scan.plot(HALL, tmp_path / "a.png", scans=asked)
+    assert note.format("shown") in drawn.notes
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_difference_as_a_page(tmp_path: Path) -> None:
+    pc2scan.convert(HALL, tmp_path / "a.mcap", min_height=-0.3)
+    pc2scan.convert(HALL, tmp_path / "b.mcap", min_height=-0.2)
+    found = pc2scan.diff(tmp_path / "a.mcap", tmp_path / "b.mcap", view=tmp_path / "page.html")
+    assert not found.same
+    assert (tmp_path / "page.html").read_text("utf-8").startswith("<!doctype html>")

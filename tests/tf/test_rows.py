@@ -1,0 +1,144 @@
+"""Transforms at many times, which points are interpolated between: each is what `lookup` returns."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from pc2scan.core import kernel, plain
+from pc2scan.errors import TransformError, UnconnectedError
+from tf.small_buffers import at
+from tf.small_buffers import built as built_of
+from tf.small_buffers import row as moved
+from tf.trees import EPOCH, SECOND, built, changing_tree, random_pose, random_tree, row
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.rigid import TransformRow
+    from pc2scan.tf.buffer import TransformBuffer
+    from tf.trees import Rows
+
+pytestmark = pytest.mark.usefixtures("loops")
+
+
+@pytest.fixture(params=["compiled", "plain"])
+def loops(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is tested holds for the compiled loops and for those in NumPy."""
+    if request.param == "plain":
+        for name in ("follow", "nodes"):
+            monkeypatch.setattr(kernel, name, getattr(plain, name))
+    elif not kernel.COMPILED:
+        pytest.skip("there was no C compiler: this installation has no compiled loops")
+
+
+#: No motion needs more times.
+ENOUGH = 1 << 62
+
+
+def times_of(stamps: NDArray[np.int64]) -> list[int]:
+    """The times of all rows: the stamps, and the middle between each and the next one."""
+    between = [(one + (other - one) // 2, other) for one, other in pairwise(stamps.tolist())]
+    return [int(stamps[0]), *(time for both in between for time in both)]
+
+
+def assert_rows_are_lookups(buffer: TransformBuffer, target: str, source: str, begin_ns: int, end_ns: int) -> int:
+    """Compare rotations and metres to 1e-9; return how many rows have a transform."""
+    stamps, rows, _ = buffer.rows(target, source, begin_ns, end_ns, SECOND // 7, lambda *_: ENOUGH)
+    assert (stamps[0], stamps[-1]) == (begin_ns, end_ns)
+    assert (np.diff(stamps) > 0).all()
+    times = times_of(stamps)
+    assert rows.shape == (len(times), 12)
+    found = 0
+    for time, ours in zip(times, rows, strict=True):
+        try:
+            theirs = buffer.lookup(target, source, time)
+        except TransformError:
+            assert np.isnan(ours).all(), time
+            continue
+        np.testing.assert_allclose(ours[:9].reshape(3, 3), theirs.matrix, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(ours[9:], theirs.translation, rtol=0, atol=1e-9)
+        found += 1
+    return found
+
+
+def whole_stamps(rows: Rows) -> Rows:
+    """Transforms whose stamps are not 0, which would ask for the latest transform."""
+    return [(entry, static) for entry, static in rows if static or entry[2] > 0]
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("make", [random_tree, changing_tree])
+def test_every_row_is_what_a_lookup_returns(
+    make: Callable[[np.random.Generator], tuple[Rows, list[str]]], seed: int
+) -> None:
+    rng = np.random.default_rng(300 + seed)
+    rows, frames = make(rng)
+    buffer = built(whole_stamps(rows))
+    found = 0
+    for _ in range(25):
+        target, source = rng.choice(frames, 2, replace=False).tolist()
+        begin_ns = EPOCH + int(rng.integers(-SECOND, 5 * SECOND))
+        try:
+            found += assert_rows_are_lookups(buffer, target, source, begin_ns, begin_ns + int(rng.integers(1, SECOND)))
+        except UnconnectedError:
+            with pytest.raises(UnconnectedError):
+                buffer.lookup(target, source, begin_ns)
+    assert found > 20
+
+
+def test_a_frame_that_changes_its_parent_jumps() -> None:
+    buffer = built_of(
+        [moved("odom", "base", 10, x=1), moved("odom", "base", 11, x=2), moved("dock", "base", 12, x=5)],
+        [moved("odom", "dock", 0, x=100)],
+    )
+    stamps, rows, gap_ns = buffer.rows("odom", "base", at(10.5), at(12), 10 * SECOND, lambda *_: ENOUGH)
+    assert stamps.tolist() == [at(10.5), at(11), at(12) - 1, at(12)]
+    # Up to 12 s the sample of 11 s is valid, unchanged.
+    assert rows[:, 9].tolist() == pytest.approx([1.5, 1.75, 2, 2, 2, 2, 105], abs=1e-12)
+    assert gap_ns == SECOND
+    assert assert_rows_are_lookups(buffer, "odom", "base", at(9), at(13)) > 10
+    # From the nanosecond before the change, and from the change itself.
+    for begin_ns in (at(12) - 1, at(12)):
+        assert_rows_are_lookups(buffer, "odom", "base", begin_ns, at(12) + 1)
+
+
+@pytest.mark.parametrize("far", [1.0, 1e3])
+def test_quaternions_scale_as_they_do_in_a_lookup(far: float) -> None:
+    rng = np.random.default_rng(8)
+    rows: Rows = []
+    for parent, child, static in (
+        ("map", "odom", False),
+        ("odom", "base", False),
+        ("base", "lidar", True),
+        ("odom", "other", False),
+        ("other", "camera", True),
+    ):
+        for second in [0] if static else range(4):
+            *place, i, j, k, r = random_pose(rng)
+            length = np.sqrt(rng.uniform(0.991, 1.009) / (i * i + j * j + k * k + r * r))
+            pose = (*(far * value for value in place), *(length * value for value in (i, j, k, r)))
+            rows.append((row(parent, child, EPOCH + second * SECOND, pose), static))
+    buffer = built(rows)
+    for target, source in (("map", "lidar"), ("lidar", "map"), ("camera", "lidar"), ("odom", "camera")):
+        stamps, found, _ = buffer.rows(target, source, EPOCH, EPOCH + 3 * SECOND, SECOND // 7, lambda *_: ENOUGH)
+        for time, ours in zip(times_of(stamps), found, strict=True):
+            theirs = buffer.lookup(target, source, time)
+            np.testing.assert_allclose(ours[:9].reshape(3, 3), theirs.matrix, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(ours[9:], theirs.translation, rtol=1e-12, atol=1e-9)
+
+
+def test_parents_that_change_all_the_time_are_an_error() -> None:
+    def by_two_nodes(second: float) -> list[TransformRow]:
+        return [moved("odom", "base", second, x=1), moved("map", "base", second + 0.001, x=2)]
+
+    pairs = [each for number in range(800) for each in by_two_nodes(number * 0.002)]
+    buffer = built_of(pairs, [moved("map", "odom", 0, x=1)])
+    assert assert_rows_are_lookups(buffer, "odom", "base", at(0.1), at(0.2)) > 200
+    with pytest.raises(TransformError, match=r"change their parents 1,200 times within 1\.2\d* s, at most 1,000"):
+        buffer.rows("odom", "base", at(0.1), at(1.3), SECOND, lambda *_: ENOUGH)
