@@ -28,6 +28,7 @@ from bags.mcap_files import (
 )
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.cli.in_process import run_command
 from pc2scan.errors import DamageError
 
 if TYPE_CHECKING:
@@ -287,6 +288,21 @@ def test_channels_after_the_data_end_are_no_damage(tmp_path: Path) -> None:
     assert damage == ()
 
 
+def repaired(path: Path) -> tuple[list[int], str]:
+    """Repair a file by the command; returns the log times of its messages, and what is said of the damage."""
+    target = path.with_name("repaired.mcap")
+    ended = run_command(["repair", str(path), "-o", str(target), "--overwrite"])
+    assert ended.status == 3, ended.messages
+    with closing(McapReader(target, strict=True)) as reader:
+        times = [row[2] for row in content(reader)]
+    return times, "\n".join(line for line in ended.messages.splitlines() if line.startswith(("damaged:", "recovered:")))
+
+
+def claims_all(said: str) -> bool:
+    """Whether it is said that nothing is lost, anywhere or at a place."""
+    return any(words in said for words in ("no bytes are known", "no message is known", "nothing lost"))
+
+
 def pieces(path: Path) -> list[bytes]:
     """Split a file into its magic, its records, and its magic again."""
     data = path.read_bytes()
@@ -306,7 +322,18 @@ def test_without_a_header_the_first_chunk_is_kept(tmp_path: Path, summary: str) 
     rows, damage = recovered(path)
     assert len(rows) == len(MESSAGES)
     (header,) = [place for place in damage if "HEADER" in place.what]
-    assert (header.offset, header.bytes_lost, header.messages_lost) == (len(MAGIC), 0, 0)
+    # Nothing that can be read counts the messages.
+    assert (header.offset, header.bytes_lost, header.messages_lost) == (len(MAGIC), 0, None)
+
+
+@pytest.mark.parametrize(("summary", "lost"), [("default", 0), ("no summary", None)])
+def test_of_an_overwritten_header_statistics_tell_what_is_lost(tmp_path: Path, summary: str, lost: int | None) -> None:
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS[summary])
+    magic, header, *others = pieces(path)
+    path.write_bytes(b"".join((magic, b"\x40" + header[1:], *others)))
+    rows, (damage,) = recovered(path)
+    assert len(rows) == len(MESSAGES)
+    assert damage.messages_lost == lost
 
 
 def test_chunks_that_the_index_misplaces_are_found(tmp_path: Path) -> None:
@@ -377,3 +404,95 @@ def test_a_chunk_of_unknown_compression_may_be_uncompressed(tmp_path: Path) -> N
     rows, (damage,) = recovered(path)
     assert [row[4] for row in rows] == [b"data"]
     assert "known are none, lz4 and zstd" in damage.what
+
+
+@pytest.mark.parametrize("opcode", [1, 2, 8, 10, 11, 13, 14])
+def test_records_that_no_data_may_have_are_damage(tmp_path: Path, opcode: int) -> None:
+    """A message became one, in a file that counts nothing."""
+    messages = [raw_message(1, time) for time in (5, 6, 7)]
+    messages[1] = bytes([opcode]) + messages[1][1:]
+    times, said = repaired(raw_file(tmp_path / "a.mcap", raw_channel(), *messages))
+    assert times == [5, 7]
+    assert f"is of kind {opcode}, which no data may have" in said
+    assert not claims_all(said)
+
+
+@pytest.mark.parametrize("zeroed", ["all but its length", "all but its first time"])
+def test_a_chunk_without_records_is_not_one_with_unknown_fields(tmp_path: Path, zeroed: str) -> None:
+    first = raw_chunk(BODY)
+    start = 9 if zeroed == "all but its length" else 17
+    path = raw_file(tmp_path / "a.mcap", first[:start] + bytes(len(first) - start), raw_chunk(BODY))
+    times, said = repaired(path)
+    assert times == [1]
+    assert "declares no records in" in said
+    assert not claims_all(said)
+
+
+@pytest.mark.parametrize("compression", ["", "zstd"])
+def test_a_chunk_that_declares_no_size_keeps_its_messages(tmp_path: Path, compression: str) -> None:
+    packed = zstd(BODY) if compression else BODY
+    chunk = raw_chunk(BODY, compression=compression, packed=packed, uncompressed_size=0, uncompressed_crc=0)
+    times, said = repaired(raw_file(tmp_path / "a.mcap", chunk))
+    assert times == [1]
+    assert "declared" in said
+
+
+@pytest.mark.parametrize("indexed", [False, True], ids=["without an index", "with one"])
+def test_what_a_wrong_crc_means_only_an_index_tells(tmp_path: Path, indexed: bool) -> None:
+    """A message is missing from the chunk, or none."""
+    messages = [raw_message(1, time) for time in (1, 2, 3)]
+    entries = [(time, (time - 1) * len(messages[0])) for time in (1, 2, 3)]
+    index = [encoded(MessageIndex(channel_id=1, records=entries))] if indexed else []
+    for there in (messages, messages[:2]):
+        chunk = raw_chunk(b"".join(there), message_end_time=3, uncompressed_crc=1)
+        times, said = repaired(raw_file(tmp_path / "a.mcap", raw_channel(), chunk, *index))
+        assert times == [1, 2, 3][: len(there)]
+        assert claims_all(said) == (indexed and there == messages)
+    assert ("1 message lost" in said) == indexed
+
+
+def test_a_message_in_the_place_of_another_is_told(tmp_path: Path) -> None:
+    """There are as many messages as entries, but one of them twice and another not at all."""
+    messages = [raw_message(1, time) for time in (1, 2, 3, 4)]
+    entries = [(time, (time - 1) * len(messages[0])) for time in (1, 2, 3, 4)]
+    there = [messages[0], messages[0], messages[1], messages[3]]
+    chunk = raw_chunk(b"".join(there), message_end_time=4)
+    index = encoded(MessageIndex(channel_id=1, records=entries))
+    times, said = repaired(raw_file(tmp_path / "a.mcap", raw_channel(), chunk, index))
+    assert times == [1, 1, 2, 4]
+    assert not claims_all(said)
+
+
+def test_a_misplaced_chunk_that_differs_from_its_index_is_read(tmp_path: Path) -> None:
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS["only chunk indexes"])
+    sound = sorted(row[2] for row in recovered(path)[0])
+    parts = pieces(path)
+    one, other = [place for place, part in enumerate(parts) if part[0] == 6][:2]
+    # They are exchanged, and one declares another last log time.
+    (last,) = struct.unpack_from("<Q", parts[one], 17)
+    parts[one], parts[other] = parts[other], parts[one][:17] + struct.pack("<Q", last + 1) + parts[one][25:]
+    path.write_bytes(b"".join(parts))
+    times, said = repaired(path)
+    assert times == sound
+    assert said.count("the index places a chunk at byte") == 2
+
+
+def test_a_channel_without_message_index_is_read(tmp_path: Path) -> None:
+    """The chunk has the message index of a channel that nothing declares, and the file is cut off."""
+    body = raw_channel(1) + raw_message(1, 1)
+    index = encoded(MessageIndex(channel_id=2, records=[(1, 0)]))
+    path = raw_file(tmp_path / "a.mcap", raw_channel(1), raw_chunk(body), index)
+    path.write_bytes(path.read_bytes()[:-20])
+    assert repaired(path)[0] == [1]
+
+
+def test_messages_of_a_chunk_whose_front_is_zero_are_found(tmp_path: Path) -> None:
+    """Only another chunk declares their channel, so that it is not known when they are searched for."""
+    body = raw_channel() + b"".join(raw_message(1, time, bytes([time]) * 40) for time in range(1, 30))
+    second = raw_chunk(b"".join(raw_message(1, time, bytes([time]) * 40) for time in range(30, 60)))
+    zeroed = bytes(400) + second[400:]
+    last = raw_chunk(raw_message(1, 70), message_start_time=70, message_end_time=70)
+    path = raw_file(tmp_path / "a.mcap", raw_chunk(body, message_end_time=29), zeroed, last)
+    times, said = repaired(path)
+    assert {*range(1, 30), *range(40, 60), 70} <= set(times)
+    assert not claims_all(said)

@@ -69,13 +69,13 @@ class IndexCheck(NamedTuple):
     def lost(self, found: int | None) -> int | None:
         """Return how many messages of a chunk in trouble are missing.
 
-        That is unknown (None) if the chunk has fewer messages than entries, or if none of several entries matches: the
-        chunk may be another.
+        That is unknown (None) if the chunk has fewer messages than entries, or if several entries match none: the
+        chunk may be another, or have lost some and others twice.
         """
         if self.total is None:
             return 0
         fewer = found is None or found < self.total
-        return None if fewer or self.astray == self.total > 1 else 0
+        return None if fewer or self.astray > 1 else 0
 
 
 def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:

@@ -104,7 +104,9 @@ def note_salvaged(
     offset: int,
     size: int,
     left: Salvaged,
-    indexed: int | None = None,
+    indexed: int | None,
+    *,
+    counted: bool,
 ) -> None:
     """Note a damaged chunk with recovered messages.
 
@@ -118,17 +120,21 @@ def note_salvaged(
         The messages found in these.
     indexed
         How many messages the index has for the chunk; None if that is unknown.
+    counted
+        Whether the file declares how many messages it has, which is compared at the end.
     """
     cut = max(segment.uncompressed_size - size, 0)
     missing = cut + left.bytes_lost
     times = _times_of(left.messages)
     # These may be the messages of another chunk, and those of this one are not here.
     is_another = segment.end_ns and _outside(times, (segment.start_ns, segment.end_ns)) > 1
+    is_known = counted or (indexed is not None and indexed >= len(times))
+    unread = max(left.unknown_channel, (indexed or 0) - len(times))
     log.note(
         problem,
         offset=offset,
         bytes_lost=missing,
-        messages_lost=None if missing or is_another else max(left.unknown_channel, (indexed or 0) - len(times)),
+        messages_lost=None if missing or is_another or not (unread or is_known) else unread,
         first_ns=left.messages[-1].log_time_ns if left.messages and cut else segment.start_ns,
         last_ns=segment.end_ns,
     )

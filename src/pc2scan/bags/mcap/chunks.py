@@ -80,6 +80,8 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
         raise file.damage(f"{malformed}: its compression has a name of {name_size} bytes")
     head = CHUNK.size + name_size + UINT64.size
     padding = record_length - head - length
+    if not length and padding > 0:
+        raise file.damage(f"{malformed}: it declares no records in {record_length} bytes")
     if padding < 0 and fits:
         raise file.damage(
             f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
@@ -171,7 +173,7 @@ def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Bu
     """Decompress a chunk's payload into exactly the declared size."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"
-    if size == 0:
+    if size == 0 == len(data):
         return b""
     if size > (allowed := allowed_bytes(file.size)):
         raise file.damage(

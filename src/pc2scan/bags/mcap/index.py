@@ -45,8 +45,19 @@ _EXTRA_INDEXES: dict[int, type[ExtraIndex]] = {
     Opcode.METADATA_INDEX: records.MetadataIndex,
 }
 
-#: Records that no summary may have.
+#: Records that no summary may have, and records that no data section may have.
 _DATA = frozenset({OP_MESSAGE, OP_CHUNK, Opcode.ATTACHMENT, Opcode.METADATA})
+_NO_DATA = frozenset(
+    {
+        Opcode.HEADER,
+        Opcode.FOOTER,
+        Opcode.STATISTICS,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    }
+)
 
 #: Messages outside chunks are read in segments of about this size, bytes.
 RUN_SIZE = 4 << 20
@@ -157,8 +168,8 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     end, accounted = read_summary(file, index, verify=verify)
     walk = RecordWalk(file, index, accounted)
     stop = walk.run(start, end)
-    if walk.stray is not None:
-        raise file.damage(f"the message index at byte {walk.stray} follows no chunk")
+    if walk.stray:
+        raise file.damage(walk.stray)
     if stop != end:
         _refuse_data(file, stop, end)
     return index
@@ -342,8 +353,8 @@ class RecordWalk:
         self._is_behind_chunk = False
         #: Offsets of the current record and the one before it, for a walk that failed.
         self.offset = self.previous = 0
-        #: Offset of the first message index that follows no chunk.
-        self.stray: int | None = None
+        #: What is wrong with the first record that may not be where it is, though it can be skipped.
+        self.stray = ""
 
     def run(self, offset: int, end: int) -> int:
         """Walk from the record at byte ``offset`` to DataEnd or byte ``end``; returns the end.
@@ -418,8 +429,8 @@ class RecordWalk:
             position = window.locate(offset, RECORD.size + 6) + RECORD.size
             if following - offset < RECORD.size + 6:
                 raise self._file.damage(f"the message index at byte {offset} is too short")
-            if self.stray is None and not self._is_behind_chunk:
-                self.stray = offset
+            if not self._is_behind_chunk:
+                self.stray = self.stray or f"the message index at byte {offset} follows no chunk"
             channel_id, size = struct.unpack_from("<HI", window.data, position)
             self._indexed[channel_id] += size // 16
         elif opcode == 0:
@@ -434,6 +445,8 @@ class RecordWalk:
                 self._index.attachments.append(offset)
             elif opcode == Opcode.METADATA:
                 self._index.metadata.append(offset)
+            elif opcode in _NO_DATA:
+                self.stray = self.stray or f"the record at byte {offset} is of kind {opcode}, which no data may have"
 
     def _close(self, *, complete: bool = True) -> None:
         """Finish the run or the chunk; its message indexes are ``complete`` if another record follows."""

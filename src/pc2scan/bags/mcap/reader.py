@@ -168,7 +168,8 @@ class McapReader(PartReader):
         wanted = known
         if connections is not None:
             wanted = {connection.id: known[connection.id] for connection in connections if connection.id in known}
-        ids = None if connections is None else frozenset(wanted)
+        # An index that is damaged may have wrong ids.
+        ids = None if connections is None or len(wanted) == len(known) else frozenset(wanted)
         first = 0 if start_ns is None else start_ns
         stop = 1 << 64 if stop_ns is None else stop_ns
         if ids is not None and not ids:
@@ -282,8 +283,14 @@ class McapReader(PartReader):
             return segment
         self._is_whole = False
         problem = f"the index places a chunk at byte {segment.record_offset}, it is at byte {found.record_offset}"
-        self._log.note(self._file.damage(problem), offset=segment.record_offset, key="place", messages_lost=0)
+        lost = 0 if self._is_counted else None
+        self._log.note(self._file.damage(problem), offset=segment.record_offset, key="place", messages_lost=lost)
         return found
+
+    @property
+    def _is_counted(self) -> bool:
+        """Whether the file declares how many messages it has, apart from where they are."""
+        return self._index.statistics is not None
 
     def _packs(self, segment: Segment) -> bool:
         """Whether messages are single zstd frames, which one segment shows for all."""
@@ -403,7 +410,8 @@ class McapReader(PartReader):
         left = salvaged_messages(data, known, _declared_span(segment))
         offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
         check = self._check_index(segment, known, data)
-        note_salvaged(self._log, problem, segment, offset, len(data), left, check.total if check else None)
+        indexed = check.total if check else None
+        note_salvaged(self._log, problem, segment, offset, len(data), left, indexed, counted=self._is_counted)
         return left
 
     @property

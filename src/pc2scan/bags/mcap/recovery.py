@@ -120,10 +120,13 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
         index.channels.setdefault(identity, channel)
     index.channels_listed = summary.channels_listed
     _adopt(index, summary.segments, gaps)
+    # Message indexes may be missing, or be those of another chunk.
+    index.segments = [replace(segment, connection_ids=None) for segment in index.segments]
     around = times_around(index.segments)
     if without_header is not None:
-        # The walk begins where it should be, and no message is in it.
-        log.note(without_header, offset=len(MAGIC), key="header", messages_lost=0)
+        # The walk begins where it should be. No message is in it, but what took it may have taken more.
+        lost = 0 if index.statistics else None
+        log.note(without_header, offset=len(MAGIC), key="header", messages_lost=lost)
     elif without_summary is None and not gaps:
         without_summary = problem
     if without_summary is not None:
@@ -243,23 +246,44 @@ def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int,
     Returns
     -------
     dict[int, ChunkSegment]
-        By the offset in the index: the chunk that has the same times and sizes, and is at no place of the index.
+        By the offset in the index: the chunk with the same times and sizes that is at no place of the index, or else
+        the next chunk that the index does not have at all.
     """
     walked = McapIndex()
     with suppress(AnotherBeginsError):
         deque(_walked(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file)), maxlen=0)
-    there = {chunk.record_offset: chunk for chunk in walked.segments if isinstance(chunk, ChunkSegment)}
-    missing = []
-    for chunk in segments:
-        if isinstance(chunk, ChunkSegment):
-            if (other := there.get(chunk.record_offset)) and _identity(other) == _identity(chunk):
-                del there[chunk.record_offset]
-            else:
-                missing.append(chunk)
-    unlisted: dict[tuple[object, ...], list[ChunkSegment]] = {}
-    for place in sorted(there, reverse=True):
-        unlisted.setdefault(_identity(there[place]), []).append(there[place])
-    return {chunk.record_offset: places.pop() for chunk in missing if (places := unlisted.get(_identity(chunk)))}
+    there = _chunks_by_identity(walked.segments)
+    missing = _chunks_by_identity(segments)
+    # Chunks at their places, then chunks elsewhere, and then chunks in the places of others or of none.
+    for identity in missing.keys() & there.keys():
+        for place in missing[identity].keys() & there[identity].keys():
+            del missing[identity][place], there[identity][place]
+    found = {
+        place: chunk
+        for identity, indexed in missing.items()
+        for place, chunk in zip(sorted(indexed), _in_order(there.get(identity, {})), strict=False)
+    }
+    changed = [chunk for identity, chunks in there.items() if identity not in missing for chunk in chunks.values()]
+    rest = {place for indexed in missing.values() for place in indexed} - found.keys()
+    unlisted = {chunk.record_offset: chunk for chunk in changed}
+    for place in rest & unlisted.keys():
+        # Its header is damaged, and it is where it belongs.
+        rest.remove(place)
+        del unlisted[place]
+    return found | dict(zip(sorted(rest), _in_order(unlisted), strict=False))
+
+
+def _chunks_by_identity(segments: Iterable[Segment]) -> dict[tuple[object, ...], dict[int, ChunkSegment]]:
+    """Return the chunks that are alike, by their places."""
+    chunks: dict[tuple[object, ...], dict[int, ChunkSegment]] = {}
+    for segment in segments:
+        if isinstance(segment, ChunkSegment):
+            chunks.setdefault(_identity(segment), {})[segment.record_offset] = segment
+    return chunks
+
+
+def _in_order(chunks: Mapping[int, ChunkSegment]) -> list[ChunkSegment]:
+    return [chunks[place] for place in sorted(chunks)]
 
 
 def is_at_its_place(file: RecordFile, segment: ChunkSegment) -> bool:

@@ -51,10 +51,16 @@ _DECLARATIONS: Mapping[int, type[records.Schema | records.Channel]] = {
 
 def is_record(file: RecordFile, offset: int, end: int) -> bool:
     """Whether a record can begin here: an opcode with a meaning, and a length that fits."""
+    return _stop_of(file, offset, end) is not None
+
+
+def _stop_of(file: RecordFile, offset: int, end: int) -> int | None:
+    """Return the end of the record that may begin here; None if none can."""
     if offset + RECORD.size > end:
-        return False
+        return None
     opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
-    return bool(has_meaning(opcode) and offset + RECORD.size + length <= end)
+    stop = offset + RECORD.size + length
+    return int(stop) if has_meaning(opcode) and stop <= end else None
 
 
 def next_record(
@@ -66,7 +72,10 @@ def next_record(
     *,
     limit: int | None = None,
 ) -> int:
-    """Search, up to ``limit``, for the certain beginning of a record; ``end`` if there is none."""
+    """Search, up to ``limit``, for the certain beginning of a record; ``end`` if there is none.
+
+    ``known`` are the channels that were found so far: none if only chunks declare them.
+    """
     overlap = RECORD.size - 1
     stop = end if limit is None else min(end, limit + overlap)
     while start < stop:
@@ -86,8 +95,11 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
     """Whether a possible beginning of a record is certain."""
     following = offset + RECORD.size + length
 
-    def followed() -> bool:
-        return following == end or is_record(file, following, end)
+    def followed(times: int = 1) -> bool:
+        stop: int | None = following
+        for _ in range(times):
+            stop = stop if stop is None or stop == end else _stop_of(file, stop, end)
+        return stop is not None
 
     if opcode == OP_CHUNK:
         head = chunk_in_front(file, offset, end)
@@ -98,7 +110,7 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
         if length < MESSAGE.size - RECORD.size:
             return False
         (channel,) = struct.unpack("<H", file.read(offset + RECORD.size, 2))
-        return channel in known and followed()
+        return channel in known and followed() if known else followed(times=2)
     if opcode == OP_MESSAGE_INDEX:
         if length < 6:
             return False

@@ -248,7 +248,8 @@ class Rosbag1Reader(PartReader):
         chunk = payload_prefix(self._file, segment)
         left = salvaged_messages(chunk, self._index.connections, (segment.start_ns, segment.end_ns))
         check = self._check_index(segment, chunk, frozenset(self._index.connections))
-        note_salvaged(self._log, error, segment, segment.offset, len(chunk), left, check.total)
+        counted = None not in (connection.message_count for connection in self.connections)
+        note_salvaged(self._log, error, segment, segment.offset, len(chunk), left, check.total, counted=counted)
         return left
 
     def counts(
