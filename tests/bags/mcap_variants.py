@@ -2,8 +2,8 @@
 
 Modelled on the conformance files of the specification, whose features these are: chunks, message indexes, chunk
 indexes, statistics, repeated schemas and channels, indexes of attachments and metadata, summary offsets, and bytes
-after the known fields of records. Beyond these: compressions, several chunks, padded records in chunks, and records of
-unknown kinds.
+after the known fields of records. Beyond these: compressions, several chunks, padded records in chunks, records of
+unknown kinds, and files without CRCs.
 """
 
 from __future__ import annotations
@@ -77,6 +77,7 @@ class Variant:
     offsets: bool = False
     padding: str = ""
     unknown: bool = False
+    crcs: bool = True
 
     def __str__(self) -> str:
         return ", ".join(f"{name}={value!r}" for name, value in vars(self).items() if value not in (False, "", None))
@@ -156,7 +157,7 @@ def variants(content: Sequence[Item]) -> Iterator[Variant]:
             compression = sorted(_PACK)[number // 2 % len(_PACK)] if chunked else None
             yield Variant(
                 compression, message_index, chunk_index, statistics, schemas, channels, attached, metadata, offsets,
-                padding, unknown=number % 2 == 0,
+                padding, unknown=number % 2 == 0, crcs=number % 5 != 0,
             )  # fmt: skip
 
 
@@ -219,7 +220,7 @@ def file_of(content: Sequence[Item], variant: Variant) -> bytes:
         else:
             file.put(item)
     _put_chunk(file, group)
-    file.put(DataEnd(data_section_crc=zlib.crc32(file.data)))
+    file.put(DataEnd(data_section_crc=zlib.crc32(file.data) if variant.crcs else 0))
     _put_summary(file, content)
     return bytes(file.data)
 
@@ -245,7 +246,7 @@ def _put_chunk(file: _File, group: list[Schema | Channel | Message]) -> None:
         data=packed,
         message_start_time=min(times),
         message_end_time=max(times),
-        uncompressed_crc=zlib.crc32(records),
+        uncompressed_crc=zlib.crc32(records) if variant.crcs else 0,
         uncompressed_size=len(records),
     )
     start, length = file.put(chunk)
@@ -301,7 +302,7 @@ def _put_summary(file: _File, content: Sequence[Item]) -> None:
     start = len(file.data)
     file.put(footer)
     crc = zlib.crc32(file.data[start:-4], zlib.crc32(summary))
-    file.data[-4:] = struct.pack("<I", crc)
+    file.data[-4:] = struct.pack("<I", crc if variant.crcs else 0)
     file.data += MAGIC
 
 

@@ -6,10 +6,12 @@ import io
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
+import lz4.frame
 import pytest
 from mcap.reader import NonSeekingReader, SeekingReader
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Message, MessageIndex, Metadata, Schema
 
+from bags.mcap_files import BODY, encoded, raw_channel, raw_chunk, raw_file, raw_message, record, zstd
 from bags.mcap_variants import CONTENTS, Variant, file_of, variants
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.cli.in_process import run_command
@@ -118,3 +120,36 @@ def test_padded_records_are_no_damage_to_the_command(padding: str, tmp_path: Pat
     ended = run_command(["repair", str(source), "-o", str(target)])
     assert (ended.status, "damaged" in ended.messages) == (0, False), ended.messages
     assert ours(target, strict=True) == expected(content)
+
+
+def chunk_of_nothing(compression: str, packed: bytes) -> bytes:
+    return raw_chunk(b"", compression=compression, packed=packed, message_start_time=0, message_end_time=0)
+
+
+INDEX = encoded(MessageIndex(channel_id=1, records=[(1, len(raw_channel()))]))
+
+#: Data sections with one message, of forms that few writers use.
+RARE = {
+    "an empty chunk": [chunk_of_nothing("", b""), raw_chunk(BODY)],
+    "an empty lz4 frame": [chunk_of_nothing("lz4", lz4.frame.compress(b"")), raw_chunk(BODY)],
+    "an empty zstd frame": [chunk_of_nothing("zstd", zstd(b"")), raw_chunk(BODY)],
+    "an empty zstd frame without a size": [chunk_of_nothing("zstd", zstd(b"", size=False)), raw_chunk(BODY)],
+    "no bytes of zstd": [chunk_of_nothing("zstd", b""), raw_chunk(BODY)],
+    "zstd without a size": [raw_chunk(BODY, compression="zstd", packed=zstd(BODY, size=False))],
+    "a chunk of declarations": [
+        raw_chunk(raw_channel(), message_start_time=0, message_end_time=0),
+        raw_chunk(raw_message()),
+    ],
+    "a schema without a number": [encoded(Schema(id=0, name="", encoding="", data=b"")), raw_chunk(BODY)],
+    "an empty message index": [raw_chunk(BODY), INDEX, encoded(MessageIndex(channel_id=9, records=[]))],
+    "unknown records around a message index": [raw_chunk(BODY), record(0x80, b"a"), INDEX, record(0x20, b"b")],
+    "unknown records between messages": [raw_channel(), record(0x80, b"a"), raw_message(), record(0x20, b"b")],
+}
+
+
+@pytest.mark.parametrize("name", RARE)
+def test_rare_forms_are_read_without_damage(name: str, tmp_path: Path) -> None:
+    path, target = raw_file(tmp_path / "a.mcap", *RARE[name]), tmp_path / "b.mcap"
+    ended = run_command(["repair", str(path), "-o", str(target)])
+    assert (ended.status, "damaged" in ended.messages) == (0, False), ended.messages
+    assert [message[-1] for message in ours(target, strict=True)[0]] == [b"data"]

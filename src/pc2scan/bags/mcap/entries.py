@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.chunked.entries import EntryForm, IndexCheck, entries_astray
 from pc2scan.errors import DamageError
 
+from .record_types import Opcode
 from .records import OP_MESSAGE_INDEX, RECORD
 
 if TYPE_CHECKING:
@@ -47,10 +48,12 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
             length = max(0 if ahead else segment.index_length, _AHEAD)
             origin, ahead = position, memoryview(file.read(position, min(length, file.size - position)))
         opcode, length, channel_id, size = _HEAD.unpack_from(ahead, position - origin)
-        if opcode != OP_MESSAGE_INDEX:
-            return
         start = position + _HEAD.size
         position += RECORD.size + length
+        if opcode > Opcode.DATA_END:
+            continue
+        if opcode != OP_MESSAGE_INDEX:
+            return
         if size % _FORM.entry.size or start + size > position:
             raise file.damage(f"the message index at byte {start - _HEAD.size} contradicts its own lengths")
         if start + size <= origin + len(ahead):

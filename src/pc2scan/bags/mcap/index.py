@@ -435,7 +435,8 @@ class RecordWalk:
             self._indexed[channel_id] += size // 16
         elif opcode == 0:
             raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
-        else:
+        elif opcode <= Opcode.DATA_END:
+            # Unknown records end neither a run nor the message indexes after a chunk.
             self._close()
             if opcode == OP_CHUNK:
                 position = window.locate(offset, min(CHUNK_HEAD_SIZE, following - offset))
