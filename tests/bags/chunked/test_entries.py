@@ -115,7 +115,8 @@ def test_index_records_of_a_bag(
     with closing(open_recording(path)) as reader:
         assert [message.log_time_ns for message in reader.messages()] == [1, 2, 3]
         assert [words in place.what for place in reader.damage] == ([True] if words else [])
-        assert all(place.messages_lost == 0 for place in reader.damage)
+        # If no entry matches, the chunk may be another.
+        assert all(place.messages_lost == (None if "3 of 3" in words else 0) for place in reader.damage)
     if words:
         with closing(open_recording(path, strict=True)) as reader, pytest.raises(DamageError, match="contradicts it"):
             list(reader.messages())
