@@ -15,11 +15,11 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from builders import CONTENT, write_db3, write_rosbag2
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
 from pc2scan.cli.in_process import run_command
 from pc2scan.errors import DamageError
+from support.builders import CONTENT, write_db3, write_rosbag2
 
 if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
