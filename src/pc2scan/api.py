@@ -378,7 +378,7 @@ def batch(
         Number of recordings converted at a time; 0: one for each core, as far as the memory is enough. The outputs do
         not depend on it.
     retries
-        How often a recording is tried again if its process died.
+        How often a recording is tried again if its process died: up to 100 times.
     force
         Convert recordings again whose results are up to date.
     checksum
@@ -566,7 +566,7 @@ def view(
     sources
         A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     clouds
-        Number of clouds of each topic on the page, evenly spread over the recording.
+        Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.
     at
         A time, or several, whose clouds are shown instead; in the forms of ``start``.
     **keywords

@@ -76,6 +76,14 @@ def test_what_was_recovered(capsys: pytest.CaptureFixture[str]) -> None:
     )
     show_recovery(report(Damage("x", PATH), declared=1200))
     assert told(capsys)[-1] == (
-        "recovered: 1,200 messages; no bytes are known to be lost; it is unknown at which times messages are missing"
+        "recovered: 1,200 messages; it is unknown how much is lost; it is unknown at which times messages are missing"
+    )
+    show_recovery(report(Damage("x", PATH, 1, 0, 2, 5, 9), Damage("y", PATH, 2, 0, 0)))
+    assert told(capsys)[-1] == (
+        "recovered: 1,200 messages; 2 messages lost; messages may be missing from log time 0.000000005 to 0.000000009"
+    )
+    show_recovery(report(Damage("x", PATH, 1, 0, 0)))
+    assert told(capsys)[-1] == (
+        "recovered: 1,200 messages; no bytes are known to be lost; no message is known to be missing"
     )
     assert report(*places).exit_status == 3

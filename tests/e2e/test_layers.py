@@ -258,7 +258,7 @@ LOADED_BY_CONVERT = {
     "pc2scan.cli.options": "conversion frames moving output parameters selection",
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
     "pc2scan.files": (
-        "borrowed compression crc32 limits overlap places run_lock source staging system temporary write_ahead"
+        "borrowed compression crc32 limits ownership places run_lock same_file source staging system write_ahead"
     ),
     "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.pipeline": (

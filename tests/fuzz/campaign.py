@@ -7,7 +7,8 @@ By hand, for as many as one likes (3,000 take some minutes)::
 What may become of a mutant: the same as of the sound recording; something else, and the damage is reported (exit status
 3); an error; or something else without a word, if nothing in the mutant contradicts itself (`contradictions` decides).
 Everything else is a finding: a difference without a word, a traceback, a run without an end, memory without bound, a
-source that was changed, an output that cannot be read.
+source that was changed, an output that cannot be read, fewer messages than another reader finds, or the claim that
+nothing is lost where something is.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fuzz.judge import Finding, Outcome, attempt, by_command, mutant_of
+from fuzz.judge import Finding, Outcome, attempt, by_command, mutant_of, rearranged_of
 from fuzz.mutants.seeds import make_seeds, place
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0, help="number of the first mutant")
     parser.add_argument("--only", default="", help="of seeds whose names contain this")
+    parser.add_argument("--records", action="store_true", help="only whole records that are removed, repeated or moved")
     parser.add_argument("--command-every", type=int, default=50, help="every so many through the real command too")
     parser.add_argument("--keep", type=Path, help="folder for the files of findings")
     parser.add_argument("--json", type=Path, help="write the table here")
@@ -51,7 +53,7 @@ def main() -> None:
         for number in range(arguments.seed, arguments.seed + arguments.count):
             folder = Path(name, str(number))
             folder.mkdir()
-            made, operation = mutant_of(number, seeds)
+            made, operation = (rearranged_of if arguments.records else mutant_of)(number, seeds)
             start = time.monotonic()
             try:
                 outcome = attempt(made, operation, folder)

@@ -12,23 +12,26 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from e2e.command import COMMAND, environment
+from fuzz import others
 from fuzz.contradictions.recording import contradictions
-from fuzz.mutants.mutate import Mutant, mutant
+from fuzz.mutants.mutate import Mutant, mutant, rearranged
 from fuzz.mutants.seeds import Seed, place
 from fuzz.watch import watched
-from hostile.bounded import size_of
 from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
+from pc2scan.cli.damage import recovery_text
 from pc2scan.pipeline.options import ConvertOptions, TimeBound
+from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.run import OutputOptions, run
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.text_enum import TextEnum
+from support.bounded import size_of
+from support.command import COMMAND, environment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of"]
+__all__ = ["Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of", "rearranged_of"]
 
 
 class Outcome(TextEnum):
@@ -81,6 +84,13 @@ def mutant_of(number: int, seeds: Sequence[Seed]) -> tuple[Mutant, Operation]:
     return made, rng.choice(_OPERATIONS)
 
 
+def rearranged_of(number: int, seeds: Sequence[Seed]) -> tuple[Mutant, Operation]:
+    """The mutant of a number with whole records removed, repeated or moved, and its repair."""
+    rng = random.Random(number)
+    single = [seed for seed in seeds if seed.opened.endswith((".bag", ".mcap")) and len(seed.files) == 1]
+    return rearranged(rng.choice(single), rng), _OPERATIONS[0]
+
+
 def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     """Repair or convert a mutant, and compare.
 
@@ -93,9 +103,11 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     source = place(made.files, made.seed.opened, folder / "source")
     destination = _destination(operation, source, folder)
     status: int | None = None
+    report = Report([], "", ())
     with watched(size_of(source)):
         status = 1
-        status = run([source], destination, operation.options, OutputOptions()).exit_status
+        report = run([source], destination, operation.options, OutputOptions())
+        status = report.exit_status
     top = folder / "source"
     if {str(path.relative_to(top)): path.read_bytes() for path in top.rglob("*") if path.is_file()} != made.files:
         raise Finding("the source was changed")
@@ -103,18 +115,76 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     if status == 1:
         if left:
             raise Finding(f"refused, and left {left}")
+        _compare_others(made, operation, source, expected, None)
         return Outcome.refused
     if left != [destination.name]:
         raise Finding(f"it left {left}")
     found = content_of(destination)
+    _compare_others(made, operation, source, expected, found)
+    if made.edit.role == "record":
+        _compare_text(made, recovery_text(report) if report.damage else "", expected, found)
     same = _same(expected, found)
     if status == 3:
         return Outcome.identical_reported if same else Outcome.reported
     if same:
         return Outcome.identical
+    if made.edit.role == "record" and not _lost(expected, found):
+        # A record that is there twice, or elsewhere, costs nothing.
+        return Outcome.undetectable
     if told := contradictions(made.files):
         raise Finding(f"{_difference(expected, found)}, and exit status 0, though: {'; '.join(told)[:400]}")
     return Outcome.undetectable
+
+
+def _compare_others(
+    made: Mutant, operation: Operation, source: Path, expected: dict[str, Any], found: dict[str, Any] | None
+) -> None:
+    """Refuse to recover fewer messages than any other reader gets."""
+    # The last message of a chunk is for the mcap library whatever is left of the chunk, if its length is wrong; and the
+    # rosbags library does not look at all fields.
+    if operation != _OPERATIONS[0] or made.edit.kind.endswith(("message.length", "chunk.field_name")):
+        return
+    sound, ours = _messages(expected), _messages(found) if found else Counter()
+    in_order, by_index = others.in_order(made.files), others.by_index(made.files, source)
+    if made.edit.role != "record":
+        # What was changed may be read in another way: a message may get the nearest time of its chunk, and of two
+        # declarations of a topic another may be used.
+        sound, ours, in_order, by_index = map(_by_data, (sound, ours, in_order, by_index))
+        in_order &= sound
+    # An index that names a record twice gives its messages twice.
+    by_index &= sound
+    for words, theirs in (("from end to end", in_order), ("by the index", by_index)):
+        if more := theirs - ours:
+            counts = f"{theirs.total()} messages {words}, pc2scan {ours.total()}"
+            raise Finding(f"another reader finds {counts}; {more.total()} are missing")
+
+
+def _compare_text(made: Mutant, text: str, expected: dict[str, Any], found: dict[str, Any]) -> None:
+    """Refuse to say that nothing is lost where something is."""
+    lost = _lost(expected, found)["messages"]
+    # One message in the place of another is like one with a wrong time.
+    allowed = 1 if made.edit.how.startswith("replaced") else 0
+    if lost > allowed and ("no bytes are known to be lost" in text or "no message is known to be missing" in text):
+        raise Finding(f"{lost} messages are missing, and it says: {text}")
+
+
+def _lost(expected: dict[str, Any], found: dict[str, Any]) -> Counter[str]:
+    """How many messages, attachments and metadata records are missing."""
+    lost = {"messages": _messages(expected) - _messages(found)} | {
+        key: Counter(map(repr, expected[key])) - Counter(map(repr, found[key])) for key in ("attachments", "metadata")
+    }
+    return +Counter({key: missing.total() for key, missing in lost.items()})
+
+
+def _messages(content: dict[str, Any]) -> others.Messages:
+    return Counter((topic, log_time_ns, data) for topic, log_time_ns, _, _, data in content["messages"])
+
+
+def _by_data(messages: others.Messages) -> others.Messages:
+    found: others.Messages = Counter()
+    for (_, _, data), count in messages.items():
+        found["", 0, data] += count
+    return found
 
 
 def by_command(made: Mutant, operation: Operation, folder: Path) -> int:

@@ -43,7 +43,7 @@ def read_scans(path: Path) -> list[LaserScan]:
 
 def _compare(tab: Tab, tmp_path: Path, source: Path, options: ConvertOptions) -> int:
     """Compare all clouds of a recording; returns how many there were."""
-    view([source], tmp_path / "page.html", options, clouds=10_000)
+    view([source], tmp_path / "page.html", options, clouds=1_000)
     tab.open(tmp_path / "page.html")
     run([source], tmp_path / "scans.mcap", options, OutputOptions())
     scans = read_scans(tmp_path / "scans.mcap")

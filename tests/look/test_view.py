@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
-from e2e.command import run
 from look.test_page_projects_alike import read_scans
-from scan_recordings import recording, scans
 from support import ROOT
+from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
+from support.command import run
+from support.scan_recordings import recording, scans
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -108,7 +108,7 @@ def test_a_page_of_scans_says_what_check_says(tmp_path: Path) -> None:
         (["--clouds", "0"], 2, "--clouds"),
         (["--at", "yesterday"], 2, "'yesterday' is not a time"),
         (["--target-frame", "mars"], 1, "mars"),
-        (["--start", "100"], 1, "no clouds"),
+        (["--start", "100"], 2, "the cut is outside of the recording"),
     ],
 )
 def test_errors_are_reported_and_nothing_is_written(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, StoredChunk, Writer
     from pc2scan.threads import Threads
 
-__all__ = ["Cut", "Part", "SplitWriter", "narrowed", "part_name"]
+__all__ = ["Cut", "Part", "SplitWriter", "narrowed"]
 
 #: More files than this are a unit that was mistaken.
 _MOST_PARTS = 10_000
@@ -86,12 +86,6 @@ class Part:
         self.counts[handle] = self.counts.get(handle, 0) + count
         earliest_ns, latest_ns = self.span_ns or (first_ns, last_ns)
         self.span_ns = (min(earliest_ns, first_ns), max(latest_ns, last_ns))
-
-
-def part_name(name: str, number: int) -> str:
-    """Return the name of a part of a recording: ``drive.bag`` becomes ``drive_0.bag``."""
-    stem, dot, suffix = name.rpartition(".")
-    return f"{stem}_{number}.{suffix}" if dot else f"{name}_{number}"
 
 
 def narrowed(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> ChunkRule:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.pipeline.report import Report
 
-__all__ = ["DAMAGED", "SHOWN", "show_damage", "show_recovery"]
+__all__ = ["DAMAGED", "SHOWN", "recovery_text", "show_damage", "show_recovery"]
 
 #: The exit status of a command that wrote what is recoverable of a damaged source.
 DAMAGED = 3
@@ -34,18 +34,31 @@ def show_damage(damage: Sequence[Damage], *, limit: int = SHOWN) -> None:
 
 def show_recovery(report: Report, *, limit: int = SHOWN) -> None:
     """Show the damage of a run's sources, and how much was recovered."""
-    if not report.damage:
-        return
-    show_damage(report.damage, limit=limit)
+    if report.damage:
+        show_damage(report.damage, limit=limit)
+        say(recovery_text(report), err=True)
+
+
+def recovery_text(report: Report) -> str:
+    """Return how much was recovered of the damaged sources of a run, and what is missing."""
     declared = report.messages_declared
     found = counted(report.messages_read, "message")
     if declared is not None and declared > report.messages_read:
         found = f"{report.messages_read:,} of the {declared:,} messages that the source declares"
-    stored = sum(place.bytes_lost for place in report.damage)
-    lost = f"{size(stored)} lost" if stored else "no bytes are known to be lost"
     missing = [place for place in report.damage if place.loses]
+    lost = _lost(missing) if missing else "no bytes are known to be lost"
     span = _spanned(missing) if missing else "no message is known to be missing"
-    say(f"recovered: {found}; {lost}; {span}", err=True)
+    return f"recovered: {found}; {lost}; {span}"
+
+
+def _lost(damage: Sequence[Damage]) -> str:
+    """Return how much is missing in all damaged places together."""
+    if stored := sum(place.bytes_lost for place in damage):
+        return f"{size(stored)} lost"
+    counts = [place.messages_lost for place in damage if place.messages_lost is not None]
+    if len(counts) == len(damage):
+        return f"{counted(sum(counts), 'message')} lost"
+    return "it is unknown how much is lost"
 
 
 def _spanned(damage: Sequence[Damage]) -> str:

@@ -199,7 +199,8 @@ def _from_zstd(data: Buffer, size: int) -> Decompressed:
     import zstandard  # noqa: PLC0415  (only recordings that need it pay for it)
 
     try:
-        return Decompressed(zstandard.ZstdDecompressor().decompress(data, max_output_size=size), True)
+        # A limit of zero would be none.
+        return Decompressed(zstandard.ZstdDecompressor().decompress(data, max_output_size=max(size, 1)), True)
     except zstandard.ZstdError as err:
         raise CompressionError(str(err)) from err
 

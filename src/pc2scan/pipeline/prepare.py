@@ -78,7 +78,7 @@ def prepared(
     for spec in plan.specs:
         frames = Frames(source_frame=asked.source_frame)
         if spec.needs_transforms:
-            tolerance_ns = round(spec.params.transform_tolerance * 1e9)
+            tolerance_ns = spec.params.tolerance_ns
             up = ups.of(spec, tolerance_ns) if ups is not None and spec.level else None
             frames = Frames(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
         if spec.reverse:

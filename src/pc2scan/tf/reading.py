@@ -209,5 +209,5 @@ def recorded_transforms(path: Path) -> Callable[[str, str, int], Rigid]:
         buffer, _ = read_transforms([reader], FrameOptions())
     finally:
         reader.close()
-    tolerance_ns = round(ProjectionParams().transform_tolerance * 1e9)
+    tolerance_ns = ProjectionParams().tolerance_ns
     return lambda target, source, stamp_ns: buffer.lookup(target, source, stamp_ns, tolerance_ns)

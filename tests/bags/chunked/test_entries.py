@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags import rosbag1_files as bag
-from bags.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 from pc2scan.bags.chunked.entries import EntryForm, entries_astray
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError
+from support import rosbag1_files as bag
+from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -115,7 +115,8 @@ def test_index_records_of_a_bag(
     with closing(open_recording(path)) as reader:
         assert [message.log_time_ns for message in reader.messages()] == [1, 2, 3]
         assert [words in place.what for place in reader.damage] == ([True] if words else [])
-        assert all(place.messages_lost == 0 for place in reader.damage)
+        # If no entry matches, the chunk may be another.
+        assert all(place.messages_lost == (None if "3 of 3" in words else 0) for place in reader.damage)
     if words:
         with closing(open_recording(path, strict=True)) as reader, pytest.raises(DamageError, match="contradicts it"):
             list(reader.messages())

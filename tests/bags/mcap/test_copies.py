@@ -5,19 +5,20 @@ from __future__ import annotations
 import struct
 import zlib
 from contextlib import closing
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 import zstandard
+from mcap.records import MessageIndex
 
-from bags.mcap_files import write
 from pc2scan.bags.chunked import segments
 from pc2scan.bags.mcap.copies import whole_by_content, whole_by_index
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import RecordFile
 from pc2scan.bags.units import in_time_order
 from pc2scan.model import ChunkRule, StoredChunk
+from support.mcap_files import encoded, raw_channel, raw_chunk, raw_file, raw_message, record, write
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -119,3 +120,24 @@ def test_unsorted_messages_are_found_both_ways(tmp_path: Path) -> None:
 
 def test_a_channel_that_the_rule_does_not_name_keeps_its_chunk_from_being_copied(chunk: Chunk) -> None:
     assert isinstance(chunk.by_content(ChunkRule("mcap", frozenset({"zstd"}), frozenset({1}))), memoryview)
+
+
+def test_padding_is_not_copied(tmp_path: Path) -> None:
+    """Fields of later specifications, after a chunk's records and after the entries of its message index."""
+    first, second = raw_message(1, 5), raw_message(1, 6)
+    index = encoded(MessageIndex(channel_id=1, records=[(5, 0), (6, len(first))]))
+    chunk = raw_chunk(first + second, message_start_time=5, message_end_time=6)
+    chunk, index = (record(data[0], data[9:] + b"later") for data in (chunk, index))
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), chunk, index)
+    rule = ChunkRule("mcap", frozenset({"none"}), frozenset({1}))
+    with closing(McapReader(path, strict=True)) as reader, closing(RecordFile(path)) as file:
+        opened: Any = reader._index
+        (segment,) = opened.segments
+        copies = [
+            whole_by_index(file, replace(segment, index_length=len(index)), rule),
+            whole_by_content(file, segment, rule, verify=True),
+        ]
+    for copy in copies:
+        assert isinstance(copy, StoredChunk)
+        assert bytes(copy.stored) == first + second
+        assert copy.index == {1: [(5, 0), (6, len(first))]}

@@ -12,7 +12,12 @@ import pytest
 from mcap.records import DataEnd, Footer, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 
-from bags.mcap_files import (
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.cli.in_process import run_command
+from pc2scan.errors import DamageError
+from support.mcap_files import (
+    BODY,
     LIBRARY_OPTIONS,
     content,
     encoded,
@@ -21,12 +26,10 @@ from bags.mcap_files import (
     raw_chunk,
     raw_file,
     raw_message,
+    record,
     write,
     zstd,
 )
-from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.mcap.records import MAGIC
-from pc2scan.errors import DamageError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -270,7 +273,227 @@ def test_a_packed_message_that_is_broken_is_left_out(tmp_path: Path) -> None:
         content(reader)
 
 
-def test_nothing_behind_the_data_end_is_taken_for_a_message(tmp_path: Path) -> None:
+def test_messages_after_the_data_end_are_recovered(tmp_path: Path) -> None:
     path = raw_file(tmp_path / "a.mcap", raw_channel(), raw_message(1, 5), encoded(DataEnd(0)), raw_message(1, 6))
+    rows, (damage,) = recovered(path)
+    assert [row[2] for row in rows] == [5, 6]
+    assert "the data section ends at byte" in damage.what
+
+
+def test_channels_after_the_data_end_are_no_damage(tmp_path: Path) -> None:
+    """Some writers repeat them, and do not say in the footer where."""
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), raw_message(1, 5), encoded(DataEnd(0)), raw_channel())
+    rows, damage = recovered(path)
+    assert [row[2] for row in rows] == [5]
+    assert damage == ()
+
+
+def repaired(path: Path) -> tuple[list[int], str]:
+    """Repair a file by the command; returns the log times of its messages, and what is said of the damage."""
+    target = path.with_name("repaired.mcap")
+    ended = run_command(["repair", str(path), "-o", str(target), "--overwrite"])
+    assert ended.status == 3, ended.messages
+    with closing(McapReader(target, strict=True)) as reader:
+        times = [row[2] for row in content(reader)]
+    return times, "\n".join(line for line in ended.messages.splitlines() if line.startswith(("damaged:", "recovered:")))
+
+
+def claims_all(said: str) -> bool:
+    """Whether it is said that nothing is lost, anywhere or at a place."""
+    return any(words in said for words in ("no bytes are known", "no message is known", "nothing lost"))
+
+
+def pieces(path: Path) -> list[bytes]:
+    """Split a file into its magic, its records, and its magic again."""
+    data = path.read_bytes()
+    found, position = [MAGIC], len(MAGIC)
+    while position < len(data) - len(MAGIC):
+        stop = position + 9 + struct.unpack_from("<Q", data, position + 1)[0]
+        found.append(data[position:stop])
+        position = stop
+    return [*found, MAGIC]
+
+
+@pytest.mark.parametrize("summary", ["default", "no summary"])
+def test_without_a_header_the_first_chunk_is_kept(tmp_path: Path, summary: str) -> None:
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS[summary])
+    magic, _, *others = pieces(path)
+    path.write_bytes(b"".join((magic, *others)))
+    rows, damage = recovered(path)
+    assert len(rows) == len(MESSAGES)
+    (header,) = [place for place in damage if "HEADER" in place.what]
+    # Nothing that can be read counts the messages.
+    assert (header.offset, header.bytes_lost, header.messages_lost) == (len(MAGIC), 0, None)
+
+
+@pytest.mark.parametrize(("summary", "lost"), [("default", 0), ("no summary", None)])
+def test_of_an_overwritten_header_statistics_tell_what_is_lost(tmp_path: Path, summary: str, lost: int | None) -> None:
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS[summary])
+    magic, header, *others = pieces(path)
+    path.write_bytes(b"".join((magic, b"\x40" + header[1:], *others)))
+    rows, (damage,) = recovered(path)
+    assert len(rows) == len(MESSAGES)
+    assert damage.messages_lost == lost
+
+
+def test_chunks_that_the_index_misplaces_are_found(tmp_path: Path) -> None:
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300)
+    sound, _ = recovered(path)
+    parts = pieces(path)
+    chunks = [place for place, part in enumerate(parts) if part[0] == 6]
+    # The message indexes of the first chunk are at the end of the data: every other chunk is elsewhere.
+    moved = parts[chunks[0] + 1 : chunks[1]]
+    end = next(place for place, part in enumerate(parts) if part[0] == 15)
+    assert moved
+    path.write_bytes(b"".join((*parts[: chunks[0] + 1], *parts[chunks[1] : end], *moved, *parts[end:])))
+    rows, damage = recovered(path)
+    assert rows == sound
+    misplaced = [place for place in damage if "the index places a chunk at byte" in place.what]
+    assert len(misplaced) == len(chunks) - 1
+    assert all(place.messages_lost == 0 for place in misplaced)
+
+
+@pytest.mark.parametrize(("number", "words"), [(0, "follows no chunk"), (1, "entries match no message")])
+def test_a_message_index_without_its_chunk_is_damage(tmp_path: Path, number: int, words: str) -> None:
+    path = library_file(
+        tmp_path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS["no summary but message indexes"]
+    )
+    parts = pieces(path)
+    chunks = [place for place, part in enumerate(parts) if part[0] == 6]
+    # Of a kind that no reader knows.
+    parts[chunks[number]] = b"\x40" + parts[chunks[number]][1:]
+    path.write_bytes(b"".join(parts))
+    rows, (damage,) = recovered(path)
+    assert 0 < len(rows) < len(MESSAGES)
+    assert words in damage.what
+    assert damage.loses
+
+
+@pytest.mark.parametrize("chunked", [False, True], ids=["outside chunks", "in a chunk"])
+@pytest.mark.parametrize("delta", [-20, 7, 1000])
+def test_a_channel_with_a_wrong_length_is_kept(tmp_path: Path, delta: int, chunked: bool) -> None:
+    channel = raw_channel(topic="/a/topic/of/some/length")
+    wrong = channel[:1] + struct.pack("<Q", len(channel) - 9 + delta) + channel[9:]
+    body = [wrong, *(raw_message(1, time, bytes(100)) for time in range(5, 25))]
+    chunk = [raw_chunk(b"".join(body), message_start_time=5, message_end_time=24)]
+    path = raw_file(tmp_path / "a.mcap", *(chunk if chunked else body))
     with closing(McapReader(path)) as reader:
-        assert [row[2] for row in content(reader)] == [5]
+        assert [connection.topic for connection in reader.connections] == ["/a/topic/of/some/length"]
+    rows, damage = recovered(path)
+    # Messages that a record with a wrong length covers may be lost, but none after it.
+    assert [row[2] for row in rows][-9:] == list(range(16, 25))
+    assert damage
+
+
+@pytest.mark.parametrize("opcode", [0x10, 0x45, 0x85])
+def test_a_message_that_became_an_unknown_record_is_lost(tmp_path: Path, opcode: int) -> None:
+    """Nothing but the message index tells it from a record of a later specification, of which there is one, too."""
+    messages = [raw_message(1, time) for time in (5, 6, 7)]
+    places = [(time, place * len(messages[0])) for place, time in enumerate((5, 6, 7))]
+    changed = b"".join((messages[0], bytes([opcode]) + messages[1][1:], messages[2], record(0x20, b"later")))
+    chunk = raw_chunk(changed, message_start_time=5, message_end_time=7, uncompressed_crc=0)
+    index = encoded(MessageIndex(channel_id=1, records=places))
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), chunk, index)
+    with closing(McapReader(path)) as reader:
+        # Of a cut, messages are not counted.
+        assert [row[2] for row in content(reader, start_ns=0, stop_ns=7)] == [5]
+        assert [damage.loses for damage in reader.damage] == [True]
+
+
+def test_a_chunk_of_unknown_compression_may_be_uncompressed(tmp_path: Path) -> None:
+    path = raw_file(tmp_path / "a.mcap", raw_chunk(BODY, compression="zstf"))
+    rows, (damage,) = recovered(path)
+    assert [row[4] for row in rows] == [b"data"]
+    assert "known are none, lz4 and zstd" in damage.what
+
+
+@pytest.mark.parametrize("opcode", [1, 2, 8, 10, 11, 13, 14])
+def test_records_that_no_data_may_have_are_damage(tmp_path: Path, opcode: int) -> None:
+    """A message became one, in a file that counts nothing."""
+    messages = [raw_message(1, time) for time in (5, 6, 7)]
+    messages[1] = bytes([opcode]) + messages[1][1:]
+    times, said = repaired(raw_file(tmp_path / "a.mcap", raw_channel(), *messages))
+    assert times == [5, 7]
+    assert f"is of kind {opcode}, which no data may have" in said
+    assert not claims_all(said)
+
+
+@pytest.mark.parametrize("zeroed", ["all but its length", "all but its first time"])
+def test_a_chunk_without_records_is_not_one_with_unknown_fields(tmp_path: Path, zeroed: str) -> None:
+    first = raw_chunk(BODY)
+    start = 9 if zeroed == "all but its length" else 17
+    path = raw_file(tmp_path / "a.mcap", first[:start] + bytes(len(first) - start), raw_chunk(BODY))
+    times, said = repaired(path)
+    assert times == [1]
+    assert "declares no records in" in said
+    assert not claims_all(said)
+
+
+@pytest.mark.parametrize("compression", ["", "zstd"])
+def test_a_chunk_that_declares_no_size_keeps_its_messages(tmp_path: Path, compression: str) -> None:
+    packed = zstd(BODY) if compression else BODY
+    chunk = raw_chunk(BODY, compression=compression, packed=packed, uncompressed_size=0, uncompressed_crc=0)
+    times, said = repaired(raw_file(tmp_path / "a.mcap", chunk))
+    assert times == [1]
+    assert "declared" in said
+
+
+@pytest.mark.parametrize("indexed", [False, True], ids=["without an index", "with one"])
+def test_what_a_wrong_crc_means_only_an_index_tells(tmp_path: Path, indexed: bool) -> None:
+    """A message is missing from the chunk, or none."""
+    messages = [raw_message(1, time) for time in (1, 2, 3)]
+    entries = [(time, (time - 1) * len(messages[0])) for time in (1, 2, 3)]
+    index = [encoded(MessageIndex(channel_id=1, records=entries))] if indexed else []
+    for there in (messages, messages[:2]):
+        chunk = raw_chunk(b"".join(there), message_end_time=3, uncompressed_crc=1)
+        times, said = repaired(raw_file(tmp_path / "a.mcap", raw_channel(), chunk, *index))
+        assert times == [1, 2, 3][: len(there)]
+        assert claims_all(said) == (indexed and there == messages)
+    assert ("1 message lost" in said) == indexed
+
+
+def test_a_message_in_the_place_of_another_is_told(tmp_path: Path) -> None:
+    """There are as many messages as entries, but one of them twice and another not at all."""
+    messages = [raw_message(1, time) for time in (1, 2, 3, 4)]
+    entries = [(time, (time - 1) * len(messages[0])) for time in (1, 2, 3, 4)]
+    there = [messages[0], messages[0], messages[1], messages[3]]
+    chunk = raw_chunk(b"".join(there), message_end_time=4)
+    index = encoded(MessageIndex(channel_id=1, records=entries))
+    times, said = repaired(raw_file(tmp_path / "a.mcap", raw_channel(), chunk, index))
+    assert times == [1, 1, 2, 4]
+    assert not claims_all(said)
+
+
+def test_a_misplaced_chunk_that_differs_from_its_index_is_read(tmp_path: Path) -> None:
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300, **LIBRARY_OPTIONS["only chunk indexes"])
+    sound = sorted(row[2] for row in recovered(path)[0])
+    parts = pieces(path)
+    one, other = [place for place, part in enumerate(parts) if part[0] == 6][:2]
+    # They are exchanged, and one declares another last log time.
+    (last,) = struct.unpack_from("<Q", parts[one], 17)
+    parts[one], parts[other] = parts[other], parts[one][:17] + struct.pack("<Q", last + 1) + parts[one][25:]
+    path.write_bytes(b"".join(parts))
+    times, said = repaired(path)
+    assert times == sound
+    assert said.count("the index places a chunk at byte") == 2
+
+
+def test_a_channel_without_message_index_is_read(tmp_path: Path) -> None:
+    """The chunk has the message index of a channel that nothing declares, and the file is cut off."""
+    body = raw_channel(1) + raw_message(1, 1)
+    index = encoded(MessageIndex(channel_id=2, records=[(1, 0)]))
+    path = raw_file(tmp_path / "a.mcap", raw_channel(1), raw_chunk(body), index)
+    path.write_bytes(path.read_bytes()[:-20])
+    assert repaired(path)[0] == [1]
+
+
+def test_messages_of_a_chunk_whose_front_is_zero_are_found(tmp_path: Path) -> None:
+    """Only another chunk declares their channel, so that it is not known when they are searched for."""
+    body = raw_channel() + b"".join(raw_message(1, time, bytes([time]) * 40) for time in range(1, 30))
+    second = raw_chunk(b"".join(raw_message(1, time, bytes([time]) * 40) for time in range(30, 60)))
+    zeroed = bytes(400) + second[400:]
+    last = raw_chunk(raw_message(1, 70), message_start_time=70, message_end_time=70)
+    path = raw_file(tmp_path / "a.mcap", raw_chunk(body, message_end_time=29), zeroed, last)
+    times, said = repaired(path)
+    assert {*range(1, 30), *range(40, 60), 70} <= set(times)
+    assert not claims_all(said)

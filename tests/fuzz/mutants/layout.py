@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Callable
 
-__all__ = ["Edit", "Field", "Layout", "Nested", "Record", "mutate"]
+__all__ = ["Edit", "Field", "Layout", "Nested", "Record", "mutate", "rearrange"]
 
 #: What a field is about. Names, texts and payloads are bytes, all others are numbers.
 Role = Literal[
@@ -120,7 +120,7 @@ def mutate(layout: Layout, rng: random.Random) -> Edit:
     """Change one thing: a field, each kind as often as any other, or a whole record, or anything anywhere."""
     sealed = layout.seal is not None and rng.random() < 0.4
     if layout.nested and (not layout.fields or rng.random() < 0.4):
-        return _inside(layout, rng.choice(layout.nested), rng)
+        return _inside(layout, rng.choice(layout.nested), rng, mutate)
     choice = rng.random()
     if layout.records and choice < 0.15:
         return _records(layout, rng, sealed=sealed)
@@ -139,6 +139,13 @@ def mutate(layout: Layout, rng: random.Random) -> Edit:
     else:
         data = _spliced(layout, chosen.start, chosen.stop, new, sealed=sealed)
     return Edit(chosen.kind, chosen.role, how + (", sealed" if sealed else ""), data)
+
+
+def rearrange(layout: Layout, rng: random.Random) -> Edit:
+    """Change one whole record, or two of them, here or in what is packed."""
+    if layout.nested and (not layout.records or rng.random() < 0.15):
+        return _inside(layout, rng.choice(layout.nested), rng, rearrange)
+    return _records(layout, rng, sealed=layout.seal is not None and rng.random() < 0.4)
 
 
 def _changed_number(layout: Layout, chosen: Field, rng: random.Random) -> tuple[str, bytes]:
@@ -186,18 +193,22 @@ def _changed_bytes(layout: Layout, chosen: Field, rng: random.Random) -> tuple[s
 
 
 def _records(layout: Layout, rng: random.Random, *, sealed: bool) -> Edit:
-    """Remove, repeat, exchange or overwrite whole records."""
+    """Remove, repeat, move, exchange or overwrite whole records."""
     kind = rng.choice(sorted({record.kind for record in layout.records}))
     chosen = rng.choice([record for record in layout.records if record.kind == kind])
     start, stop = chosen.start, chosen.stop
     own = layout.data[start:stop]
-    other = rng.choice([record for record in layout.records if record.kind == kind])
-    how = rng.choice(("removed", "removed", "repeated", "replaced", "moved", "blanked"))
+    alike = rng.choice([record for record in layout.records if record.kind == kind])
+    other = rng.choice((alike, rng.choice(layout.records)))
+    how = rng.choice(("removed", "removed", "repeated", "replaced", "moved", "copied", "exchanged", "blanked"))
+    if how == "exchanged":
+        return Edit(kind, "record", f"{how} with {other.kind}", _exchanged(layout.data, chosen, other))
     new = {
         "removed": b"",
         "repeated": own + own,
-        "replaced": layout.data[other.start : other.stop],
+        "replaced": layout.data[alike.start : alike.stop],
         "moved": b"",
+        "copied": own,
         "blanked": bytes(len(own)),
     }[how]
     repaired = rng.random() < 0.5
@@ -205,10 +216,25 @@ def _records(layout: Layout, rng: random.Random, *, sealed: bool) -> Edit:
         data = _spliced(layout, start, stop, new, sealed=sealed)
     else:
         data = layout.data[:start] + new + layout.data[stop:]
-    if how == "moved":
-        place = min(other.start, len(data))
+    if how in ("moved", "copied"):
+        place = other.start - len(own) * (how == "moved" and other.start > start)
         data = data[:place] + own + data[place:]
+        how = f"{how} to {other.kind}"
     return Edit(kind, "record", f"{how}{', places repaired' * repaired}{', sealed' * (sealed and repaired)}", data)
+
+
+def _exchanged(data: bytes, one: Record, other: Record) -> bytes:
+    first, second = sorted((one, other), key=lambda record: record.start)
+    middle = data[first.stop : second.start]
+    if first == second:
+        return data
+    return (
+        data[: first.start]
+        + data[second.start : second.stop]
+        + middle
+        + data[first.start : first.stop]
+        + data[second.stop :]
+    )
 
 
 def _anywhere(layout: Layout, rng: random.Random) -> Edit:
@@ -235,10 +261,12 @@ def _anywhere(layout: Layout, rng: random.Random) -> Edit:
     return Edit("file", "file", how, changed)
 
 
-def _inside(layout: Layout, chosen: Nested, rng: random.Random) -> Edit:
+def _inside(
+    layout: Layout, chosen: Nested, rng: random.Random, change: Callable[[Layout, random.Random], Edit]
+) -> Edit:
     """Change what is packed, and pack it again; the lengths and checksums around it are updated."""
     unpacked = chosen.unpack(layout.data[chosen.start : chosen.stop])
-    edit = mutate(chosen.layout(unpacked), rng)
+    edit = change(chosen.layout(unpacked), rng)
     data = _spliced(layout, chosen.start, chosen.stop, chosen.pack(edit.data), sealed=False)
     changed = bytearray(data)
     if chosen.size is not None and rng.random() < 0.9:

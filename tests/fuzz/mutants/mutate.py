@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from fuzz.mutants.seeds import Seed
 
-__all__ = ["Mutant", "mutant"]
+__all__ = ["Mutant", "mutant", "rearranged"]
 
 #: Statements that a program other than a recorder may have run: the database is sound afterwards.
 _STATEMENTS = (
@@ -61,6 +61,15 @@ def mutant(seed: Seed, rng: random.Random) -> Mutant:
     name = rng.choice(sorted(seed.files))
     while True:
         edit = _edit(name, seed, rng)
+        if edit.data != seed.files[name]:
+            return Mutant(seed, name, edit, {**seed.files, name: edit.data})
+
+
+def rearranged(seed: Seed, rng: random.Random) -> Mutant:
+    """Remove, repeat, move or exchange whole records in one file of a seed."""
+    name = rng.choice(sorted(name for name in seed.files if name.endswith((".bag", ".mcap"))))
+    while True:
+        edit = layout.rearrange(_layout(name, seed.files[name]), rng)
         if edit.data != seed.files[name]:
             return Mutant(seed, name, edit, {**seed.files, name: edit.data})
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from builders import (
+from support.builders import (
     CONTENT,
     POINTS,
     SECOND,
@@ -139,6 +139,9 @@ _BUILDS: dict[str, Callable[[Path], Path]] = {
     **{f"mcap-{name}": _mcap(compression=name, **_EXTRAS) for name in ("none", "lz4", "zstd")},
     **{f"mcap-{name}-large": _mcap(compression=name, large=True) for name in ("none", "zstd")},
     "mcap-none-without-crc": _mcap(compression="none", crcs=False),
+    "mcap-lz4-without-summary": _mcap(compression="lz4", summary=False),
+    "mcap-unchunked-without-summary": _mcap(chunked=False, summary=False, **_EXTRAS),
+    "mcap-unchunked-data-crc-without-summary": _mcap(chunked=False, summary=False, data_crc=True),
     "mcap-unchunked": _mcap(chunked=False, **_EXTRAS),
     "mcap-unchunked-data-crc": _mcap(chunked=False, data_crc=True),
     "mcap-ros1": _mcap(ros_version=1, profile="ros1"),

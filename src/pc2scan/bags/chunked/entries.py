@@ -52,16 +52,30 @@ class IndexCheck(NamedTuple):
         What is wrong with the entries; None if nothing is.
     total
         How many there are; None if there is no index.
+    astray
+        How many of them match no message.
     """
 
     problem: str | None = None
     total: int | None = None
+    astray: int = 0
 
     def trouble(self, found: int | None) -> str | None:
         """Return what is wrong, given the number of messages in the chunk; None if not all were counted."""
         if self.problem is None and self.total is not None and found is not None and self.total != found:
             return f"it has entries for {self.total} messages, the chunk has {found}"
         return self.problem
+
+    def lost(self, found: int | None) -> int | None:
+        """Return how many messages of a chunk in trouble are missing.
+
+        That is unknown (None) if the chunk has fewer messages than entries, or if several entries match none: the
+        chunk may be another, or have lost some and others twice.
+        """
+        if self.total is None:
+            return 0
+        fewer = found is None or found < self.total
+        return None if fewer or self.astray > 1 else 0
 
 
 def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.many import Many, kept
 
 if TYPE_CHECKING:
-    from collections.abc import Container
+    from collections.abc import Container, Sequence
 
     from pc2scan.bags.damage import DamageLog
     from pc2scan.errors import DamageError
@@ -60,7 +60,7 @@ def settled(
     """Replace log times outside the range that the chunk declares by the nearest time in the range.
 
     If there are several of them, and all messages are in order by their own times, the declared times are wrong and
-    no message is changed.
+    no message is changed. Nor is one if all of several are outside: they belong to another chunk.
 
     Parameters
     ----------
@@ -70,14 +70,22 @@ def settled(
         The declared first and last log time.
     """
     low, high = span
-    times = messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
-    outside = sum(not low <= time_ns <= high for time_ns in times)
-    if outside == 0 or (outside > 1 and all(map(le, times, islice(times, 1, None)))):
+    times = _times_of(messages)
+    outside = _outside(times, span)
+    if outside == 0 or (outside > 1 and (outside == len(times) or all(map(le, times, islice(times, 1, None))))):
         return messages
     if isinstance(messages, Many):
         nearest = array("Q", (max(low, min(time_ns, high)) for time_ns in times))
         return messages.mapped(partial(_clamped, span), nearest)
     return [_clamped(span, message) for message in messages]
+
+
+def _times_of(messages: list[RawMessage] | Many[RawMessage]) -> Sequence[int]:
+    return messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
+
+
+def _outside(times: Sequence[int], span: tuple[int, int]) -> int:
+    return sum(not span[0] <= time_ns <= span[1] for time_ns in times)
 
 
 def _clamped(span: tuple[int, int], message: RawMessage) -> RawMessage:
@@ -90,7 +98,15 @@ def _clamped(span: tuple[int, int], message: RawMessage) -> RawMessage:
 
 
 def note_salvaged(
-    log: DamageLog, problem: DamageError, segment: Segment, offset: int, size: int, left: Salvaged
+    log: DamageLog,
+    problem: DamageError,
+    segment: Segment,
+    offset: int,
+    size: int,
+    left: Salvaged,
+    indexed: int | None,
+    *,
+    counted: bool,
 ) -> None:
     """Note a damaged chunk with recovered messages.
 
@@ -102,14 +118,23 @@ def note_salvaged(
         Number of bytes that could be decompressed.
     left
         The messages found in these.
+    indexed
+        How many messages the index has for the chunk; None if that is unknown.
+    counted
+        Whether the file declares how many messages it has, which is compared at the end.
     """
     cut = max(segment.uncompressed_size - size, 0)
     missing = cut + left.bytes_lost
+    times = _times_of(left.messages)
+    # These may be the messages of another chunk, and those of this one are not here.
+    is_another = segment.end_ns and _outside(times, (segment.start_ns, segment.end_ns)) > 1
+    is_known = counted or (indexed is not None and indexed >= len(times))
+    unread = max(left.unknown_channel, (indexed or 0) - len(times))
     log.note(
         problem,
         offset=offset,
         bytes_lost=missing,
-        messages_lost=None if missing else left.unknown_channel,
+        messages_lost=None if missing or is_another or not (unread or is_known) else unread,
         first_ns=left.messages[-1].log_time_ns if left.messages and cut else segment.start_ns,
         last_ns=segment.end_ns,
     )

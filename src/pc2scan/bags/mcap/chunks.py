@@ -42,16 +42,30 @@ class ChunkSegment(Segment):
         Offset of the chunk's record in the file.
     index_length
         Bytes of the message indexes after it; 0 if unknown.
+    padding
+        Bytes of the record after its payload: fields that are unknown here.
     """
 
     record_offset: int = 0
     index_length: int = 0
+    padding: int = 0
+
+    @property
+    def stop(self) -> int:
+        """Offset of the record after it."""
+        return self.offset + self.length + self.padding
+
+    @property
+    def form(self) -> tuple[int, int, int, str, int]:
+        """How it is stored, wherever it is."""
+        head = self.offset - self.record_offset
+        return head, self.length, self.padding, self.compression, self.uncompressed_size
 
 
-def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, *, exact: bool = True) -> ChunkSegment:
+def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, *, fits: bool = True) -> ChunkSegment:
     """Read the header of the chunk whose record begins at ``data[position]``.
 
-    With ``exact``, its payload must end where its record ends.
+    With ``fits``, its payload must not be longer than its record.
     """
     malformed = f"the chunk at byte {record_offset} has a malformed header"
     try:
@@ -65,7 +79,10 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
     if name_size > _MAX_COMPRESSION_NAME:
         raise file.damage(f"{malformed}: its compression has a name of {name_size} bytes")
     head = CHUNK.size + name_size + UINT64.size
-    if head + length != record_length and exact:
+    padding = record_length - head - length
+    if not length and padding > 0:
+        raise file.damage(f"{malformed}: it declares no records in {record_length} bytes")
+    if padding < 0 and fits:
         raise file.damage(
             f"the chunk at byte {record_offset} declares {length} bytes of records in {record_length} bytes",
         )
@@ -78,6 +95,7 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
         start_ns=start_ns,
         end_ns=end_ns,
         record_offset=record_offset,
+        padding=max(0, padding),
     )
 
 
@@ -107,18 +125,20 @@ def with_payload(
     return file.borrow(segment.record_offset, head + segment.length, unpacked)
 
 
-def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tuple[ChunkSegment, memoryview]:
+def stored_chunk(
+    file: RecordFile, segment: ChunkSegment, behind: int = 0
+) -> tuple[ChunkSegment, memoryview, memoryview]:
     """Read a chunk as it is stored.
 
     Parameters
     ----------
-    more
-        Bytes after the chunk's records to read with them.
+    behind
+        Bytes after the chunk's record to read with it.
 
     Returns
     -------
-    tuple[ChunkSegment, memoryview]
-        The chunk by its own header, and its compressed records with the further bytes.
+    tuple[ChunkSegment, memoryview, memoryview]
+        The chunk by its own header, its compressed records, and the bytes after its record.
 
     Raises
     ------
@@ -126,14 +146,15 @@ def stored_chunk(file: RecordFile, segment: ChunkSegment, more: int = 0) -> tupl
         If bytes are missing, or the header differs from the index.
     """
     head = segment.offset - segment.record_offset
-    record = memoryview(file.read(segment.record_offset, head + segment.length + more))
-    return _confirmed(record, segment, file), record[head:]
+    following = head + segment.length + segment.padding
+    record = memoryview(file.read(segment.record_offset, following + behind))
+    return _confirmed(record, segment, file), record[head : head + segment.length], record[following:]
 
 
 def _confirmed(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
     """Return the chunk by its own header, which has a CRC, after comparing it with the index."""
     chunk = chunk_at(record, 0, segment.record_offset, file)
-    if record[0] != OP_CHUNK or _storage(chunk) != _storage(segment):
+    if record[0] != OP_CHUNK or chunk.form != segment.form:
         raise file.damage(f"the index and the chunk at byte {segment.record_offset} contradict each other")
     return chunk
 
@@ -148,15 +169,11 @@ def unpacked_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, v
     return unpacked
 
 
-def _storage(segment: Segment) -> tuple[int, int, str, int]:
-    return segment.offset, segment.length, segment.compression, segment.uncompressed_size
-
-
 def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buffer:
     """Decompress a chunk's payload into exactly the declared size."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"
-    if size == 0:
+    if size == 0 == len(data):
         return b""
     if size > (allowed := allowed_bytes(file.size)):
         raise file.damage(

@@ -56,8 +56,7 @@ def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> 
     """
     if not 0 < segment.index_length <= MAX_TOGETHER * 16 or segment.compression not in rule.compressions:
         return None
-    chunk, data = stored_chunk(file, segment, segment.index_length)
-    stored, indexes = data[: segment.length], data[segment.length :]
+    chunk, stored, indexes = stored_chunk(file, segment, segment.index_length)
     index: Index = {}
     position = 0
     while position < len(indexes):
@@ -66,10 +65,10 @@ def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> 
         opcode, length, channel_id, size = struct.unpack_from("<BQHI", indexes, position)
         start = position + RECORD.size + 6
         position += RECORD.size + length
-        if opcode != OP_MESSAGE_INDEX or size % 16 or start + size != position or position > len(indexes):
+        if opcode != OP_MESSAGE_INDEX or size % 16 or start + size > position or position > len(indexes):
             return None
         if size:
-            index[channel_id] = sorted(struct.iter_unpack("<QQ", indexes[start:position]), key=_place)
+            index[channel_id] = sorted(struct.iter_unpack("<QQ", indexes[start : start + size]), key=_place)
     entries = sorted((entry for found in index.values() for entry in found), key=_place)
     if not entries or entries[0][1] != 0 or entries[-1][1] >= segment.uncompressed_size:
         return None
@@ -103,7 +102,7 @@ def whole_by_content(
     RecordingError
         As `pc2scan.bags.mcap.chunks.payload` does.
     """
-    chunk, stored = stored_chunk(file, segment)
+    chunk, stored, _ = stored_chunk(file, segment)
     records = unpacked_chunk(file, chunk, stored, verify=verify)
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:

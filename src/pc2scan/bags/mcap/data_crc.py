@@ -44,14 +44,26 @@ class DataCrc:
         Its recorded CRC.
     log
         Gets a difference.
+    counted
+        Whether statistics tell if messages are missing.
     """
 
-    def __init__(self, file: RecordFile, segments: Sequence[Segment], stop: int, recorded: int, log: DamageLog) -> None:
+    def __init__(
+        self,
+        file: RecordFile,
+        segments: Sequence[Segment],
+        stop: int,
+        recorded: int,
+        log: DamageLog,
+        *,
+        counted: bool,
+    ) -> None:
         self._file = file
         self._segments = sorted(segments, key=attrgetter("offset"))
         self._stop = stop
         self._recorded = recorded
         self._log = log
+        self._counted = counted
         self._found: dict[int, int] = {}
         self._lock = Lock()
 
@@ -79,7 +91,7 @@ class DataCrc:
         value = self._between(value, position, self._stop)
         if value != self._recorded:
             error = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
-            self._log.note(self._file.damage(error), key="data", messages_lost=0)
+            self._log.note(self._file.damage(error), key="data", messages_lost=0 if self._counted else None)
 
     def _between(self, value: int, start: int, stop: int) -> int:
         for position in range(start, stop, _PIECE):
@@ -94,4 +106,4 @@ def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | No
     stop, recorded = index.data_end
     if not recorded or any(isinstance(segment, ChunkSegment) for segment in index.segments):
         return None
-    return DataCrc(file, index.segments, stop, recorded, log)
+    return DataCrc(file, index.segments, stop, recorded, log, counted=index.statistics is not None)

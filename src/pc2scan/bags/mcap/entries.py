@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.chunked.entries import EntryForm, IndexCheck, entries_astray
 from pc2scan.errors import DamageError
 
+from .record_types import Opcode
 from .records import OP_MESSAGE_INDEX, RECORD
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from .chunks import ChunkSegment
     from .records import RecordFile
 
-__all__ = ["index_check", "index_entries"]
+__all__ = ["index_check", "index_entries", "indexed_places"]
 
 #: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
 _HEAD = struct.Struct("<BQHI")
@@ -39,7 +40,7 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
     DamageError
         If an index contradicts its own lengths.
     """
-    position = segment.offset + segment.length
+    position = segment.stop
     # Usually, one call reads all of them.
     origin, ahead = position, memoryview(b"")
     while position + _HEAD.size <= file.size:
@@ -47,16 +48,27 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
             length = max(0 if ahead else segment.index_length, _AHEAD)
             origin, ahead = position, memoryview(file.read(position, min(length, file.size - position)))
         opcode, length, channel_id, size = _HEAD.unpack_from(ahead, position - origin)
-        if opcode != OP_MESSAGE_INDEX:
-            return
         start = position + _HEAD.size
         position += RECORD.size + length
-        if size % _FORM.entry.size or start + size != position:
+        if opcode > Opcode.DATA_END:
+            continue
+        if opcode != OP_MESSAGE_INDEX:
+            return
+        if size % _FORM.entry.size or start + size > position:
             raise file.damage(f"the message index at byte {start - _HEAD.size} contradicts its own lengths")
-        if position <= origin + len(ahead):
-            yield channel_id, ahead[start - origin : position - origin]
+        if start + size <= origin + len(ahead):
+            yield channel_id, ahead[start - origin : start - origin + size]
         else:
             yield channel_id, memoryview(file.read(start, size))
+
+
+def indexed_places(file: RecordFile, segment: ChunkSegment) -> frozenset[int]:
+    """Return the places of messages in a chunk by the message indexes after it; none if these are malformed."""
+    try:
+        groups = list(index_entries(file, segment))
+    except DamageError:
+        return frozenset()
+    return frozenset(place for _, entries in groups for _, place in _FORM.entry.iter_unpack(entries))
 
 
 def index_check(file: RecordFile, segment: ChunkSegment, records: Buffer, ids: Container[int]) -> IndexCheck:
@@ -80,4 +92,4 @@ def index_check(file: RecordFile, segment: ChunkSegment, records: Buffer, ids: C
     problem = None
     if astray := entries_astray(records, mine, _FORM):
         problem = f"{astray} of {total} entries match no message by their channel and log time"
-    return IndexCheck(problem, total if groups else None)
+    return IndexCheck(problem, total if groups else None, astray)

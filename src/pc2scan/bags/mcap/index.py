@@ -15,6 +15,7 @@ from pc2scan.bags.chunked.segments import Segment
 from pc2scan.bags.damage import MAX_PLACES
 from pc2scan.errors import DamageError
 from pc2scan.files.crc32 import crc32
+from pc2scan.files.limits import ConnectionLimit
 
 from . import record_types as records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
@@ -33,6 +34,9 @@ __all__ = ["RUN_SIZE", "McapIndex", "RecordWalk", "find_declarations", "find_ind
 
 _FOOTER_SIZE = RECORD.size + 20
 
+#: A chunk's record up to its payload, without the name of its compression.
+_CHUNK_HEAD = RECORD.size + CHUNK.size + UINT64.size
+
 #: Maximum number of entries that are compared: in memory they are larger than in the file.
 _MAX_EXTRA_INDEXES = 10_000
 
@@ -41,6 +45,20 @@ _EXTRA_INDEXES: dict[int, type[ExtraIndex]] = {
     Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
     Opcode.METADATA_INDEX: records.MetadataIndex,
 }
+
+#: Records that no summary may have, and records that no data section may have.
+_DATA = frozenset({OP_MESSAGE, OP_CHUNK, Opcode.ATTACHMENT, Opcode.METADATA})
+_NO_DATA = frozenset(
+    {
+        Opcode.HEADER,
+        Opcode.FOOTER,
+        Opcode.STATISTICS,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    }
+)
 
 #: Messages outside chunks are read in segments of about this size, bytes.
 RUN_SIZE = 4 << 20
@@ -78,6 +96,8 @@ class McapIndex:
         Where the data section ends, and its CRC (0 if none was written). None if there is no DataEnd record.
     differing
         Schemas and channels that are declared again differently: names and offsets.
+    limit
+        Of the channels and schemas; None before the first.
     """
 
     profile: str = ""
@@ -95,6 +115,7 @@ class McapIndex:
     verified: bool = False
     data_end: tuple[int, int] | None = None
     differing: dict[str, int] = field(default_factory=dict)
+    limit: ConnectionLimit | None = None
 
     def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
         """Add a Schema or a Channel; other records are ignored. The first of an id is kept."""
@@ -103,7 +124,13 @@ class McapIndex:
         record = _declared(opcode, content, offset, file)
         known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
         # "A Schema record with an id of zero is invalid and should be ignored."
-        if (record.id or opcode == Opcode.CHANNEL) and known.setdefault(record.id, record) != record:
+        if not record.id and opcode == Opcode.SCHEMA:
+            return
+        held = known.setdefault(record.id, record)
+        if held is record:
+            self.limit = self.limit or ConnectionLimit(file.path, file.size)
+            self.limit.add(len(content), count=opcode == Opcode.CHANNEL)
+        elif held != record:
             self._differs(_name_of(record), offset)
 
     def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str | None:
@@ -149,12 +176,25 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     index = McapIndex()
     start = read_header(file, index)
     end, accounted = read_summary(file, index, verify=verify)
-    stop = RecordWalk(file, index, accounted).run(start, end)
+    walk = RecordWalk(file, index, accounted)
+    stop = walk.run(start, end)
+    if walk.stray:
+        raise file.damage(walk.stray)
     if stop != end:
-        from .another import refuse_another  # noqa: PLC0415  # only damaged files pay for it
-
-        refuse_another(file, stop, end)
+        _refuse_data(file, stop, end)
     return index
+
+
+def _refuse_data(file: RecordFile, start: int, end: int) -> None:
+    """Raise if another file or more data follow the DataEnd record."""
+    from .another import refuse_another  # noqa: PLC0415  # only damaged files pay for it
+
+    refuse_another(file, start, end)
+    rest, position = McapIndex(), start
+    while position < end:
+        position = RecordWalk(file, rest).run(position, end)
+    if rest.segments or rest.attachments or rest.metadata:
+        raise file.damage(f"the data section ends at byte {start}, and more data follow up to byte {end}")
 
 
 def read_header(file: RecordFile, index: McapIndex) -> int:
@@ -211,6 +251,8 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
             if len(index.extra_indexes) < _MAX_EXTRA_INDEXES:
                 entry = parse(_EXTRA_INDEXES[kind], content, start, file)
                 index.extra_indexes[entry.offset] = entry
+        elif kind in _DATA:
+            raise file.damage(f"the summary at byte {start} has a record of kind {kind}, which only the data may have")
         else:
             index.declare(kind, content, start, file)
     if len(accounted) != len(index.segments):
@@ -233,8 +275,14 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         name = str(content[position - name_size : position], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
         raise file.damage(f"a ChunkIndex record in the summary at byte {origin} is malformed") from err
+    payload = offset + _CHUNK_HEAD + name_size
+    padding = offset + length - payload - compressed
+    if padding < 0 or offset + length > origin:
+        raise file.damage(
+            f"the index places a chunk of {length} bytes at byte {offset}, the data ends at byte {origin}",
+        )
     chunk = ChunkSegment(
-        offset=offset + RECORD.size + CHUNK.size + name_size + UINT64.size,
+        offset=payload,
         length=compressed,
         compression=name or "none",
         uncompressed_size=uncompressed,
@@ -245,11 +293,8 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         connection_ids=ids or None,
         record_offset=offset,
         index_length=message_index_size,
+        padding=padding,
     )
-    if chunk.offset + chunk.length > offset + length or offset + length > origin:
-        raise file.damage(
-            f"the index places a chunk of {length} bytes at byte {offset}, the data ends at byte {origin}",
-        )
     return chunk, offset + length + message_index_size
 
 
@@ -315,8 +360,11 @@ class RecordWalk:
         self._run: _Run | None = None
         self._chunk: ChunkSegment | None = None
         self._indexed: Counter[int] = Counter()
+        self._is_behind_chunk = False
         #: Offsets of the current record and the one before it, for a walk that failed.
         self.offset = self.previous = 0
+        #: What is wrong with the first record that may not be where it is, though it can be skipped.
+        self.stray = ""
 
     def run(self, offset: int, end: int) -> int:
         """Walk from the record at byte ``offset`` to DataEnd or byte ``end``; returns the end.
@@ -334,6 +382,7 @@ class RecordWalk:
                 self.previous, self.offset = self.offset, offset
                 if (following := accounted.get(offset)) is not None:
                     self._close()
+                    self._is_behind_chunk = True
                     unseen -= 1
                     if not offset < following <= end:
                         raise self._beyond(offset, following, end)
@@ -390,17 +439,25 @@ class RecordWalk:
             position = window.locate(offset, RECORD.size + 6) + RECORD.size
             if following - offset < RECORD.size + 6:
                 raise self._file.damage(f"the message index at byte {offset} is too short")
+            if not self._is_behind_chunk:
+                self.stray = self.stray or f"the message index at byte {offset} follows no chunk"
             channel_id, size = struct.unpack_from("<HI", window.data, position)
             self._indexed[channel_id] += size // 16
-        else:
+        elif opcode == 0:
+            raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
+        elif opcode <= Opcode.DATA_END:
+            # Unknown records end neither a run nor the message indexes after a chunk.
             self._close()
             if opcode == OP_CHUNK:
                 position = window.locate(offset, min(CHUNK_HEAD_SIZE, following - offset))
                 self._chunk = chunk_at(window.data, position, offset, self._file)
+                self._is_behind_chunk = True
             elif opcode == Opcode.ATTACHMENT:
                 self._index.attachments.append(offset)
             elif opcode == Opcode.METADATA:
                 self._index.metadata.append(offset)
+            elif opcode in _NO_DATA:
+                self.stray = self.stray or f"the record at byte {offset} is of kind {opcode}, which no data may have"
 
     def _close(self, *, complete: bool = True) -> None:
         """Finish the run or the chunk; its message indexes are ``complete`` if another record follows."""
@@ -415,6 +472,7 @@ class RecordWalk:
             index.all_counted = index.all_counted and ids is not None
             self._chunk = None
         self._indexed.clear()
+        self._is_behind_chunk = False
 
 
 def find_declarations(

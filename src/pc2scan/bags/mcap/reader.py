@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from contextlib import suppress
 from functools import partial
+from threading import Lock
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
@@ -21,11 +22,11 @@ from .chunks import ChunkSegment, chunk_at, payload, with_payload
 from .copies import agreed, whole_by_content, whole_by_index
 from .data_crc import data_crc
 from .declared import compare_counts, connections_of, summary_of
-from .entries import index_check
+from .entries import index_check, indexed_places
 from .index import McapIndex, find_declarations, find_index
 from .messages import ANY_TIME, messages_in
 from .record_types import Opcode
-from .records import FIRST_PRIVATE, RECORD, RecordFile, split
+from .records import RECORD, RecordFile, split
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
@@ -84,6 +85,11 @@ class McapReader(PartReader):
         self._is_whole = False
         #: Declarations in chunks that agree with those of the file.
         self._agreed: set[bytes] = set()
+        #: Places of messages in a chunk by its message indexes, for the latest chunk with records of unknown kinds.
+        self._indexed: tuple[int, frozenset[int]] = (-1, frozenset())
+        #: Chunks that are not where the index places them, by their places in the index; None until one is missing.
+        self._displaced: dict[int, ChunkSegment] | None = None
+        self._lock = Lock()
         try:
             try:
                 self._index = self._found_index()
@@ -162,7 +168,8 @@ class McapReader(PartReader):
         wanted = known
         if connections is not None:
             wanted = {connection.id: known[connection.id] for connection in connections if connection.id in known}
-        ids = None if connections is None else frozenset(wanted)
+        # An index that is damaged may have wrong ids.
+        ids = None if connections is None or len(wanted) == len(known) else frozenset(wanted)
         first = 0 if start_ns is None else start_ns
         stop = 1 << 64 if stop_ns is None else stop_ns
         if ids is not None and not ids:
@@ -224,16 +231,17 @@ class McapReader(PartReader):
             # A damaged segment is read again to recover its messages.
             with suppress(DamageError):
                 return with_payload(self._file, segment, taken, verify=self._verify) if seen is None else taken(seen)
-            data, problem = self._prefix(segment)
+            place = self._located(segment)
+            data, problem = self._prefix(place)
             found: Messages = []
             try:
                 if problem is None:
-                    found = sound(segment, data)
+                    found = sound(place, data)
             except DamageError as err:
                 problem = err
             if problem is not None:
-                found = self._salvaged(segment, data, problem).selected(wanted, first, stop)
-            return mapped(callback, unpacked_messages(found, self._log, segment.offset, self._file.path))
+                found = self._salvaged(place, data, problem).selected(wanted, first, stop)
+            return mapped(callback, unpacked_messages(found, self._log, place.offset, self._file.path))
 
         section = self._data_crc
         if section is None:
@@ -253,9 +261,36 @@ class McapReader(PartReader):
         except DamageError as err:
             if self._log.strict:
                 raise
+            if (found := self._located(segment)) is not segment:
+                return self._prefix(found)
             from .recovery import payload_prefix  # noqa: PLC0415
 
             return payload_prefix(self._file, segment, err)
+
+    def _located(self, segment: Segment) -> Segment:
+        """Return a damaged segment, or the chunk elsewhere in the file that the index has in its place."""
+        if self._log.strict or not isinstance(segment, ChunkSegment):
+            return segment
+        from .recovery import displaced_chunks, is_at_its_place  # noqa: PLC0415
+
+        if is_at_its_place(self._file, segment):
+            return segment
+        with self._lock:
+            if self._displaced is None:
+                self._displaced = displaced_chunks(self._file, self._index.segments)
+        found = self._displaced.get(segment.record_offset)
+        if found is None:
+            return segment
+        self._is_whole = False
+        problem = f"the index places a chunk at byte {segment.record_offset}, it is at byte {found.record_offset}"
+        lost = 0 if self._is_counted else None
+        self._log.note(self._file.damage(problem), offset=segment.record_offset, key="place", messages_lost=lost)
+        return found
+
+    @property
+    def _is_counted(self) -> bool:
+        """Whether the file declares how many messages it has, apart from where they are."""
+        return self._index.statistics is not None
 
     def _packs(self, segment: Segment) -> bool:
         """Whether messages are single zstd frames, which one segment shows for all."""
@@ -293,7 +328,7 @@ class McapReader(PartReader):
                 ),
                 offset=segment.record_offset,
                 key="index",
-                messages_lost=0,
+                messages_lost=check.lost(found),
                 first_ns=segment.start_ns,
                 last_ns=segment.end_ns,
             )
@@ -304,11 +339,12 @@ class McapReader(PartReader):
         Raises
         ------
         DamageError
-            If the record is of a kind that no chunk may have.
+            If the record is of a kind that no chunk may have. Unknown kinds are ignored, unless the message index has
+            a message there.
         """
         opcode, length = RECORD.unpack_from(data, position)
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
-            if opcode >= FIRST_PRIVATE:
+            if opcode > Opcode.DATA_END and not self._is_indexed(chunk, position):
                 return
             raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
         start = position + RECORD.size
@@ -324,6 +360,16 @@ class McapReader(PartReader):
             self._note_differing({what: chunk.record_offset})
         elif len(self._agreed) < MAX_CONNECTIONS:
             self._agreed.add(record)
+
+    def _is_indexed(self, chunk: ChunkSegment, position: int) -> bool:
+        """Whether the message indexes after a chunk have a message at this place in it."""
+        if not (self._verify and self._is_whole):
+            return False
+        offset, places = self._indexed
+        if offset != chunk.record_offset:
+            places = indexed_places(self._file, chunk)
+            self._indexed = chunk.record_offset, places
+        return position in places
 
     def _note_differing(self, places: Mapping[str, int]) -> None:
         for what, offset in places.items():
@@ -363,7 +409,9 @@ class McapReader(PartReader):
         known = {connection.id: connection for connection in self._connections}
         left = salvaged_messages(data, known, _declared_span(segment))
         offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
-        note_salvaged(self._log, problem, segment, offset, len(data), left)
+        check = self._check_index(segment, known, data)
+        indexed = check.total if check else None
+        note_salvaged(self._log, problem, segment, offset, len(data), left, indexed, counted=self._is_counted)
         return left
 
     @property

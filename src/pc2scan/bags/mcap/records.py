@@ -14,14 +14,12 @@ from pc2scan.errors import DamageError
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.source import SourceFile
 
-from .record_types import Attachment, Record, pack, unpack
+from .record_types import Attachment, Opcode, Record, pack, unpack
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pc2scan.model import Buffer
-
-    from .record_types import Opcode
 
 __all__ = [
     "CHUNK",
@@ -36,6 +34,7 @@ __all__ = [
     "UINT64",
     "RecordFile",
     "encoded",
+    "has_meaning",
     "parse",
     "split",
 ]
@@ -55,8 +54,13 @@ UINT64 = struct.Struct("<Q")
 # Plain integers: comparing an IntEnum member costs a method call for each message.
 OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
 
-#: Opcodes from here on are for private records.
+#: Opcodes from here on are for private records. Those between `Opcode` and these are for later specifications.
 FIRST_PRIVATE = 0x80
+
+
+def has_meaning(opcode: int) -> bool:
+    """Whether an opcode is one of the specification or a private one."""
+    return 0 < opcode <= Opcode.DATA_END or opcode >= FIRST_PRIVATE
 
 
 class RecordFile(SourceFile):

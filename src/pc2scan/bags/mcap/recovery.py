@@ -1,14 +1,13 @@
 """Recovers the records of a damaged MCAP file, and the messages of a damaged chunk.
 
-If the walk over the records fails, the file is searched for the next certain beginning of a record; the same is done
+If the walk over the records fails, it continues at the next certain beginning of a record (`search`); the same is done
 inside chunks. Bytes that belong to no record are noted as lost.
 """
 
 from __future__ import annotations
 
-import re
-import struct
 from array import array
+from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -18,16 +17,35 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.chunked.salvaged import Salvaged, settled
 from pc2scan.bags.chunked.segments import times_around
 from pc2scan.bags.many import Many
+from pc2scan.bags.parts import AnotherBeginsError
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 
-from . import record_types as records
 from .another import refuse_another
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
 from .messages import message_at
 from .record_types import Opcode
-from .records import COMPRESSIONS, FIRST_PRIVATE, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, parse
+from .records import (
+    COMPRESSIONS,
+    FIRST_PRIVATE,
+    MAGIC,
+    MESSAGE,
+    OP_CHUNK,
+    OP_MESSAGE,
+    RECORD,
+)
+from .search import (
+    WINDOW,
+    chunk_in_front,
+    end_of_chunk,
+    end_of_declaration,
+    end_of_framed,
+    is_record,
+    next_message,
+    next_record,
+    payload_stop,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -38,21 +56,14 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-__all__ = ["payload_prefix", "recovered_index", "salvaged_messages", "salvaged_records"]
-
-#: Bytes that are searched at a time.
-_WINDOW = 1 << 20
-
-#: The last opcode of the specification.
-_LAST_OPCODE = 0x0F
-
-# An opcode and a length below 2^32 (messages) or 2^36 (all others).
-_MESSAGE_HEAD = re.compile(rb"(?=\x05[\s\S]{4}\0\0\0\0)")
-_RECORD_HEAD = re.compile(rb"(?=[\x03-\x07\x09\x0c][\s\S]{4}[\0-\x0f]\0\0\0)")
-
-#: Records that cannot be in a chunk.
-_OUTSIDE_CHUNKS = frozenset({OP_CHUNK, OP_MESSAGE_INDEX, int(Opcode.ATTACHMENT), int(Opcode.METADATA)})
-_ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
+__all__ = [
+    "displaced_chunks",
+    "is_at_its_place",
+    "payload_prefix",
+    "recovered_index",
+    "salvaged_messages",
+    "salvaged_records",
+]
 
 #: Records that chunks are made of.
 _INSIDE_CHUNKS = frozenset({OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)})
@@ -88,32 +99,38 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
     if log.strict:
         raise problem
     index = McapIndex()
-    noted: list[DamageError] = []
-    start = 0
+    without_header: DamageError | None = None
+    without_summary: DamageError | None = None
     try:
-        start = read_header(file, index)
+        read_header(file, index)
     except DamageError as err:
-        noted.append(err)
-    if start < file.size and not _is_record(file, start, file.size):
-        start = _next_record(file, len(MAGIC) + 1, file.size, ())
+        without_header = err
     summary, end = McapIndex(), file.size - len(MAGIC) * _ends_with_magic(file)
     try:
         end, _ = read_summary(file, summary, verify=verify)
     except DamageError as err:
-        noted.append(err)
+        without_summary = err
         # The walk then includes the records of the summary, and finds channels there.
         summary = McapIndex()
     index.statistics = summary.statistics
-    gaps = list(_walked(file, index, summary, start, end))
+    gaps = list(_walked(file, index, summary.channels, end))
     for identity, schema in summary.schemas.items():
         index.schemas.setdefault(identity, schema)
     for identity, channel in summary.channels.items():
         index.channels.setdefault(identity, channel)
     index.channels_listed = summary.channels_listed
     _adopt(index, summary.segments, gaps)
+    # Message indexes may be missing, or be those of another chunk.
+    index.segments = [replace(segment, connection_ids=None) for segment in index.segments]
     around = times_around(index.segments)
-    for error in noted or ([] if gaps else [problem]):
-        log.note(error, **around(file.size, file.size))
+    if without_header is not None:
+        # The walk begins where it should be. No message is in it, but what took it may have taken more.
+        lost = 0 if index.statistics else None
+        log.note(without_header, offset=len(MAGIC), key="header", messages_lost=lost)
+    elif without_summary is None and not gaps:
+        without_summary = problem
+    if without_summary is not None:
+        log.note(without_summary, **around(file.size, file.size))
     for gap in gaps:
         log.note(gap.error, offset=gap.start, bytes_lost=gap.stop - gap.start, **around(gap.start, gap.stop))
     return index
@@ -123,9 +140,12 @@ def _ends_with_magic(file: RecordFile) -> bool:
     return file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
 
 
-def _walked(file: RecordFile, index: McapIndex, summary: McapIndex, start: int, end: int) -> Iterator[_Gap]:
-    """Walk over the records; if that fails, continue at the next one, and yield the gap."""
-    position = start
+def _walked(file: RecordFile, index: McapIndex, summarized: Collection[int], end: int) -> Iterator[_Gap]:
+    """Walk over all records up to a byte; if that fails, continue at the next one, and yield the gap.
+
+    ``summarized`` are the channels in the summary.
+    """
+    position = len(MAGIC)
     while position < end:
         walk = RecordWalk(file, index)
         try:
@@ -137,26 +157,32 @@ def _walked(file: RecordFile, index: McapIndex, summary: McapIndex, start: int, 
                 position = rest
                 continue
             return
-        known = index.channels.keys() | summary.channels.keys()
-        chunk = _chunk_in_front(file, failed, end)
+        known = index.channels.keys() | summarized
+        chunk = chunk_in_front(file, failed, end)
         if chunk is not None:
-            position = _end_of_chunk(file, chunk, end, known)
+            position = end_of_chunk(file, chunk, end, known)
             refuse_another(file, failed, position)
-            index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset)))
+            index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset), padding=0))
             index.all_counted = False
             if position < chunk.offset + chunk.length:
                 # The damage of the chunk's contents is noted when it is read; here only that it is cut off.
                 yield _Gap(failed, failed, error)
             continue
-        # A record with a wrong length may include others, unless it is a chunk with consistent lengths.
-        if previous and file.read(previous, 1)[0] != OP_CHUNK:
-            again = _next_record(file, previous + 1, end, known, limit=failed)
+        declared = _declaration_in_front(file, index, failed, end)
+        if declared is not None:
+            yield _Gap(failed, failed, error)
+            position = declared
+            continue
+        # A record with a wrong length may include others.
+        if previous:
+            stop = payload_stop(file, previous, end)
+            again = next_record(file, stop or previous + 1, end, known, limit=failed)
             if again < failed:
                 _forget(index, previous)
-                yield _Gap(previous, again, error)
+                yield _Gap(stop or previous, again, error)
                 position = again
                 continue
-        position = _next_record(file, failed + 1, end, known)
+        position = next_record(file, failed + 1, end, known)
         refuse_another(file, previous or failed, position)
         yield _Gap(failed, position, error)
 
@@ -182,92 +208,14 @@ def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:
     return None
 
 
-def _chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | None:
-    """Return the chunk whose record begins here, if its header is plausible and only its length is wrong."""
-    size = min(CHUNK_HEAD_SIZE, end - offset)
-    if size < RECORD.size:
+def _declaration_in_front(file: RecordFile, index: McapIndex, offset: int, end: int) -> int | None:
+    """Declare the schema or channel that begins here, if its fields end where a record begins; return its end."""
+    data = memoryview(file.read(offset, min(WINDOW, end - offset)))
+    stop = end_of_declaration(data)
+    if stop is None or not (offset + stop == end or is_record(file, offset + stop, end)):
         return None
-    data = file.read(offset, size)
-    if data[0] != OP_CHUNK:
-        return None
-    try:
-        chunk = chunk_at(data, 0, offset, file, exact=False)
-    except DamageError:
-        return None
-    return chunk if chunk.compression in COMPRESSIONS and chunk.start_ns <= chunk.end_ns else None
-
-
-def _end_of_chunk(file: RecordFile, chunk: ChunkSegment, end: int, known: Collection[int]) -> int:
-    """Return the offset of the record after a chunk with contradicting lengths."""
-    _, length = RECORD.unpack(file.read(chunk.record_offset, RECORD.size))
-    for stop in (chunk.offset + chunk.length, chunk.record_offset + RECORD.size + length):
-        if stop == end or (chunk.offset < stop < end and _is_record(file, stop, end)):
-            return int(stop)
-    return _next_record(file, chunk.offset, end, known, _OUTSIDE_CHUNKS)
-
-
-def _is_record(file: RecordFile, offset: int, end: int) -> bool:
-    """Whether a record can begin here: an opcode of the specification, and a length that fits."""
-    if offset + RECORD.size > end:
-        return False
-    opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
-    return bool(0 < opcode <= _LAST_OPCODE and offset + RECORD.size + length <= end)
-
-
-def _next_record(
-    file: RecordFile,
-    start: int,
-    end: int,
-    known: Collection[int],
-    kinds: frozenset[int] = _ANYWHERE,
-    *,
-    limit: int | None = None,
-) -> int:
-    """Search, up to ``limit``, for the certain beginning of a record; ``end`` if there is none."""
-    overlap = RECORD.size - 1
-    stop = end if limit is None else min(end, limit + overlap)
-    while start < stop:
-        window = file.read(start, min(_WINDOW + overlap, stop - start))
-        for match in _RECORD_HEAD.finditer(window):
-            position = match.start()
-            opcode, length = RECORD.unpack_from(window, position)
-            if opcode in kinds and _certain(file, opcode, start + position, length, end, known):
-                return start + position
-        if start + len(window) >= stop:
-            break
-        start += len(window) - overlap
-    return end
-
-
-def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, known: Collection[int]) -> bool:
-    """Whether a possible beginning of a record is certain."""
-    if opcode == OP_CHUNK:
-        head = _chunk_in_front(file, offset, end)
-        return head is not None and bool(head.offset + head.length == offset + RECORD.size + length)
-    following = offset + RECORD.size + length
-    if following > end:
-        return False
-    if opcode == OP_MESSAGE:
-        if length < MESSAGE.size - RECORD.size:
-            return False
-        (channel,) = struct.unpack("<H", file.read(offset + RECORD.size, 2))
-        return channel in known and (following == end or _is_record(file, following, end))
-    if opcode == OP_MESSAGE_INDEX:
-        if length < 6:
-            return False
-        _, size = struct.unpack("<HI", file.read(offset + RECORD.size, 6))
-        return bool(size == length - 6 and size % 16 == 0)
-    # A parser allocates the declared lengths: no large records are tried but attachments.
-    if not (following == end or _is_record(file, following, end)) or (length > _WINDOW and opcode != Opcode.ATTACHMENT):
-        return False
-    if opcode == Opcode.ATTACHMENT:
-        return length >= 40
-    kind = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.METADATA: records.Metadata}
-    try:
-        parse(kind[Opcode(opcode)], file.read(offset + RECORD.size, length), offset, file)
-    except DamageError:
-        return False
-    return True
+    index.declare(data[0], data[RECORD.size : stop], offset, file)
+    return offset + stop
 
 
 def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> None:
@@ -283,6 +231,70 @@ def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> No
             if gap.start <= segment.offset and stop <= gap.stop:
                 # The index has its header, so nothing is lost here.
                 gaps[number] = gap._replace(stop=gap.start)
+
+
+def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int, ChunkSegment]:
+    """Find the chunks that are not where the index of a file places them.
+
+    Parameters
+    ----------
+    file
+        The open file.
+    segments
+        Those of the index.
+
+    Returns
+    -------
+    dict[int, ChunkSegment]
+        By the offset in the index: the chunk with the same times and sizes that is at no place of the index, or else
+        the next chunk that the index does not have at all.
+    """
+    walked = McapIndex()
+    with suppress(AnotherBeginsError):
+        deque(_walked(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file)), maxlen=0)
+    there = _chunks_by_identity(walked.segments)
+    missing = _chunks_by_identity(segments)
+    # Chunks at their places, then chunks elsewhere, and then chunks in the places of others or of none.
+    for identity in missing.keys() & there.keys():
+        for place in missing[identity].keys() & there[identity].keys():
+            del missing[identity][place], there[identity][place]
+    found = {
+        place: chunk
+        for identity, indexed in missing.items()
+        for place, chunk in zip(sorted(indexed), _in_order(there.get(identity, {})), strict=False)
+    }
+    changed = [chunk for identity, chunks in there.items() if identity not in missing for chunk in chunks.values()]
+    rest = {place for indexed in missing.values() for place in indexed} - found.keys()
+    unlisted = {chunk.record_offset: chunk for chunk in changed}
+    for place in rest & unlisted.keys():
+        # Its header is damaged, and it is where it belongs.
+        rest.remove(place)
+        del unlisted[place]
+    return found | dict(zip(sorted(rest), _in_order(unlisted), strict=False))
+
+
+def _chunks_by_identity(segments: Iterable[Segment]) -> dict[tuple[object, ...], dict[int, ChunkSegment]]:
+    """Return the chunks that are alike, by their places."""
+    chunks: dict[tuple[object, ...], dict[int, ChunkSegment]] = {}
+    for segment in segments:
+        if isinstance(segment, ChunkSegment):
+            chunks.setdefault(_identity(segment), {})[segment.record_offset] = segment
+    return chunks
+
+
+def _in_order(chunks: Mapping[int, ChunkSegment]) -> list[ChunkSegment]:
+    return [chunks[place] for place in sorted(chunks)]
+
+
+def is_at_its_place(file: RecordFile, segment: ChunkSegment) -> bool:
+    """Whether the chunk of an index is where the index places it."""
+    head = chunk_in_front(file, segment.record_offset, file.size)
+    return head is not None and _identity(head) == _identity(segment)
+
+
+def _identity(chunk: ChunkSegment) -> tuple[object, ...]:
+    """Return what a chunk has in common with its index, wherever it is."""
+    return chunk.start_ns, chunk.end_ns, chunk.form
 
 
 # --- Inside chunks ---
@@ -301,7 +313,10 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
                     f"the chunk at byte {segment.record_offset} is cut off: it has {there} of {found.length} bytes"
                 )
             # A consistent header is right; otherwise the segment is used as it was found.
-            if head[0] == OP_CHUNK and found.compression in COMPRESSIONS and found.offset + found.length <= file.size:
+            consistent = not found.padding or found.form == segment.form
+            if found.compression not in COMPRESSIONS and found.length == found.uncompressed_size:
+                found = replace(found, compression="none")
+            if head[0] == OP_CHUNK and consistent and found.compression in COMPRESSIONS and found.stop <= file.size:
                 chunk = found
     data = file.read(chunk.offset, min(chunk.length, file.size - chunk.offset))
     return memoryview(decompressed_prefix(data, chunk.compression, chunk.uncompressed_size)), problem
@@ -354,7 +369,7 @@ def _framed(
     # A record is kept back until the next one begins at its end: its length may be damaged.
     held: tuple[int, int] | None = None
     while position < size:
-        stop = _record_end(data, position)
+        stop = end_of_framed(data, position)
         if stop is not None:
             if held is not None:
                 yield *held, True
@@ -363,47 +378,15 @@ def _framed(
             continue
         begin = position
         if held is not None:
-            again = _next_message(data, held[0] + 1, position, known, span)
+            again = next_message(data, held[0] + 1, position, known, span)
             if again is not None:
                 begin, position = held[0], again
             else:
                 yield *held, True
         held = None
         if begin == position:
-            found = _next_message(data, position + 1, size, known, span)
+            found = next_message(data, position + 1, size, known, span)
             position = size if found is None else found
         yield begin, position, False
     if held is not None:
         yield *held, True
-
-
-def _record_end(data: memoryview, position: int) -> int | None:
-    """Return the end of the record that begins here; None if none does."""
-    if position + RECORD.size > len(data):
-        return None
-    opcode, length = RECORD.unpack_from(data, position)
-    stop = position + RECORD.size + length
-    if stop > len(data) or not (0 < opcode <= _LAST_OPCODE or opcode >= FIRST_PRIVATE):
-        return None
-    return None if opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size else int(stop)
-
-
-def _next_message(
-    data: memoryview, start: int, end: int, known: Collection[int] | None, span: tuple[int, int] | None
-) -> int | None:
-    """Search for the certain beginning of a message before ``end``."""
-    for match in _MESSAGE_HEAD.finditer(data, start):
-        position = match.start()
-        if position >= end:
-            return None
-        stop = _record_end(data, position)
-        if stop is None:
-            continue
-        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
-        if known is not None and channel_id not in known:
-            continue
-        if span is not None and not span[0] <= log_time_ns <= span[1]:
-            continue
-        if stop + RECORD.size > len(data) or _record_end(data, stop) is not None or span is not None:
-            return position
-    return None

@@ -112,7 +112,7 @@ def index_check(file: BagFile, segment: Segment, chunk: Buffer, ids: Collection[
     except Damaged:
         return IndexCheck()
     problem = f"{astray} of {total} entries match no message by their connection and time" if astray else None
-    return IndexCheck(problem, total if groups else None)
+    return IndexCheck(problem, total if groups else None, astray)
 
 
 def _form_of(chunk: Buffer, groups: Sequence[tuple[int, bytes]]) -> EntryForm | None:

@@ -208,8 +208,14 @@ class Rosbag1Reader(PartReader):
         """Note wrong index records after a chunk, given how many messages it has."""
         if trouble := check.trouble(found):
             error = f"the index after the chunk with data at byte {segment.offset} contradicts it: {trouble}"
-            span = {"first_ns": segment.start_ns, "last_ns": segment.end_ns}
-            self._log.note(self._file.damage_error(error), offset=segment.offset, key="index", messages_lost=0, **span)
+            self._log.note(
+                self._file.damage_error(error),
+                offset=segment.offset,
+                key="index",
+                messages_lost=check.lost(found),
+                first_ns=segment.start_ns,
+                last_ns=segment.end_ns,
+            )
 
     def _agrees(self, segment: Segment, fields: Mapping[bytes, bytes], body: Buffer) -> bool:
         """Whether a chunk describes a connection as the index does; notes it if not."""
@@ -241,7 +247,9 @@ class Rosbag1Reader(PartReader):
 
         chunk = payload_prefix(self._file, segment)
         left = salvaged_messages(chunk, self._index.connections, (segment.start_ns, segment.end_ns))
-        note_salvaged(self._log, error, segment, segment.offset, len(chunk), left)
+        check = self._check_index(segment, chunk, frozenset(self._index.connections))
+        counted = None not in (connection.message_count for connection in self.connections)
+        note_salvaged(self._log, error, segment, segment.offset, len(chunk), left, check.total, counted=counted)
         return left
 
     def counts(

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zstandard
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapLibraryWriter
 from rosbags.rosbag1 import Writer as Rosbag1LibraryWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -437,6 +437,7 @@ class Mcap:
     chunk_size: int = 2_000
     crcs: bool = True
     data_crc: bool = False
+    summary: bool = True
     attachments: Sequence[tuple[str, str, int, int, bytes]] = field(default=())
     metadata: Sequence[tuple[str, dict[str, str]]] = field(default=())
 
@@ -451,6 +452,11 @@ def write_mcap(path: Path, recording: Recording, form: Mcap = Mcap()) -> Path:
             use_chunking=form.chunked,
             enable_crcs=form.crcs,
             enable_data_crcs=form.data_crc,
+            index_types=IndexType.ALL if form.summary else IndexType.MESSAGE,
+            repeat_channels=form.summary,
+            repeat_schemas=form.summary,
+            use_statistics=form.summary,
+            use_summary_offsets=form.summary,
         )
         writer.start(profile=form.profile, library="tests")
         schemas: dict[str, int] = {}
