@@ -41,10 +41,12 @@ from .search import (
     end_of_chunk,
     end_of_declaration,
     end_of_framed,
+    is_message,
     is_record,
     next_message,
     next_record,
     payload_stop,
+    record_end,
 )
 
 if TYPE_CHECKING:
@@ -52,7 +54,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import DamageLog
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, RawMessage
 
     from .records import RecordFile
 
@@ -322,7 +324,9 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
     return memoryview(decompressed_prefix(data, chunk.compression, chunk.uncompressed_size)), problem
 
 
-def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: tuple[int, int] | None) -> Salvaged:
+def salvaged_messages(
+    data: memoryview, known: Mapping[int, Connection], span: tuple[int, int] | None, *, complete: bool
+) -> Salvaged:
     """Find the messages of a damaged chunk.
 
     Parameters
@@ -333,10 +337,13 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
         Every channel.
     span
         The first and the last log time that the chunk declares, if it does; see `settled`.
+    complete
+        Whether these are all of its records: a message with a wrong length at their end is then the last one.
     """
     times, places = array("Q"), array("Q")
     unknown_channel = lost = 0
-    for start, stop, sound in _framed(data, known, span):
+    for start, stop, framed in _framed(data, known, span):
+        sound = framed or (complete and stop == len(data) and is_message(data, start, known, span))
         if not sound or (data[start] not in _INSIDE_CHUNKS and data[start] < FIRST_PRIVATE):
             lost += stop - start
         elif data[start] == OP_MESSAGE:
@@ -346,8 +353,14 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
                 continue
             times.append(log_time_ns)
             places.append(start)
-    messages = Many(times, places, partial(message_at, data, known), len(data)).together()
+    messages = Many(times, places, partial(_message_there, data, known), len(data)).together()
     return Salvaged(settled(messages, span) if span else messages, lost, unknown_channel)
+
+
+def _message_there(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
+    """Return the message at a place; one with an impossible length ends with the data."""
+    message = message_at(data, known, place)
+    return message if record_end(data, place) is not None else message._replace(data=data[place + MESSAGE.size :])
 
 
 def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
