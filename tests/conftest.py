@@ -8,7 +8,9 @@ import signal
 from hypothesis import settings
 
 # No time limits, because machines are shared. CI draws the same examples each time, so that failures are repeatable.
-settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ)
+settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.environ, max_examples=40)
+# Of the long tests, which are those of hypothesis again, with more examples.
+settings.register_profile("thorough", settings.get_profile("pc2scan"), max_examples=400)
 settings.load_profile("pc2scan")
 
 # With it, each of the thousands of commands that tests start would compile the whole package again.

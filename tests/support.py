@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
@@ -16,3 +20,20 @@ GOLDEN = SHARED / "golden" if (SHARED / "golden").is_dir() else ROOT / "fixtures
 needs_shared = pytest.mark.skipif(
     not RECORDINGS.is_dir(), reason="the real recordings are not here (../shared/recordings)"
 )
+
+
+def sampled(cases: Iterable[Any], quick: int) -> list[Any]:
+    """Return the cases of a parametrized test, of which only some, evenly spread, belong to the quick run.
+
+    All others are marked slow, so that the two runs together run each case once. A tuple is the values of several
+    arguments.
+    """
+    found = list(cases)
+    chosen = {number * len(found) // quick for number in range(quick)}
+    return [case if number in chosen else _slow(case) for number, case in enumerate(found)]
+
+
+def _slow(case: Any) -> Any:
+    if isinstance(case, type(pytest.param())):
+        return case._replace(marks=[*case.marks, pytest.mark.slow])
+    return pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.slow)

@@ -199,7 +199,7 @@ def convert(
         Convert only messages with log times from ``start`` on and before ``end``. A number: seconds from the beginning;
         from 100,000,000 on, seconds since 1970; whole numbers from 100,000,000,000 on, nanoseconds since 1970. Or a
         ``datetime`` with a time zone, a ``numpy.datetime64`` (UTC), a ``timedelta`` from the beginning, or text as on
-        the command line.
+        the command line. Messages that are latched at ``start``, and static transforms, are written there.
     static_tf, static_tf_file, write_static_tf
         Static transforms to add, as `StaticTransform` or as text, ``parent child x y z roll pitch yaw``; a YAML file
         with such transforms; whether they are written to ``/tf_static`` of the destination.
@@ -378,7 +378,7 @@ def batch(
         Number of recordings converted at a time; 0: one for each core, as far as the memory is enough. The outputs do
         not depend on it.
     retries
-        How often a recording is tried again if its process died.
+        How often a recording is tried again if its process died: up to 100 times.
     force
         Convert recordings again whose results are up to date.
     checksum
@@ -566,7 +566,7 @@ def view(
     sources
         A recording, or several that are read as one: ROS 1 bag, rosbag2 directory, ``.db3`` or ``.mcap``.
     clouds
-        Number of clouds of each topic on the page, evenly spread over the recording.
+        Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.
     at
         A time, or several, whose clouds are shown instead; in the forms of ``start``.
     **keywords

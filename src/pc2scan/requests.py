@@ -250,8 +250,8 @@ def _options(keywords: Mapping[str, Any], scans: tuple[ScanSpec, ...], frames: F
 
 def _named_files(keywords: Mapping[str, Any]) -> dict[str, Path]:
     """Return the files that keywords name and that are read, by keyword."""
-    named = {name: keywords.get(name) for name in ("params_file", "static_tf_file")}
-    return {f"`{name}`": path_of(name, path) for name, path in named.items() if path is not None}
+    named = {name: keywords.get(name) for name in ("params_file", "static_tf_file", "scans")}
+    return {f"`{name}`": path_of(name, path) for name, path in named.items() if isinstance(path, str | PathLike)}
 
 
 def parameter_names() -> list[str]:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bags.rosbag1_files import connection
-from pc2scan.bags.splitting import Cut, Part, SplitWriter, narrowed, part_name
+from pc2scan.bags.splitting import Cut, Part, SplitWriter, narrowed
 from pc2scan.errors import UnwritableError, UsageError
+from pc2scan.files.numbered import part_name
 from pc2scan.model import ChunkRule, Connection, StoredChunk
 
 if TYPE_CHECKING:

@@ -339,7 +339,7 @@ def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path
     assert "distributed" not in said
     # A conversion may have ended after its last event was read. The note has its output.
     assert not [path.name for path in out.glob("*pc2scan-*") if path.name != ".pc2scan-begun.json"]
-    assert all((out / name).exists() for name in read_begun(out))
+    assert all((out / name).exists() for name in read_begun(out).outputs)
 
 
 def test_errors_name_the_missing_package_and_the_wrong_address(

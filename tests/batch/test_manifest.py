@@ -10,6 +10,7 @@ import pytest
 from pc2scan.batch.identity import Identity
 from pc2scan.batch.manifest import (
     BEGUN,
+    Begun,
     Manifest,
     Record,
     forget_begun,
@@ -100,10 +101,14 @@ def test_a_line_that_was_edited_is_named(change: object, tmp_path: Path) -> None
 
 
 def test_what_is_begun_is_noted(tmp_path: Path) -> None:
-    assert read_begun(tmp_path) == frozenset()
-    write_begun(tmp_path, ["b", "a"])
-    write_begun(tmp_path, ["c"])
-    assert read_begun(tmp_path) == {"c"}
+    assert read_begun(tmp_path) == Begun()
+    write_begun(tmp_path, Begun(frozenset({"b", "a"})))
+    written = Begun(frozenset({"r/c"}), frozenset({"r"}))
+    write_begun(tmp_path, written)
+    assert read_begun(tmp_path) == written
+    # As version 1.0 wrote it.
+    (tmp_path / ".pc2scan-begun.json").write_text('{"pc2scan begun": "1.0", "outputs": ["c"]}\n')
+    assert read_begun(tmp_path) == Begun(frozenset({"c"}))
     forget_begun(tmp_path)
     forget_begun(tmp_path)
     assert list(tmp_path.iterdir()) == []

@@ -13,7 +13,8 @@ from pc2scan.batch.identity import Identity
 from pc2scan.batch.manifest import Record
 from pc2scan.batch.plan import Choice, History, Plan, Step, destinations, make_plan
 from pc2scan.batch.request import request_of
-from pc2scan.errors import RecordingError
+from pc2scan.errors import DestinationError, RecordingError
+from pc2scan.files.records import Left
 
 OUT = Path("/out")
 IDENTITY = Identity((("a.bag", 100, 7),))
@@ -45,7 +46,12 @@ def planned(
 ) -> Step:
     records = {} if record is None else {record.key: record}
     plan = make_plan(
-        [found], {found.key: choice}, History(records, frozenset(begun)), out=OUT, present=lambda _: there, **options
+        [found],
+        {found.key: choice},
+        History.read(records.values(), frozenset(begun)),
+        out=OUT,
+        present=lambda _: there,
+        **options,
     )
     (step,) = plan.steps
     return step
@@ -77,7 +83,8 @@ def test_what_is_unchanged_is_kept() -> None:
         ({"record": replace(RECORD, output="a_scan.mcap"), "there": Identity()}, "written to a_scan.mcap before"),
         ({"force": True}, "forced"),
         (
-            {"record": replace(RECORD, outcome="failed", output_identity=Identity(), error={"message": "is cut"})},
+            {"record": replace(RECORD, outcome="failed", output_identity=Identity(), error={"message": "is cut"})}
+            | {"there": Identity()},
             "failed before: is cut",
         ),
         (
@@ -107,19 +114,46 @@ def test_checksums_decide_instead_of_times() -> None:
 
 def test_only_the_batchs_own_is_replaced() -> None:
     foreign = planned(record=None, there=WRITTEN)
-    assert (foreign.action, foreign.replaces) == ("refuse", False)
+    assert (foreign.action, foreign.owned) == ("refuse", None)
     assert "was not written by this batch" in str(foreign.error)
     asked = planned(record=None, there=WRITTEN, choice=Choice(request_of({"overwrite": True}), "digest"))
-    assert (asked.action, asked.replaces) == ("convert", True)
+    assert asked.action == "convert"
     begun = planned(record=None, there=WRITTEN, begun=("r/a_scan.bag",))
-    assert (begun.action, begun.replaces) == ("convert", True)
+    assert begun.action == "convert"
+    assert begun.owned is not None
+    assert begun.owned.files == {"a_scan.bag": None}
+    changed = planned(there=Identity((("a_scan.bag", 51, 9),)))
+    assert changed.owned is not None
+    assert changed.owned.files == {"a_scan.bag": Left(50, 9)}
     # Where it was written before is not where it is written now.
     elsewhere = planned(record=replace(RECORD, output="b_scan.bag"), there=WRITTEN)
     assert elsewhere.action == "refuse"
-    read = planned(record=None, there=Identity(), inputs={OUT / "r" / "a_scan.bag"})
-    assert (read.action, "is a source" in str(read.error)) == ("refuse", True)
-    inside = planned(record=None, there=Identity(), inputs={OUT / "r"})
-    assert inside.action == "refuse"
+    # Unless an earlier line names it, and it is as it was left.
+    later = replace(RECORD, output="b_scan.bag")
+    for there, action in ((WRITTEN, "convert"), (Identity((("a_scan.bag", 51, 9),)), "refuse")):
+        history = History.read([RECORD, later], frozenset())
+        plan = make_plan([FOUND], {FOUND.key: CHOICE}, history, out=OUT, present=_only("r/a_scan.bag", there))
+        assert [step.action for step in plan.steps] == [action]
+    error = DestinationError("is a source")
+    read = planned(record=None, there=Identity(), forbidden=lambda output: error if output == "r/a_scan.bag" else None)
+    assert (read.action, read.error) == ("refuse", error)
+    # What is kept is not written.
+    assert planned(forbidden=lambda _: error).action == "keep"
+
+
+def test_a_conversion_that_failed_owns_nothing() -> None:
+    failed = replace(RECORD, outcome="failed", output_identity=Identity(), error={"message": "is cut"})
+    assert planned(record=failed).action == "refuse"
+    # A process that died may have written its output.
+    assert planned(record=replace(failed, outcome="died")).action == "convert"
+
+
+def test_an_earlier_line_says_how_a_result_was_left() -> None:
+    failed = replace(RECORD, outcome="failed", output_identity=Identity(), error={"message": "is cut"})
+    history = History.read([RECORD, failed], frozenset())
+    record = history.record("r/a_scan.bag")
+    assert record is not None
+    assert record.files == {"a_scan.bag": Left(50, 9)}
 
 
 def test_what_is_no_recording_is_refused_and_what_is_not_wanted_is_skipped() -> None:
@@ -155,10 +189,45 @@ def test_names_of_results() -> None:
     }
 
 
+def test_results_share_no_folder() -> None:
+    nested = [found_as("drive.bag"), found_as("drive/x.bag"), found_as("other.bag")]
+    assert outputs_of(*nested, export="npz") == {
+        "drive.bag": "drive_bag",
+        "drive/x.bag": "drive/x",
+        "other.bag": "other",
+    }
+    # Recordings do not meet there: their names end with _scan.
+    assert outputs_of(*nested)["drive.bag"] == "drive_scan.bag"
+    meeting = [found_as("a.bag"), found_as("a_scan/b.bag"), found_as("A_SCAN/c/d.bag")]
+    assert outputs_of(*meeting, to="rosbag2") == {
+        "a.bag": "a_bag_scan",
+        "a_scan/b.bag": "a_scan/b_scan",
+        "A_SCAN/c/d.bag": "A_SCAN/c/d_scan",
+    }
+
+
+def test_results_that_share_a_folder_all_the_same_are_refused() -> None:
+    found = [found_as("a.bag"), found_as("a/x.bag"), found_as("a_bag/y.bag")]
+    choice = Choice(request_of({"export": "npz"}), "digest")
+    plan = make_plan(
+        found,
+        {each.key: choice for each in found},
+        History.read([], frozenset()),
+        out=OUT,
+        present=lambda _: Identity(),
+    )
+    assert [(step.action, step.output) for step in plan.steps] == [
+        ("convert", "a_bag"),
+        ("convert", "a/x"),
+        ("refuse", "a_bag/y"),
+    ]
+    assert "would be in a_bag, the result of a.bag" in str(plan.steps[2].error)
+
+
 def test_names_that_meet_all_the_same_are_refused() -> None:
     both = [found_as("A.bag"), found_as("a.bag")]
     choices = {each.key: CHOICE for each in both}
-    plan: Plan = make_plan(both, choices, History({}), out=OUT, present=lambda _: Identity())
+    plan: Plan = make_plan(both, choices, History.read([], frozenset()), out=OUT, present=lambda _: Identity())
     assert [step.action for step in plan.steps] == ["refuse", "refuse"]
     assert "would be the output of both A.bag and a.bag" in str(plan.steps[0].error)
 
@@ -166,11 +235,11 @@ def test_names_that_meet_all_the_same_are_refused() -> None:
 def test_a_result_that_is_not_written_any_more_is_named() -> None:
     record = replace(RECORD, output="r/a_scan.mcap")
     plan = make_plan(
-        [FOUND], {FOUND.key: CHOICE}, History({FOUND.key: record}), out=OUT, present=_only("r/a_scan.mcap")
+        [FOUND], {FOUND.key: CHOICE}, History.read([record], frozenset()), out=OUT, present=_only("r/a_scan.mcap")
     )
     (warning,) = plan.warnings
     assert warning.startswith("r/a_scan.mcap is out of date: its recording is written to r/a_scan.bag now;")
 
 
-def _only(output: str) -> Any:
-    return lambda asked: WRITTEN if asked == output else Identity()
+def _only(output: str, there: Identity = WRITTEN) -> Any:
+    return lambda asked: there if asked == output else Identity()

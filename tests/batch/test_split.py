@@ -83,7 +83,13 @@ def test_numbered_files_of_another_origin_stay(tmp_path: Path) -> None:
     assert done.exit_status == 1
     assert "exists already, and was not written by this batch" in done.outcomes[0].error
     assert [path.name for path in (tmp_path / "out").glob("*.bag")] == ["a_scan_7.bag"]
-    assert pc2scan.batch(tmp_path / "in", tmp_path / "out", min_height=-0.3, split="0.2s", overwrite=True).counts == {
-        "converted": 1
-    }
-    assert sorted(path.name for path in (tmp_path / "out").glob("*.bag")) == [f"a_scan_{n}.bag" for n in range(3)]
+    done = pc2scan.batch(tmp_path / "in", tmp_path / "out", min_height=-0.3, split="0.2s", overwrite=True)
+    assert done.counts == {"converted": 1}
+    # What this run does not write stays, and is named.
+    assert sorted(path.name for path in (tmp_path / "out").glob("*")) == [
+        *(f"a_scan_{n}.bag" for n in (0, 1, 2, 7)),
+        "manifest.jsonl",
+    ]
+    assert (tmp_path / "out" / "a_scan_7.bag").read_text() == "mine"
+    line = json.loads((tmp_path / "out" / "manifest.jsonl").read_text().splitlines()[-1])
+    assert any("a_scan_7.bag: named like a part of a_scan.bag" in text for text in line["report"]["warnings"])

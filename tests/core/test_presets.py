@@ -109,7 +109,7 @@ def test_any_symmetric_sector_is_where_mrpt_and_gmapping_place_it(half: float, b
 
 @given(st.floats(0.001, 3.5), st.integers(3, 1500), st.booleans())
 def test_both_bridges_of_mrpt_read_every_beam(half: float, beams: int, by_increment: bool) -> None:
-    wanted = {"angle_increment": 2 * min(half, math.pi) / (beams - 0.5)} if by_increment else {"beams": beams}
+    wanted = {"angle_increment": 2 * min(half, math.pi) / beams} if by_increment else {"beams": beams}
     scan = scan_of(ProjectionParams.preset("mrpt", angle_min=-half, angle_max=half, **wanted))
     for reads in mrpt_2_5, mrpt_ros_bridge_3_2:
         assert reads(scan.angle_min, scan.angle_max, scan.beams) == list(range(scan.beams))

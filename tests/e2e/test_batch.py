@@ -435,7 +435,8 @@ def test_exports(drives: Path, tmp_path: Path) -> None:
     options = (*HEIGHTS, "--export", "npz", "--pose-frame", "odom", "--base-frame", "base_link")
     done = run("batch", drives, "-o", out, *options)
     assert done.status == 0, done.stderr
-    assert set(contents(out)) == {"a/scan.npz", "b/scan.npz", "robot1/a/scan.npz"}
+    names = {f"{folder}/{name}" for folder in ("a", "b", "robot1/a") for name in ("scan.npz", ".pc2scan-files.json")}
+    assert set(contents(out)) == names
     with np.load(out / "a" / "scan.npz") as archive:
         assert archive["ranges"].shape[0] == archive["stamps"].shape[0] == archive["poses"].shape[0] > 0
     alone = tmp_path / "alone"

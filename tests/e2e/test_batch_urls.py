@@ -215,6 +215,34 @@ def test_numbered_files(s3: Any, drives: Path, tmp_path: Path) -> None:
     assert sorted(download(s3, "out", tmp_path / "got")) == ["a_scan_0.bag"]
 
 
+def test_objects_of_others_stay(s3: Any, drives: Path, tmp_path: Path) -> None:
+    """Numbered files that no run wrote, and objects in the folder of a result."""
+    words = (drives / "a.bag", "-o", f"s3://{s3.bucket}/out")
+    assert batch(*words, "--split", "10ms").returncode == 0
+    parts = sorted(name.rpartition("/")[2] for name in s3.find(f"{s3.bucket}/out") if name.endswith(".bag"))
+    assert len(parts) > 2
+    mine = f"{s3.bucket}/out/a_scan_{len(parts)}.bag"
+    s3.pipe_file(mine, b"mine")
+    assert batch(*words, "--split", "1h").returncode == 0
+    s3.invalidate_cache()
+    left = [name for name in s3.find(f"{s3.bucket}/out") if name.endswith(".bag")]
+    assert left == sorted([f"{s3.bucket}/out/a_scan_0.bag", mine])
+    line = lines_of(s3.cat_file(f"{s3.bucket}/out/manifest.jsonl"))["a.bag"]
+    assert any("named like a part of a_scan.bag" in text for text in line["report"]["warnings"])
+
+    export = (drives / "a.bag", "-o", f"s3://{s3.bucket}/arrays", "--export")
+    assert batch(*export, "npz").returncode == 0
+    s3.pipe_file(f"{s3.bucket}/arrays/a/labels.npz", b"mine")
+    before = download(s3, "arrays/a", tmp_path / "before")
+    for more in ((), ("--overwrite",)):
+        done = batch(*export, "csv", *more)
+        assert (done.returncode, "a/labels.npz" in done.stderr) == (1, True), done.stderr
+    assert download(s3, "arrays/a", tmp_path / "after") == before
+    s3.rm_file(f"{s3.bucket}/arrays/a/labels.npz")
+    assert batch(*export, "csv").returncode == 0
+    assert set(download(s3, "arrays/a", tmp_path / "done")) == {"scan.csv", ".pc2scan-files.json"}
+
+
 def test_exported_files(s3: Any, drives: Path, tmp_path: Path) -> None:
     source = upload(s3, drives, "in")
     pc2scan.batch(f"{source}/a.bag", f"s3://{s3.bucket}/out", export="pcd")

@@ -435,10 +435,9 @@ def test_scans_exports_and_maps_of_several_messages_are_those_of_their_conversio
     report = pc2scan.convert(source, converted, **options, only_scans=True)
     topics = sorted({topic.target for topic in report.topics if topic.action == "converted" and topic.target})
     expected = list(pc2scan.scans(converted, topics))
-    words = {("topic" if name == "topics" else name): value for name, value in options.items()}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        scans = pc2scan.scans(source, **words)
+        scans = pc2scan.scans(source, **options)
         for _ in range(2):
             made = list(scans)
             assert [(s.topic, s.log_time_ns, s.stamp_ns, s.frame) for s in made] == [

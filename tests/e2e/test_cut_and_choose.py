@@ -66,8 +66,6 @@ def left(folder: Path) -> set[str]:
 
 # --- Time ---
 
-LATCHED = [("/tf_static", T0), ("/tf_static", T0 + 1)]
-
 
 def targets(since_ns: int, until_ns: int) -> list[tuple[str, int]]:
     found = [
@@ -79,6 +77,8 @@ def targets(since_ns: int, until_ns: int) -> list[tuple[str, int]]:
 
 
 STEP = SECOND // 10
+#: Two publishers, at the beginning of a cut.
+LATCHED = [("/tf_static", T0 + STEP)] * 2
 ISO = datetime.fromtimestamp((T0 + STEP) // 1000 / 1e6, timezone.utc).isoformat()
 
 
@@ -90,7 +90,9 @@ ISO = datetime.fromtimestamp((T0 + STEP) // 1000 / 1e6, timezone.utc).isoformat(
 @pytest.mark.parametrize("suffix", [".bag", ".mcap", ""])
 def test_start_keeps_what_is_latched(start: str, suffix: str, bag: Path, tmp_path: Path) -> None:
     found = written(bag, "--start", start, destination=tmp_path / f"cut{suffix}")
-    expected = LATCHED + targets(T0 + STEP, T0 + 10 * SECOND)
+    # Times of day have microseconds.
+    start_ns = T0 + STEP - (T0 % 1000 if start == ISO else 0)
+    expected = [("/tf_static", start_ns)] * 2 + targets(start_ns, T0 + 10 * SECOND)
     assert sorted((m.topic, m.log_time_ns) for m in found) == sorted(expected)
 
 

@@ -19,6 +19,7 @@ from builders import CONTENT, write_mcap
 from e2e.command import environment
 from e2e.fault_driver import CASES
 from e2e.outputs import opened
+from support import sampled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,7 +94,7 @@ def assert_absent_or_complete(outcome: dict[str, Any], sound: dict[str, Any], ki
         assert outcome["destination_again"] == sound["destination"], what
 
 
-@pytest.mark.parametrize("kind", _KINDS)
+@pytest.mark.parametrize("kind", sampled(_KINDS, 1))
 def test_each_call_may_fail(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
     faults = ["ENOSPC"] if kind.endswith("over") else ["ENOSPC", "EIO"]
     sound, others = outcomes(library, source, tmp_path, kind, faults)
@@ -110,7 +111,7 @@ def test_each_call_may_fail(kind: str, library: Path, source: Path, tmp_path: Pa
     assert any(outcome["status"] == 1 for outcome in others)
 
 
-@pytest.mark.parametrize("kind", _KINDS)
+@pytest.mark.parametrize("kind", sampled(_KINDS, 1))
 def test_each_call_may_be_the_last(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
     sound, others = outcomes(library, source, tmp_path, kind, ["SIGKILL"])
     assert_sound(sound, kind)
@@ -119,6 +120,7 @@ def test_each_call_may_be_the_last(kind: str, library: Path, source: Path, tmp_p
         assert_absent_or_complete(outcome, sound, kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
 def test_killed_at_any_moment(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
     sound, others = outcomes(library, source, tmp_path, f"{kind}+over", [str(_TIMED_KILLS)])
@@ -128,7 +130,7 @@ def test_killed_at_any_moment(kind: str, library: Path, source: Path, tmp_path: 
     assert any(outcome["status"] == -9 for outcome in others)
 
 
-@pytest.mark.parametrize("kind", _KINDS)
+@pytest.mark.parametrize("kind", sampled(_KINDS, 1))
 def test_data_are_on_the_disk_before_the_name(kind: str, library: Path, source: Path, tmp_path: Path) -> None:
     sound, _ = outcomes(library, source, tmp_path, kind, [])
     assert_sound(sound, kind)
@@ -147,6 +149,7 @@ def test_data_are_on_the_disk_before_the_name(kind: str, library: Path, source: 
     assert all(folder < n for n in removed)
 
 
+@pytest.mark.slow
 def test_what_the_driver_calls_complete_is(library: Path, source: Path, tmp_path: Path) -> None:
     """Others' readers open each of the destinations that the faults are compared with."""
     import pc2scan

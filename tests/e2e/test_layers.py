@@ -245,7 +245,9 @@ LOADED_BY_CONVERT = {
         "arguments bags callable_package cli core errors files json_types memory messages model names pipeline "
         "remote requests shown text_enum tf threads version"
     ),
-    "pc2scan.bags": ("chunked damage destinations formats many mcap opening parts reader rosbag1 topics units zstd"),
+    "pc2scan.bags": (
+        "chunked damage destinations formats lasting many mcap opening parts reader rosbag1 topics units zstd"
+    ),
     "pc2scan.bags.chunked": "entries segments spans",
     "pc2scan.bags.mcap": "record_types records writer",
     "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
@@ -256,7 +258,7 @@ LOADED_BY_CONVERT = {
     "pc2scan.cli.options": "conversion frames moving output parameters selection",
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
     "pc2scan.files": (
-        "borrowed compression crc32 limits overlap places run_lock source staging system temporary write_ahead"
+        "borrowed compression crc32 limits ownership places run_lock same_file source staging system write_ahead"
     ),
     "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.pipeline": (

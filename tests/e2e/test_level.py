@@ -326,7 +326,9 @@ def test_scans_are_level_and_deskewed_on_the_way(tmp_path: Path, world: Path) ->
     )  # fmt: skip
     read = [(scan.log_time_ns, scan.stamp_ns, scan.frame, scan.ranges.tobytes()) for scan in scans]
     assert read == [(log, scan.stamp_ns, scan.frame_id, scan.ranges.tobytes()) for log, scan in made.scans]
-    with pytest.raises(pc2scan.errors.UsageError, match="`deskew` and `level` have no effect"):
+    with pytest.raises(
+        pc2scan.errors.UsageError, match="`deskew`, `level` and `remove` have no effect: no clouds are converted"
+    ):
         pc2scan.scans(world, level=True, fixed_frame="odom")
 
 

@@ -6,6 +6,8 @@ import json
 import os
 import threading
 import time
+from contextlib import suppress
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING
 
@@ -14,7 +16,7 @@ import pytest
 import pc2scan
 from e2e.command import run
 from pc2scan.errors import MissingError, OutputError, Pc2ScanError, RecordingError
-from pc2scan.remote import store
+from pc2scan.remote import pace, store
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -54,6 +56,9 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Content-Length", "0")
             self.end_headers()
             return
+        if kind == "trickles_heads":
+            self._trickle(b"HTTP/1.1 200 OK\r\nX: " + bytes(100).replace(b"\0", b"x"))
+            return
         if kind == "silent":
             self.server.ended.wait(20)  # type: ignore[attr-defined]
             self.close_connection = True
@@ -62,12 +67,24 @@ class Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(HALL)))
         self.send_header("ETag", '"1"')
         self.end_headers()
-        if with_body:
+        if with_body and kind == "trickles":
+            self._trickle(HALL)
+        elif with_body:
             self.wfile.write(HALL[: len(HALL) // 2])
             self.wfile.flush()
             if kind == "stalls":
                 self.server.ended.wait(20)  # type: ignore[attr-defined]
             self.close_connection = True
+
+    def _trickle(self, data: bytes) -> None:
+        """Send a byte now and then, so that the server is never silent for long."""
+        with suppress(OSError):
+            for byte in data:
+                if self.server.ended.wait(0.1):  # type: ignore[attr-defined]
+                    break
+                self.wfile.write(bytes([byte]))
+                self.wfile.flush()
+        self.close_connection = True
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +133,22 @@ def test_a_web_server(kind: str, error: type[Pc2ScanError], message: str, place:
     assert "geheim" not in shown
     assert [path.name for path in tmp_path.iterdir()] == ["scratch"]
     assert list((tmp_path / "scratch").iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["trickles", "trickles_heads"])
+@pytest.mark.parametrize("call", ["convert", "info"])
+def test_a_server_that_sends_a_byte_now_and_then_is_too_slow(
+    kind: str, call: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("aiohttp", reason="aiohttp reads https")
+    monkeypatch.setattr(pace, "SLOWEST_SECONDS", 1)
+    url = f"http://me:secret@{place}/{kind}/hall.bag?token=geheim"
+    read = partial(pc2scan.info, url) if call == "info" else partial(pc2scan.convert, url, tmp_path / "x.bag")
+    with pytest.raises(RecordingError) as caught:
+        read()
+    assert caught.value.message == "the transfer is too slow to finish: fewer than 65,536 bytes arrived in 1 seconds"
+    assert caught.value.path == f"http://{place}/{kind}/hall.bag"
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("impatient")

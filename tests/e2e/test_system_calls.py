@@ -16,7 +16,7 @@ from e2e.command import COMMAND
 from e2e.system_calls import Job, Traced, no_tracer, trace
 from hostile.recordings import make_hostile
 from pc2scan.cli.app import COMMANDS
-from support import ROOT
+from support import ROOT, sampled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -96,6 +96,7 @@ def recordings(sources: Path) -> dict[str, Path]:
     return found
 
 
+@pytest.mark.slow
 def test_no_command_touches_what_is_not_its_own(recordings: dict[str, Path], sources: Path, tmp_path: Path) -> None:
     jobs: list[Job] = []
     for name, source in recordings.items():
@@ -117,6 +118,7 @@ def test_no_command_touches_what_is_not_its_own(recordings: dict[str, Path], sou
     assert sum(each.status in (0, 3) for each in done) > len(done) / 2
 
 
+@pytest.mark.slow
 def test_golden_touches_only_expected_outputs(recordings: dict[str, Path], sources: Path, tmp_path: Path) -> None:
     cases = tmp_path / "golden"
     shutil.copytree(FIXTURES / "golden" / "defaults", cases / "defaults")
@@ -141,6 +143,7 @@ def test_golden_touches_only_expected_outputs(recordings: dict[str, Path], sourc
     assert "passed  hall" in again.said
 
 
+@pytest.mark.slow
 def test_plot_touches_only_its_figure(
     recordings: dict[str, Path], sources: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -158,7 +161,7 @@ def test_plot_touches_only_its_figure(
     assert state_of(sources) == before
 
 
-@pytest.mark.parametrize("name", ["hall.bag", "hall", "journal"])
+@pytest.mark.parametrize("name", sampled(["hall.bag", "hall", "journal"], 1))
 def test_the_command_in_a_process_of_its_own(
     name: str, recordings: dict[str, Path], sources: Path, tmp_path: Path
 ) -> None:
@@ -174,6 +177,7 @@ def test_the_command_in_a_process_of_its_own(
     assert state_of(sources) == before
 
 
+@pytest.mark.slow
 def test_a_destination_that_nobody_named(recordings: dict[str, Path], tmp_path: Path) -> None:
     source = tmp_path / "drive.bag"
     shutil.copy(recordings["hall.bag"], source)

@@ -155,22 +155,55 @@ def test_an_upload_that_fails_leaves_nothing(
     assert list(scratch.iterdir()) == []
 
 
-def test_only_ranges_are_read(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_ranges_are_read(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = ROOT.parent / "shared" / "recordings" / "luminar_highway.bag"
     if not recording.exists():
         pytest.skip("no real recordings here")
     read: list[int] = []
     bytes_at = RemotePath.bytes_at
 
-    def counted(self: RemotePath, start: int, stop: int) -> bytes:
+    def counted(self: RemotePath, start: int, stop: int) -> bytes | None:
         read.append(stop - start)
         return bytes_at(self, start, stop)
 
     monkeypatch.setattr(RemotePath, "bytes_at", counted)
     monkeypatch.setattr(RemotePath, "download", lambda *_: pytest.fail("downloaded"))
-    found = pc2scan.info(f"file://{recording}", samples=1)
+    bucket.put_file(str(recording), "/bucket/drive.bag")
+    found = pc2scan.info("memory://bucket/drive.bag", samples=1)
     assert found.as_dict()["topics"] == pc2scan.info(recording, samples=1).as_dict()["topics"]
-    assert sum(read) < recording.stat().st_size * 0.8
+    assert 0 < sum(read) < recording.stat().st_size * 0.8
+
+
+def test_a_source_in_a_store_is_never_replaced(bucket: Any) -> None:
+    before = {name: bucket.cat_file(name) for name in bucket.find("/bucket")}
+    url = "memory://bucket/hall.bag"
+    cases: list[tuple[str, str, dict[str, Any]]] = [
+        (url, url, {}),
+        (url, "memory://bucket/x/../hall.bag", {}),
+        ("memory://bucket/hall.mcap", url, {"tf_from": url}),
+    ]
+    for source, destination, options in cases:
+        with pytest.raises(DestinationError, match="is a source"):
+            pc2scan.convert(source, destination, overwrite=True, **options, **HEIGHTS)
+    # Nor one that has the name of a numbered file.
+    bucket.pipe_file("/bucket/drive_2.bag", before["/bucket/hall.bag"])
+    with pytest.raises(DestinationError, match="is a source"):
+        pc2scan.convert("memory://bucket/drive_2.bag", "memory://bucket/drive.bag", split="0.1s", overwrite=True)
+    bucket.rm_file("/bucket/drive_2.bag")
+    assert {name: bucket.cat_file(name) for name in bucket.find("/bucket")} == before
+
+
+def test_other_numbered_files_in_a_store_stay(bucket: Any) -> None:
+    bucket.pipe_file("/out/drive_1.bag", b"old")
+    bucket.pipe_file("/out/drive_7.bag", b"mine")
+    with pytest.raises(DestinationError, match="exists already"):
+        pc2scan.convert("memory://bucket/hall.bag", "memory://out/drive.bag", split="0.2s", **HEIGHTS)
+    report = pc2scan.convert(
+        "memory://bucket/hall.bag", "memory://out/drive.bag", split="0.2s", overwrite=True, **HEIGHTS
+    )
+    assert bucket.cat_file("/out/drive_7.bag") == b"mine"
+    assert any("drive_7.bag" in text and "it stays" in text for text in report.warnings)
+    assert sorted(bucket.find("/out")) == [f"/out/drive_{number}.bag" for number in (0, 1, 2, 7)]
 
 
 @pytest.mark.usefixtures("bucket")
@@ -188,15 +221,16 @@ def run(*words: str, environment: dict[str, str] | None = None) -> subprocess.Co
     )
 
 
-def test_the_command(tmp_path: Path) -> None:
+def test_a_file_url_is_the_path_that_it_names(tmp_path: Path) -> None:
     shutil.copy(FIXTURES / "hall.mcap", tmp_path)
     url = f"file://{tmp_path}"
-    done = run("convert", f"{url}/hall.mcap", "-o", f"{url}/out/x.mcap", "--min-height", "0.1")
+    done = run("convert", f"{url}/hall.mcap", "-o", f"{url}/x%20y.mcap", "--min-height", "0.1")
     assert done.returncode == 0, done.stderr
-    assert f"{url}/out/x.mcap" in done.stdout
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["x.mcap"]
-    shown = run("info", f"{url}/out/x.mcap")
-    assert shown.stdout.startswith(f"{url}/out/x.mcap: mcap")
+    assert f"{tmp_path}/x y.mcap" in done.stdout
+    shown = run("info", f"FILE://localhost{tmp_path}/x%20y.mcap")
+    assert shown.stdout.startswith(f"{tmp_path}/x y.mcap: mcap")
+    # Every command takes it, not only those that read stores.
+    assert run("check", f"file:{tmp_path}/x y.mcap").returncode in (0, 1)
 
 
 def test_a_missing_library_is_named() -> None:

@@ -163,7 +163,7 @@ def test_real_clouds(tmp_path: Path) -> None:
 def test_clouds_of_one_stamp_are_two_files(tmp_path: Path) -> None:
     path = recorded(tmp_path, stamps=(START, START, START + 1))
     pc2scan.export(path, tmp_path / "out", format="pcd")
-    names = {entry.name for entry in (tmp_path / "out").iterdir()}
+    names = {entry.name for entry in (tmp_path / "out").glob("*.pcd")}
     assert names == {f"{START}.pcd", f"{START}_1.pcd", f"{START + 1}.pcd"}
 
 
@@ -228,7 +228,7 @@ def test_several_topics_are_folders(tmp_path: Path) -> None:
     assert found == [f"front_points/{START}.pcd", f"rear_points/{START}.pcd"]
     # The same again is replaced as a whole, and only if it is nothing but an export.
     pc2scan.export(path, tmp_path / "out", format="pcd", topics="/front/points", overwrite=True)
-    assert [entry.name for entry in (tmp_path / "out").iterdir()] == [f"{START}.pcd"]
+    assert [entry.name for entry in (tmp_path / "out").glob("[!.]*")] == [f"{START}.pcd"]
     (tmp_path / "out" / "mine.txt").write_text("")
     with pytest.raises(DestinationError, match=r"mine\.txt"):
         pc2scan.export(path, tmp_path / "out", format="pcd", overwrite=True)
@@ -249,7 +249,7 @@ def test_a_topic_of_which_nothing_can_be_written_has_no_file(tmp_path: Path) -> 
         ("/known", 1, 0),
         ("/lost", 0, 1),
     ]
-    assert [entry.name for entry in (tmp_path / "out").iterdir()] == ["known"]
+    assert [entry.name for entry in (tmp_path / "out").glob("[!.]*")] == ["known"]
     assert report.topics[1].path is None
 
 
@@ -269,4 +269,4 @@ def test_the_command(tmp_path: Path) -> None:
     done = run("export", HALL, "-o", tmp_path / "out", "--format", "pcd", "--json")
     assert done.status == 0, done.stderr
     assert json.loads(done.stdout)["topics"][0]["written"] == 5
-    assert len(list(Path(tmp_path / "out").iterdir())) == 5
+    assert len(list(Path(tmp_path / "out").glob("[!.]*"))) == 5

@@ -268,7 +268,12 @@ def test_several_topics_are_several_files_in_a_folder(tmp_path: Path) -> None:
     for topic in report.topics:
         with np.load(topic.path or "") as archive:
             assert str(archive["topic"]) == topic.topic
-    assert len(list((tmp_path / "out").iterdir())) == 3
+    assert sorted(entry.name for entry in (tmp_path / "out").iterdir()) == [
+        ".pc2scan-files.json",
+        "front_scan.npz",
+        "front_scan_2.npz",
+        "rear.npz",
+    ]
 
 
 def test_nothing_is_replaced_unasked(mcap: Path, tmp_path: Path) -> None:
@@ -289,9 +294,13 @@ def test_a_folder_with_other_things_is_never_replaced(mcap: Path, tmp_path: Path
         pc2scan.export(mcap, f"{folder}/", format="npz", overwrite=True)
     assert (folder / "notes.txt").read_text() == "mine"
     (folder / "notes.txt").unlink()
-    (folder / "old.npz").write_text("")
+    # Nor files of the format that no record names.
+    (folder / "mine.npz").write_text("")
+    with pytest.raises(DestinationError, match=r"mine\.npz"):
+        pc2scan.export(mcap, f"{folder}/", format="npz", overwrite=True)
+    (folder / "mine.npz").unlink()
     pc2scan.export(mcap, f"{folder}/", format="npz", overwrite=True)
-    assert [entry.name for entry in folder.iterdir()] == ["scan.npz"]
+    assert sorted(entry.name for entry in folder.iterdir()) == [".pc2scan-files.json", "scan.npz"]
 
 
 def test_a_source_is_never_the_destination(mcap: Path) -> None:

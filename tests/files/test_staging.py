@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import pytest
 
 from bags.rosbag2_files import compress_file, write_metadata
-from pc2scan.bags.rosbag2.metadata import beside_recording
+from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.staging import staged as staged_anywhere
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-staged = partial(staged_anywhere, beside_recording=beside_recording)
+staged = partial(staged_anywhere, record_in=recorded_in)
 
 
 def names(folder: str | Path) -> list[str]:

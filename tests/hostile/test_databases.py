@@ -103,13 +103,13 @@ def test_rows_that_share_their_pages(cut: int, tmp_path: Path) -> None:
     assert "has more values than the bytes of its file can hold" in done.stderr
 
 
-def test_a_row_of_an_undescribed_topic_with_text_for_a_time(tmp_path: Path) -> None:
+def test_a_row_with_text_for_a_time_is_one_damaged_row(tmp_path: Path) -> None:
     commands: dict[str, tuple[str | Path, ...]] = {"info": (), "tf": (), "repair": ("-o", tmp_path / "out.mcap")}
     source = Path(__file__).with_name("files") / "st.db3"
     for command, further in commands.items():
         done = run_bounded(tmp_path, command, source, *further)
         assert done.status in (0, 3)
-        assert "1 message is of topic 9, which is not described (1 message lost)" in done.stderr
+        assert "row 2 of messages has timestamp 'abc', not an integer (1 message lost)" in done.stderr
 
 
 OTHER_KINDS = [

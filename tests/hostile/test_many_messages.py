@@ -32,6 +32,7 @@ def chunk(rows: Iterable[tuple[int, bytes]], **changes: int) -> bytes:
     return mcap_files.raw_chunk(body, compression="zstd", packed=zstandard.compress(body), **times | changes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, {"uncompressed_crc": 7}])
 def test_a_chunk_of_very_many_messages(changes: dict[str, int], tmp_path: Path) -> None:
     source = mcap(tmp_path / "a.mcap", chunk(((5 + number // 2000, b"") for number in range(700_000)), **changes))
@@ -40,6 +41,7 @@ def test_a_chunk_of_very_many_messages(changes: dict[str, int], tmp_path: Path) 
     assert "700,000" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_chunk_of_very_many_messages_in_a_bag(tmp_path: Path) -> None:
     payload = rosbag1_files.connection_record() + rosbag1_files.message(5, b"") * 600_000
     source = rosbag1_files.simple_bag(tmp_path / "a.bag", payload, compression="lz4")
@@ -47,6 +49,7 @@ def test_a_chunk_of_very_many_messages_in_a_bag(tmp_path: Path) -> None:
     assert "600,000" in done.stdout
 
 
+@pytest.mark.slow
 def test_chunks_of_very_many_messages_that_take_turns(tmp_path: Path) -> None:
     chunks = (chunk((1 + 8 * number + place, EMPTY) for number in range(100_000)) for place in range(8))
     source = mcap(tmp_path / "a.mcap", *chunks)

@@ -219,7 +219,8 @@ def test_connections_without_number_in_a_bag(tmp_path: Path) -> None:
     head = rosbag1_files.bag_header(len(rosbag1_files.bag_header(0, 0, 0)), 1_000_000, 0)
     (tmp_path / "a.bag").write_bytes(head + b"".join(records) * 200)
     done = run_bounded(tmp_path, "info", tmp_path / "a.bag")
-    assert "at most 100000 are allowed" in done.stdout + done.stderr
+    assert done.status == 0
+    assert "index cannot be read" in done.stderr
 
 
 def test_connections_without_number_in_a_database(tmp_path: Path) -> None:
@@ -232,7 +233,7 @@ def test_connections_without_number_in_a_database(tmp_path: Path) -> None:
         )
     done = run_bounded(tmp_path, "convert", source)
     assert done.status == 1
-    assert "more than 100000 topics" in done.stderr
+    assert "more than 65,536 connections" in done.stderr
 
 
 def test_all_the_channels_that_mcap_has_numbers_for(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -77,7 +78,7 @@ class Recording:
 @given(
     rows=st.lists(st.tuples(st.integers(0, 60), st.sampled_from("aaaabbcd")), min_size=1, max_size=120),
     in_a_chunk=st.integers(1, 40),
-    samples=st.integers(1, 12),
+    samples=st.integers(1, 12) | st.sampled_from([1000, 10**30]),
     starts_anew=st.booleans(),
 )
 def test_the_same_samples_as_one_by_one(
@@ -114,3 +115,11 @@ def test_many_topics_in_many_chunks_are_read_a_few_times() -> None:
     recording = Recording([(n, f"/{n % 3_000}") for n in range(30_000)], 10)
     assert len(recording.sampled(10)) == 30_000
     assert recording.loads <= 3 * len(recording.chunks)
+
+
+@pytest.mark.parametrize("samples", [10, 10_000])
+def test_more_samples_than_messages_need_few_streams(samples: int) -> None:
+    """Two chunks have messages of one time: a stream that begins there reads the first one again."""
+    recording = Recording([(3, "b"), (6, "a"), (6, "a")], 1, starts_anew=True)
+    assert recording.sampled(samples) == [("b", 3, b"0"), ("a", 6, b"0")]
+    assert recording.streams <= 4

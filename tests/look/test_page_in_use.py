@@ -143,6 +143,7 @@ def test_keys_move_through_time_and_zoom(hall: Tab) -> None:
     hall.assert_quiet()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (420, 800)])
 def test_nothing_overflows_in_any_window(browser: Any, tmp_path: Path, theme: str, width: int, height: int) -> None:

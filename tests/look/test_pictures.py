@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 PICTURES = ROOT / "docs" / "pictures"
 
 
+@pytest.mark.slow
 def test_pictures_are_made_again(tmp_path: Path) -> None:
     image = pytest.importorskip("PIL.Image")
     pytest.importorskip("matplotlib")

@@ -108,7 +108,7 @@ def test_a_page_of_scans_says_what_check_says(tmp_path: Path) -> None:
         (["--clouds", "0"], 2, "--clouds"),
         (["--at", "yesterday"], 2, "'yesterday' is not a time"),
         (["--target-frame", "mars"], 1, "mars"),
-        (["--start", "100"], 1, "no clouds"),
+        (["--start", "100"], 2, "the cut is outside of the recording"),
     ],
 )
 def test_errors_are_reported_and_nothing_is_written(

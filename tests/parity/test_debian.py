@@ -60,6 +60,9 @@ def compiled(folder: Path) -> Path:
     return program
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="session")
 def oracle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if why_not():

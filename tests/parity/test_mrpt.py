@@ -36,6 +36,9 @@ def why_not() -> str:
     return f"Debian's MRPT is not here: apt-get install {' '.join(missing)}" if missing else ""
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="session")
 def bridge(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if why_not():

@@ -212,7 +212,7 @@ def sample(root: Path, count: int, seed: int) -> list[Fault]:
         kinds: dict[str, list[Fault]] = {}
         for fault in rooms[room]:
             kinds.setdefault(fault.kind, []).append(fault)
-        for index in range(int(number) + (draw.random() < number % 1)):
-            kind = sorted(kinds)[index % len(kinds)]
-            drawn.append(draw.choice(kinds[kind]))
+        turns = draw.sample(sorted(kinds), len(kinds))
+        wanted = int(number) + (draw.random() < number % 1)
+        drawn += [draw.choice(kinds[turns[index % len(turns)]]) for index in range(wanted)]
     return sorted(set(drawn))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError
@@ -12,15 +14,14 @@ from .formats import FORMATS, Format, WriteOptions, destinations
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
+    from pc2scan.files.records import Record
     from pc2scan.model import Summary, Writer
 
     from .splitting import Cut, Part
 
 __all__ = [
     "Destination",
-    "beside_recording",
     "check_to",
     "default_destination",
     "default_storage",
@@ -28,6 +29,7 @@ __all__ = [
     "named_after",
     "open_writer",
     "plan_destination",
+    "recorded_in",
 ]
 
 _METADATA_VERSIONS = (8, 9)
@@ -250,7 +252,7 @@ def named_after(
 ) -> Path:
     """Name a destination as `default_destination` does, after a source in a container of this name."""
     if source.name in {"", ".."}:
-        source = source.resolve()
+        source = Path(os.path.realpath(source))
     entry = FORMATS[container]
     stem = source.name
     for leftover in LEFTOVERS:
@@ -313,11 +315,11 @@ def kept_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str
     return storage, kept
 
 
-def beside_recording(folder: Path) -> str:
-    """Return what a folder has besides a rosbag2 recording; empty for nothing."""
+def recorded_in(folder: Path) -> Record | str:
+    """Return the record of the files in a rosbag2 directory; text if it has none: the reason."""
     from .rosbag2 import metadata  # noqa: PLC0415  # it reads YAML, which few runs need
 
-    return metadata.beside_recording(folder)
+    return metadata.recorded_in(folder)
 
 
 def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut | None = None) -> Writer:
@@ -352,7 +354,9 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
     assert writer is not None  # a destination without one is never planned
     if cut is None or destination.storage:
         return writer(staged_path, options)
-    from .splitting import SplitWriter, part_name  # noqa: PLC0415  # most recordings are one file
+    from pc2scan.files.numbered import part_name  # noqa: PLC0415  # most recordings are one file
+
+    from .splitting import SplitWriter  # noqa: PLC0415
 
     def open_part(path: Path) -> tuple[Writer, Callable[[Part], None]]:
         return writer(path, options), lambda _: None

@@ -12,6 +12,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UsageError
+from pc2scan.files.limits import ConnectionLimit
 from pc2scan.model import Summary
 
 from .reader import Reader
@@ -49,6 +50,8 @@ class MergedReader(Reader):
     ------
     UsageError
         If a path is given twice, or ROS 1 and ROS 2 recordings are mixed. The readers stay open.
+    RecordingError
+        If they have too many connections together.
 
     Notes
     -----
@@ -67,6 +70,7 @@ class MergedReader(Reader):
             maps = [{connection.id: connection for connection in connections}]
         else:
             connections, ids = unified([reader.connections for reader in readers])
+            ConnectionLimit(readers[0].path).add(count=len(connections))
             by_id = {connection.id: connection for connection in connections}
             maps = [{own: by_id[merged] for own, merged in numbers.items()} for numbers in ids]
         self._connections = tuple(connections)

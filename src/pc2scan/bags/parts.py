@@ -9,6 +9,7 @@ from abc import abstractmethod
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files.limits import ConnectionLimit
 
 from .damage import RECOVER, DamageLog
 from .reader import Reader
@@ -62,28 +63,31 @@ def opened_parts(open_part: Callable[[int], PartReader]) -> Reader:
     Raises
     ------
     RecordingError
-        If the first one cannot be read.
+        If the first one cannot be read, or all of them have too many connections.
     """
     first = open_part(0)
-    log = DamageLog()
+    if first.next_start is None:
+        return first
+    log, limit = DamageLog(), ConnectionLimit(first.path)
     parts = [first]
     try:
+        limit.add_file(first.connections, first.summary.size_bytes)
         while (start := parts[-1].next_start) is not None:
             if len(parts) == MAX_PARTS:
                 error = f"more than {MAX_PARTS} recordings follow each other, those from byte {start} on are skipped"
                 log.note(DamageError(error, path=first.path), offset=start)
                 break
             try:
-                parts.append(open_part(start))
+                part = open_part(start)
             except RecordingError as err:
                 log.note(DamageError(err.message, path=first.path), offset=start)
                 break
+            parts.append(part)
+            limit.add_file(part.connections, part.summary.size_bytes)
+        from .concatenated import ConcatenatedReader  # noqa: PLC0415  # most files are one recording
+
+        return ConcatenatedReader(parts, log)
     except BaseException:
         for part in parts:
             part.close()
         raise
-    if len(parts) == 1 and not log.found:
-        return first
-    from .concatenated import ConcatenatedReader  # noqa: PLC0415  # most files are one recording
-
-    return ConcatenatedReader(parts, log)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import OutputError, UnwritableError, UsageError
 
+from .lasting import Newest, is_static, lasts
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from pathlib import Path
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, StoredChunk, Writer
     from pc2scan.threads import Threads
 
-__all__ = ["Cut", "Part", "SplitWriter", "narrowed", "part_name"]
+__all__ = ["Cut", "Part", "SplitWriter", "narrowed"]
 
 #: More files than this are a unit that was mistaken.
 _MOST_PARTS = 10_000
@@ -86,12 +88,6 @@ class Part:
         self.span_ns = (min(earliest_ns, first_ns), max(latest_ns, last_ns))
 
 
-def part_name(name: str, number: int) -> str:
-    """Return the name of a part of a recording: ``drive.bag`` becomes ``drive_0.bag``."""
-    stem, dot, suffix = name.rpartition(".")
-    return f"{stem}_{number}.{suffix}" if dot else f"{name}_{number}"
-
-
 def narrowed(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> ChunkRule:
     """Return the rule of the chunks that can be copied whole into parts.
 
@@ -106,19 +102,10 @@ def narrowed(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> Ch
     connections
         Those of the source.
     """
-    lasting = {each.topic for each in connections if cut.repeats and _lasts(each)}
+    lasting = {each.topic for each in connections if cut.repeats and lasts(each)}
     ids = {each.id for each in connections if each.topic in lasting}
     grid = (cut.begin_ns, cut.duration_ns) if cut.duration_ns else None
     return rule._replace(connection_ids=rule.connection_ids - ids, grid=grid)
-
-
-def _is_static(connection: Connection) -> bool:
-    return connection.topic.rpartition("/")[2] == "tf_static"
-
-
-def _lasts(connection: Connection) -> bool:
-    """Return whether messages of a connection stay valid until the next one: latched topics and static transforms."""
-    return connection.latching or _is_static(connection)
 
 
 class SplitWriter:
@@ -156,7 +143,7 @@ class SplitWriter:
         self._connections: list[Connection] = []
         self._pool: Threads | None = None
         #: By handle: the data to repeat, each with its sequence number.
-        self._lasting: dict[int, dict[bytes, int]] = {}
+        self._lasting: dict[int, Newest[tuple[bytes, int]]] = {}
         self._all_last: set[int] = set()
         self.parts = [Part(path_of(cut.first))]
         self._writer, self._before_finish = open_part(self.parts[0].path)
@@ -170,9 +157,9 @@ class SplitWriter:
         """Declare a connection, in every part with the same handle."""
         handle = self._writer.add_connection(connection)
         self._connections.append(connection)
-        if self._cut.repeats and _lasts(connection):
-            self._lasting[handle] = {}
-            if _is_static(connection):
+        if self._cut.repeats and lasts(connection):
+            self._lasting[handle] = Newest(_MOST_STATIC)
+            if is_static(connection.topic):
                 self._all_last.add(handle)
         return handle
 
@@ -194,7 +181,8 @@ class SplitWriter:
         self.parts[-1].note(handle, 1, log_time_ns, log_time_ns)
         kept = self._lasting.get(handle)
         if kept is not None:
-            self._keep(kept, handle, bytes(data), sequence)
+            # Of static transforms all that differ.
+            kept.add([bytes(data) if handle in self._all_last else None], (bytes(data), sequence))
 
     def write_chunk(self, chunk: StoredChunk) -> None:
         """Append a whole chunk, to a new part if it is time."""
@@ -247,16 +235,6 @@ class SplitWriter:
         part.size += size
         self._cell = max(self._cell, self._cut.cell(log_time_ns))
 
-    def _keep(self, kept: dict[bytes, int], handle: int, data: bytes, sequence: int) -> None:
-        """Keep a message to repeat it: the last one of a connection; of static transforms all that differ."""
-        if handle not in self._all_last:
-            kept.clear()
-        # The latest is the last one in the order, too.
-        kept.pop(data, None)
-        kept[data] = sequence
-        if len(kept) > _MOST_STATIC:
-            del kept[next(iter(kept))]
-
     def _begin(self, log_time_ns: int) -> None:
         """Complete a part, and begin the next one with the connections and the repeated messages."""
         number = self._cut.first + len(self.parts)
@@ -276,7 +254,7 @@ class SplitWriter:
         if self._pool is not None:
             self._writer.compress_ahead(self._pool)
         for handle, messages in self._lasting.items():
-            for data, sequence in messages.items():
+            for data, sequence in messages:
                 # Like `rosbag record --repeat-latched`: with their own times, a gap would follow them.
                 try:
                     self._writer.write(handle, log_time_ns, data, log_time_ns, sequence)

@@ -12,7 +12,6 @@ from pc2scan.files import compression
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError
 from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
 from pc2scan.files.source import opened_bytes
-from pc2scan.files.temporary import making_copy
 from pc2scan.model import owned
 
 from .damage import RECOVER
@@ -88,6 +87,8 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
     RecordingError
         If there is not enough space for the result.
     """
+    from pc2scan.files.temporary import making_copy  # noqa: PLC0415  # few recordings are packed
+
     target = folder / without_suffix(path.name)
     with making_copy(path, folder):
         broken = _unpack(path, target)

@@ -167,11 +167,11 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                     result = _result(job, value, seconds)
                     if (
                         attempts[key] > 1
-                        and not job.replaces
+                        and job != job.retried()
                         and "exists already" in (result.error or {}).get("message", "")
                     ):
                         # The first attempt, whose worker was lost, has completed the output nevertheless.
-                        pending.append(replace(job, replaces=True))
+                        pending.append(job.retried())
                         continue
                     yield Ended(replace(result, attempts=max(1, attempts[key])))
     finally:

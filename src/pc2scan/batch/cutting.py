@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.destinations import beside_recording
+from pc2scan.bags.destinations import recorded_in
 from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.source import changed_while_read
 from pc2scan.files.staging import staged
@@ -267,7 +267,12 @@ class _Recording:
         self.stretches = list(cut.stretches)
         destination = Path(self.job.destination)
         self.folder = self.stack.enter_context(
-            staged(destination, overwrite=self.job.replaces, beside_recording=beside_recording)
+            staged(
+                destination,
+                overwrite=self.job.request.output.overwrite,
+                owned=self.job.owned,
+                record_in=recorded_in,
+            )
         )
         try:
             self.folder.mkdir()

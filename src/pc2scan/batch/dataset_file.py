@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.arguments import local_path
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
@@ -225,6 +226,7 @@ class _Reader:
 
     def _located(self, text: str) -> str:
         """Resolve a path that is relative to the dataset file."""
+        text = local_path(text)
         return text if is_url(Path(text)) else str(self._path.parent / Path(text).expanduser())
 
     def _unexpected(self, node: Any, name: str, kind: str) -> UsageError:

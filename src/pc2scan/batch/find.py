@@ -233,7 +233,7 @@ def _paths_in_list(path: Path, stores: Stores) -> list[Path] | None:
     if any(is_url(Path(line)) for line in named) or stores.is_remote(path):
         # A line that looks like a URL makes the file a list. In a list at a URL, all lines are URLs or relative to it.
         return [Path(stores.located(stores.beside(path, line))) for line in named]
-    paths = [path.parent / line for line in named]
+    paths = [Path(stores.beside(path, line)) for line in named]
     # At least one path of a list must exist. Otherwise the file is another text, named by mistake.
     return paths if any(map(os.path.lexists, paths)) else None
 
@@ -267,13 +267,13 @@ def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]
         path = folder / entry.name
         if entry.name.endswith(_UNFINISHED) or _absolute(path) in search.outputs:
             continue
-        if entry.is_dir():
+        if os.path.isdir(path):  # noqa: PTH112  # unlike the entry's, it does not raise for a link to itself
             if _is_rosbag2(path, search):
                 if _is_new(path, search):
                     yield from _recognised(path, _key_of(path, root), search, named=True)
             else:
                 yield from _search_folder(path, root, search)
-        elif entry.is_file():
+        elif os.path.isfile(path):  # noqa: PTH113
             if _is_new(path, search):
                 files += _recognised(path, _key_of(path, root), search, named=is_named_as_recording(entry.name))
         elif entry.is_symlink() and is_named_as_recording(entry.name):

@@ -5,19 +5,21 @@ from __future__ import annotations
 import os
 import time
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
+from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
+from pc2scan.files.ownership import first_link
 from pc2scan.files.places import check_place
 from pc2scan.files.run_lock import only_run
 
-from .manifest import MANIFEST, forget_begun, write_begun
+from .manifest import MANIFEST, Begun, forget_begun, write_begun
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
 
-__all__ = ["begun_noted", "check_folder", "folders_made", "locked"]
+__all__ = ["begun_noted", "check_folder", "locked"]
 
 #: The name of the workers' lock is derived from this.
 _WORKERS = "manifest.jsonl.workers"
@@ -62,16 +64,20 @@ def locked(out: Path) -> Iterator[int]:
 
 @contextmanager
 def begun_noted(
-    out: Path, outputs: Iterable[str], earlier: frozenset[str], is_there: Callable[[str], bool]
+    out: Path, outputs: Iterable[str], earlier: Begun, is_there: Callable[[str], bool]
 ) -> Iterator[Callable[[str, bool], None]]:
-    """Keep a note of the outputs that are being written and are not in the manifest yet.
+    """Keep a note of the outputs that are being written and are not in the manifest yet, and make their folders.
+
+    Folders that stay empty are removed at the end, also those that killed runs have made.
 
     Parameters
     ----------
     out
         The folder.
-    outputs, earlier
-        The outputs of this run, and those in the notes of killed runs.
+    outputs
+        The outputs of this run; if there are none, the notes of killed runs are only put in order.
+    earlier
+        What killed runs have noted.
     is_there
         Whether an output exists.
 
@@ -80,7 +86,10 @@ def begun_noted(
     Callable
         To be called with an output when it begins (True) and when it has ended (False).
     """
-    write_begun(out, {*outputs, *earlier})
+    outputs = frozenset(outputs)
+    folders = earlier.folders | {folder for folder in _folders_of(outputs) if not (out / folder).is_dir()}
+    if outputs:
+        write_begun(out, Begun(outputs | earlier.outputs, folders))
     running: set[str] = set()
     ended: set[str] = set()
 
@@ -88,36 +97,27 @@ def begun_noted(
         (running.add if begins else ended.add)(output)
 
     try:
+        for folder in sorted(folders) if outputs else ():
+            # If it cannot be made, the conversions that write into it report why.
+            with suppress(OSError):
+                (out / folder).mkdir()
         yield begin
     finally:
+        for folder in sorted(folders, key=lambda folder: folder.count("/"), reverse=True):
+            # Not through a link, which a batch has not made.
+            if first_link(out, folder) is None:
+                with suppress(OSError):
+                    (out / folder).rmdir()
         # Only outputs that exist stay in the note.
-        left = {output for output in (earlier | running) - ended if is_there(output)}
+        left = frozenset(output for output in (earlier.outputs | running) - ended if is_there(output))
         with suppress(OutputError):
             if left:
-                write_begun(out, left)
+                write_begun(out, Begun(left))
             else:
                 forget_begun(out)
 
 
-@contextmanager
-def folders_made(out: Path, outputs: Iterable[str], earlier: frozenset[str]) -> Iterator[None]:
-    """Make the folders of the outputs; those that stay empty are removed at the end, also of killed runs' outputs."""
-    made: list[Path] = []
-    interrupted = {Path(output).parent for output in earlier}
-    try:
-        for parent in sorted({Path(output).parent for output in outputs}):
-            for folder in reversed((parent, *parent.parents)):
-                path = out / folder
-                if path.is_dir():
-                    if folder in interrupted:
-                        made.append(path)
-                    continue
-                # If it cannot be made, the conversions that write into it report why.
-                with suppress(OSError):
-                    path.mkdir()
-                    made.append(path)
-        yield
-    finally:
-        for path in sorted(set(made) - {out}, key=lambda path: len(path.parts), reverse=True):
-            with suppress(OSError):
-                path.rmdir()
+def _folders_of(outputs: Iterable[str]) -> set[str]:
+    """Return the folders that outputs are in, with those above them."""
+    found = {folder.as_posix() for output in outputs for folder in PurePosixPath(output).parents}
+    return found - {"."}

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from pc2scan.files.records import RECORD
 from pc2scan.files.source import file_beside, opened_bytes
 
 if TYPE_CHECKING:
@@ -84,7 +85,8 @@ def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
         folders.sort()
         below = os.path.relpath(place, folder)
         # Not -shm: programs that only read a database create and change that file.
-        for name in sorted(name for name in names if not name.endswith("-shm")):
+        # Nor the record of an export, which says nothing that its files do not.
+        for name in sorted(name for name in names if not name.endswith("-shm") and name != RECORD):
             # Broken links are ignored.
             with suppress(OSError):
                 path = os.path.join(place, name)  # noqa: PTH118

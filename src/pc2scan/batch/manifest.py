@@ -10,7 +10,7 @@ import json
 import os
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.system import sync_directory
@@ -20,13 +20,24 @@ from pc2scan.version import __version__
 from .identity import Identity
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
     from typing_extensions import Self
 
-__all__ = ["BEGUN", "MANIFEST", "Manifest", "Record", "forget_begun", "read_begun", "read_manifest", "write_begun"]
+__all__ = [
+    "BEGUN",
+    "MANIFEST",
+    "Begun",
+    "Manifest",
+    "Record",
+    "forget_begun",
+    "read_begun",
+    "read_lines",
+    "read_manifest",
+    "write_begun",
+]
 
 #: The files that a batch writes into its folder besides the recordings.
 MANIFEST = "manifest.jsonl"
@@ -154,36 +165,40 @@ class Record:
 
 
 def read_manifest(path: Path) -> dict[str, Record]:
-    """Return the last line of each recording, by key; empty if there is no manifest.
+    """Return the last line of each recording, by key; empty if there is no manifest. See `read_lines`."""
+    return {record.key: record for record in read_lines(path)}
+
+
+def read_lines(path: Path) -> Iterator[Record]:
+    """Yield the lines of a manifest; none if there is no manifest.
 
     Raises
     ------
     DestinationError
-        If the file is not a manifest.
+        If the file is not a manifest, or is a link: a batch writes only into its own folder.
     UsageError
         If a line other than the last cannot be read; the message names it.
     """
+    if path.is_symlink():
+        raise DestinationError("is a link, and nothing is written through links", path=path, hint="remove the link")
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        return {}
+        return
     except OSError as err:
         raise OutputError(f"the manifest cannot be read: {err.strerror}", path=path) from err
     if data and not data.startswith(_BEGINNING.encode()[: len(data)]):
         raise DestinationError("is not a manifest of pc2scan batch", path=path, hint="write into another folder")
-    records: dict[str, Record] = {}
     # What follows the last line end was being written when a run was killed.
     for number, line in enumerate(data.split(b"\n")[:-1], start=1):
         try:
-            record = Record.from_dict(json.loads(line))
+            yield Record.from_dict(json.loads(line))
         except (ValueError, LookupError, TypeError, AttributeError) as err:
             raise UsageError(
                 f"line {number} is not a line of a manifest ({type(err).__name__}: {err})",
                 path=path,
                 hint="remove the line, and the output that it names: that recording is converted again",
             ) from err
-        records[record.key] = record
-    return records
 
 
 class Manifest:
@@ -250,35 +265,52 @@ def _refuse_outside(output: str) -> None:
         raise ValueError(f"{output} is not below the folder of the batch")
 
 
-def write_begun(folder: Path, outputs: Iterable[str]) -> None:
-    """Note which outputs a run is going to write. After a run was killed, this shows which files belong to the batch.
+class Begun(NamedTuple):
+    """What a run is going to write, relative to its folder.
+
+    Attributes
+    ----------
+    outputs
+        The results.
+    folders
+        The folders that it makes for them.
+    """
+
+    outputs: frozenset[str] = frozenset()
+    folders: frozenset[str] = frozenset()
+
+
+def write_begun(folder: Path, begun: Begun) -> None:
+    """Note what a run is going to write. After a run was killed, this shows which files belong to the batch.
 
     Raises
     ------
     OutputError
         If it cannot be written.
     """
-    text = f'{_BEGUN_BEGINNING.decode()}"{__version__}", "outputs": {json.dumps(sorted(outputs))}}}\n'
+    outputs, folders = (json.dumps(sorted(names)) for names in begun)
+    text = f'{_BEGUN_BEGINNING.decode()}"{__version__}", "outputs": {outputs}, "folders": {folders}}}\n'
     with text_output(folder / BEGUN, beginning=_BEGUN_BEGINNING, overwrite=False) as write:
         write(text)
 
 
-def read_begun(folder: Path) -> frozenset[str]:
-    """Return the outputs that a killed run was going to write; empty if no run was killed."""
+def read_begun(folder: Path) -> Begun:
+    """Return what a killed run was going to write; empty if no run was killed."""
     try:
         noted = json.loads((folder / BEGUN).read_bytes())
-        outputs = frozenset(map(str, noted["outputs"]))
-        for output in outputs:
-            _refuse_outside(output)
+        # Older versions did not note folders.
+        begun = Begun(frozenset(map(str, noted["outputs"])), frozenset(map(str, noted.get("folders", ()))))
+        for path in (*begun.outputs, *begun.folders):
+            _refuse_outside(path)
     except FileNotFoundError:
-        return frozenset()
-    except (OSError, ValueError, LookupError, TypeError) as err:
+        return Begun()
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as err:
         raise DestinationError(
             "was not written by pc2scan batch, which uses this name",
             path=folder / BEGUN,
             hint="move it away",
         ) from err
-    return outputs
+    return begun
 
 
 def forget_begun(folder: Path) -> None:

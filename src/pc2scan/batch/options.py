@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
 from pc2scan.remote.urls import is_url
+from pc2scan.threads import MAX_JOBS
 
 from .summary import BEGINNINGS
 
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = ["BatchOptions"]
+
+
+#: A process that dies so often dies every time.
+_MOST_RETRIES = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,7 +32,7 @@ class BatchOptions:
     jobs
         How many recordings are converted at a time; 0: one for each core, as far as the memory is enough.
     retries
-        How often a recording is tried again if its process died.
+        How often a recording is tried again if its process died: up to 100 times.
     checksum
         Whether sources are compared by SHA-256 instead of their times of modification.
     force
@@ -58,9 +63,10 @@ class BatchOptions:
     scratch_size: int | None = None
 
     def __post_init__(self) -> None:
-        for name in ("jobs", "retries"):
-            if getattr(self, name) < 0:
-                raise UsageError(f"`{name}` is {getattr(self, name)}, it must not be negative")
+        if not 0 <= self.jobs <= MAX_JOBS:
+            raise UsageError(f"`jobs` is {self.jobs:,}, it must be from 0 to {MAX_JOBS:,}")
+        if not 0 <= self.retries <= _MOST_RETRIES:
+            raise UsageError(f"`retries` is {self.retries:,}, it must be from 0 to {_MOST_RETRIES}")
         if isinstance(self.dask, str) and "://" not in self.dask:
             raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
         if isinstance(self.dask, str) and self.jobs:

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.destinations import named_after
 from pc2scan.bags.formats import file_suffixes
 from pc2scan.errors import DestinationError
 from pc2scan.files.places import working_names
+from pc2scan.files.records import Left
+from pc2scan.files.records import Record as FileRecord
+from pc2scan.files.same_file import name_key
 from pc2scan.shown import size
 from pc2scan.version import __version__
 
-from .results import first_part, whole
+from .identity import Identity
+from .manifest import MANIFEST
+from .results import first_part, is_numbered, whole
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.errors import Pc2ScanError
 
     from .find import Found
-    from .identity import Identity
     from .manifest import Record
     from .request import Request
 
@@ -44,7 +49,7 @@ class Choice:
     digest: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class History:
     """What earlier runs have recorded.
 
@@ -54,15 +59,50 @@ class History:
         The manifest, by key.
     begun
         Outputs that a killed run was going to write, relative to the folder of the batch.
+    left
+        How the files of the outputs were left when they were last written, by output. The last line of a recording
+        that could not be converted again does not say it.
     """
 
     records: Mapping[str, Record]
     begun: frozenset[str] = frozenset()
+    left: Mapping[str, Identity] = field(default_factory=dict)
 
-    @property
+    @classmethod
+    def read(cls, lines: Iterable[Record], begun: frozenset[str]) -> History:
+        """Return the history that a manifest, and the note of a killed run, tell."""
+        records: dict[str, Record] = {}
+        left: dict[str, Identity] = {}
+        for line in lines:
+            records[line.key] = line
+            if line.is_written:
+                left[line.output] = line.output_identity
+        # An output in the manifest was completed, even if the note still lists it.
+        return cls(records, begun - {record.output for record in records.values()}, left)
+
+    @cached_property
     def owned(self) -> frozenset[str]:
         """The outputs that were written by earlier runs."""
-        return self.begun | {record.output for record in self.records.values() if record.output}
+        # What a process had written when it died is not known. A conversion that failed has left nothing.
+        return self.begun | {
+            record.output
+            for record in self.records.values()
+            if record.output and (record.output in self.left or record.outcome == "died")
+        }
+
+    def record(self, output: str, there: Identity | None = None) -> FileRecord | None:
+        """Return what is recorded about the files of an output, relative to its folder; None if nothing is.
+
+        Of an output whose recording has had another one since, only if it is ``there`` as it was left.
+        """
+        if output not in self.owned and (there is None or not there.files or there != self.left.get(output)):
+            return None
+        name = PurePosixPath(output).name
+        files: dict[str, Left | None] = {name: None}
+        for entry in self.left.get(output, Identity()).files:
+            is_beside = entry[0] == name or is_numbered(output)
+            files[entry[0] if is_beside else f"{name}/{entry[0]}"] = Left(*entry[1:])
+        return FileRecord(files, MANIFEST)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +122,8 @@ class Step:
         Its options.
     output
         The path of the result, relative to the folder of the batch; empty for none.
-    replaces
-        Whether an existing output may be replaced.
+    owned
+        What is recorded about the files of the output.
     record
         Its last line in the manifest.
     error
@@ -95,7 +135,7 @@ class Step:
     why: str
     choice: Choice
     output: str = ""
-    replaces: bool = False
+    owned: FileRecord | None = None
     record: Record | None = None
     error: Pc2ScanError | None = None
 
@@ -118,21 +158,38 @@ def destinations(found: Sequence[Found], choices: Mapping[str, Choice]) -> dict[
     Exported files go into a folder with the name of the recording.
 
     If two results would have the same name (``drive.bag`` and ``drive.mcap`` with ``--to mcap``), the suffix of each
-    source becomes a part of its name: ``drive_bag_scan.mcap``.
+    source becomes a part of its name: ``drive_bag_scan.mcap``. So it does if a result would be a folder with another
+    result in it (``drive.bag`` and ``drive/x.bag`` with ``--export npz``): ``drive_bag`` and ``drive/x``.
     """
     requests = {key: choice.request for key, choice in choices.items() if choice.request is not None}
     named = {
         each.key: _result_name(each, requests[each.key]) for each in found if each.container and each.key in requests
     }
-    taken: dict[str, list[str]] = {}
-    for key, name in named.items():
-        taken.setdefault(name.casefold(), []).append(key)
     by_key = {each.key: each for each in found}
-    for keys in taken.values():
-        if len(keys) > 1:
-            for key in keys:
-                named[key] = _result_name(by_key[key], requests[key], distinct=True)
+    for key in {other for others in _clashes(named).values() for other in others}:
+        named[key] = _result_name(by_key[key], requests[key], distinct=True)
     return named
+
+
+def _clashes(outputs: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return the recordings whose results have the name of another one, or would contain it; by that one's key."""
+    # File systems may ignore case, or the form of Unicode.
+    owners: dict[str, list[str]] = {}
+    for key, output in outputs.items():
+        for name in (Path(output), *working_names(Path(whole(output)))):
+            owners.setdefault(name_key(name.as_posix()), []).append(key)
+    return {
+        key: others
+        for key, output in outputs.items()
+        if (
+            others := [
+                other
+                for place in (PurePosixPath(output), *PurePosixPath(output).parents)
+                for other in owners.get(name_key(place.as_posix()), ())
+                if other != key
+            ]
+        )
+    }
 
 
 def _result_name(found: Found, request: Request, *, distinct: bool = False) -> str:
@@ -150,7 +207,7 @@ def make_plan(
     history: History,
     *,
     out: Path,
-    inputs: Collection[Path] = (),
+    forbidden: Callable[[str], Pc2ScanError | None] = lambda _: None,
     present: Callable[[str], Identity],
     checksum: Callable[[Found], str] | None = None,
     force: bool = False,
@@ -167,8 +224,8 @@ def make_plan(
         What earlier runs have recorded.
     out
         The folder of the batch, with links resolved.
-    inputs
-        All paths that are read, with links resolved: nothing is written there.
+    forbidden
+        Returns why an output may not be written, whatever is there: it is a source, or behind a link.
     present
         Returns the identity of an output in the folder; without files if it does not exist.
     checksum
@@ -177,53 +234,60 @@ def make_plan(
         Whether everything is converted again.
     """
     outputs = destinations(found, choices)
-    owners: dict[str, list[str]] = {}
-    for key, output in outputs.items():
-        for name in (Path(output), *working_names(Path(whole(output)))):
-            owners.setdefault(name.as_posix().casefold(), []).append(key)
-    owned = history.owned
+    clashes = _clashes(outputs)
     steps = []
     left: dict[str, str] = {}
     for each in found:
         choice = choices[each.key]
         record = history.records.get(each.key)
         output = outputs.get(each.key, "")
-        step = Step(each, "convert", "", choice, output, replaces=output in owned, record=record)
+        step = Step(each, "convert", "", choice, output, record=record)
         if choice.request is None:
             steps.append(replace(step, action="skip", why="the dataset file skips it"))
             continue
         if each.error is not None:
             steps.append(replace(step, action="refuse", why=each.error.message, error=each.error))
             continue
-        others = [key for key in owners[output.casefold()] if key != each.key]
-        if others:
-            error = DestinationError(
-                f"would be the output of both {each.key} and {others[0]}",
-                path=out / output,
-                hint="rename one of them, or write their outputs to different folders, in two batches",
-            )
-            steps.append(replace(step, action="refuse", why=error.message, error=error))
-            continue
-        place = out / whole(output)
-        if read := next((path for path in (place, *working_names(place), *place.parents) if path in inputs), None):
-            error = DestinationError("is a source, and would be overwritten", path=read, hint="write to another folder")
-            steps.append(replace(step, action="refuse", why=error.message, error=error))
-            continue
         there = present(output)
-        replaces = step.replaces or choice.request.output.overwrite
-        if there.files and not replaces:
-            error = DestinationError(
-                "exists already, and was not written by this batch",
-                path=out / output,
-                hint="`overwrite=True` replaces it",
-            )
-            steps.append(replace(step, action="refuse", why="its output exists already", error=error))
-            continue
+        step = replace(step, owned=history.record(output, there))
         why = "forced" if force else _reason(each, choice, output, history, there, checksum)
-        steps.append(replace(step, action="convert" if why else "keep", why=why or "unchanged", replaces=replaces))
+        error = None
+        if why:
+            others = clashes.get(each.key)
+            error = _clash(each.key, others[0], outputs, out) if others else forbidden(output)
+            error = error or _foreign(step, out, there)
+        if error is not None:
+            steps.append(replace(step, action="refuse", why=error.message, error=error))
+            continue
+        steps.append(replace(step, action="convert" if why else "keep", why=why or "unchanged"))
         if record is not None and record.output and record.output != output and present(record.output).files:
             left[record.output] = output
     return Plan(tuple(steps), tuple(_left_warning(left)))
+
+
+def _clash(key: str, other: str, outputs: Mapping[str, str], out: Path) -> Pc2ScanError:
+    """Return the error of a recording whose result would have the name of another one, or be in it."""
+    is_in = name_key(outputs[key]).startswith(f"{name_key(outputs[other])}/")
+    return DestinationError(
+        f"would be in {outputs[other]}, the result of {other}"
+        if is_in
+        else f"would be the output of both {key} and {other}",
+        path=out / outputs[key],
+        hint="rename one of them, or write their outputs to different folders, in two batches",
+    )
+
+
+def _foreign(step: Step, out: Path, there: Identity) -> Pc2ScanError | None:
+    """Return the error of an output that exists and that no record names; None if it may be replaced."""
+    assert step.choice.request is not None
+    if not there.files or step.owned is not None or step.choice.request.output.overwrite:
+        return None
+    path = out / step.output
+    return DestinationError(
+        "exists already, and was not written by this batch",
+        path=path.with_name(there.files[0][0]) if is_numbered(step.output) else path,
+        hint="`overwrite=True` replaces it",
+    )
 
 
 def _left_warning(left: Mapping[str, str]) -> Iterator[str]:

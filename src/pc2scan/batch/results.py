@@ -6,17 +6,11 @@ A result that is one file is named ``drive_scan.bag``, so that the two kinds can
 from __future__ import annotations
 
 import re
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pc2scan.bags.formats import file_suffixes
-from pc2scan.bags.splitting import part_name
-from pc2scan.files.staged_parts import parts_beside
+from pc2scan.files.numbered import part_name
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-__all__ = ["files_of", "first_part", "in_order", "is_numbered", "parts_among", "whole"]
+__all__ = ["first_part", "is_numbered", "whole"]
 
 
 def first_part(output: str) -> str:
@@ -48,24 +42,3 @@ def whole(output: str) -> str:
     """
     found = _numbered(output)
     return output if found is None else f"{found[1]}{found[2]}"
-
-
-def files_of(folder: Path, output: str) -> list[Path]:
-    """Return the existing files of a result, in their order; for a result that is not numbered, its path."""
-    path = folder / whole(output)
-    if not is_numbered(output):
-        return [path]
-    # By number: in alphabetical order, 10 would come before 2.
-    return [path.with_name(name) for name in in_order(part.name for part in parts_beside(path))]
-
-
-def parts_among(names: Iterable[str], output: str) -> list[str]:
-    """Return those of the names in a folder that are files of a numbered result, in their order."""
-    path = Path(whole(output))
-    named = re.compile(rf"{re.escape(path.with_suffix('').as_posix())}_\d+{re.escape(path.suffix)}")
-    return in_order(name for name in names if named.fullmatch(name))
-
-
-def in_order(names: Iterable[str]) -> list[str]:
-    """Return the names of parts of one result in the order of their numbers."""
-    return sorted(names, key=lambda name: (len(name), name))

@@ -5,12 +5,17 @@ from __future__ import annotations
 import os
 import time
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
+from pc2scan.files.journal import finished
+from pc2scan.files.numbered import parts_beside
+from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
 from pc2scan.files.places import made_folder
+from pc2scan.files.records import Record as FileRecord
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.pipeline.scheduler import cores as all_cores
@@ -22,13 +27,13 @@ from .dataset_file import DatasetFile, load_dataset_file
 from .estimate import estimated_seconds
 from .executors import count_of, local, on_dask
 from .find import find
-from .folder import begun_noted, check_folder, folders_made, locked
+from .folder import begun_noted, check_folder, locked
 from .identity import checksum_of, identity_of
-from .manifest import MANIFEST, Manifest, Record, read_begun, read_manifest
+from .manifest import MANIFEST, Manifest, Record, read_begun, read_lines
 from .plan import History, make_plan
 from .records import recorded, refused, says_the_same
 from .resources import available_bytes, workers_for
-from .results import files_of, whole
+from .results import is_numbered, whole
 from .stores import Stores
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
 from .watch import Progress, Watch
@@ -36,12 +41,12 @@ from .work import Job
 from .workers import Began, Died, Ended, Information, Progressed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from .find import Found, Known
     from .identity import Identity
     from .options import BatchOptions
-    from .plan import Plan, Step
+    from .plan import Choice, Plan, Step
     from .stores import Output
     from .workers import Executor
 
@@ -137,10 +142,10 @@ class _Batch:
         self._stores = stores
         #: The folder in the store if the destination is a URL; then `_out` has the files of it that are uploaded.
         self._store = store
-        records = read_manifest(out / MANIFEST)
-        # An output in the manifest was completed, even if the note still lists it.
-        begun = read_begun(out) - {record.output for record in records.values()}
-        self._history = History(records, begun)
+        begun = read_begun(out)
+        self._history = History.read(read_lines(out / MANIFEST), begun.outputs)
+        #: What killed runs have noted, without what is in the manifest.
+        self._begun = begun._replace(outputs=self._history.begun)
         self._records: dict[str, Record] = {}
         self.made: Plan
         self.report = BatchReport(out, dry_run=options.dry_run)
@@ -172,18 +177,19 @@ class _Batch:
             self._sources,
             self._out,
             known=_known_recordings(self._history, self._stores),
-            outputs=[path for output in self._history.owned for path in files_of(self._out, output)],
+            outputs=[path for output in {*self._history.owned, *self._history.left} for path in self._files_of(output)],
             stores=self._stores,
         )
         if not found:
             raise UsageError(f"no recording found in {', '.join(self._sources)}")
         keys = [each.key for each in found]
+        choices = self._choices.of(keys)
         self.made = make_plan(
             found,
-            self._choices.of(keys),
+            choices,
             self._history,
             out=self._out,
-            inputs={Path(os.path.realpath(path)) for each in found for path in each.paths},
+            forbidden=self._forbidden([*self._inputs(found, choices.values())]),
             present=self._present,
             checksum=_source_checksum if self._options.checksum else None,
             force=self._options.force,
@@ -207,14 +213,49 @@ class _Batch:
 
     def _present(self, output: str) -> Identity:
         if self._store is not None:
-            return self._store.present(output)
-        return identity_of(files_of(self._out, output))
+            return self._store.present(output, self._history.left.get(output))
+        return identity_of(self._files_of(output))
+
+    def _files_of(self, output: str) -> list[Path]:
+        """Return the paths of an output's files: of numbered ones those that are recorded, or else all that exist."""
+        path = self._out / output
+        if not is_numbered(output):
+            return [path]
+        left = self._history.left.get(output)
+        return parts_beside(self._out / whole(output)) if left is None else [path.with_name(f[0]) for f in left.files]
+
+    def _inputs(self, found: Sequence[Found], choices: Iterable[Choice]) -> Iterator[InputPath]:
+        """Yield everything that the batch reads."""
+        yield from (InputPath(path) for each in found for path in each.paths)
+        if self._options.dataset is not None:
+            yield InputPath(self._options.dataset, "file of `dataset`")
+        for request in {id(each.request): each.request for each in choices if each.request is not None}.values():
+            yield from inputs_of((), request.options.frames.tf_from, request.files)
+
+    def _forbidden(self, inputs: Sequence[InputPath]) -> Callable[[str], DestinationError | None]:
+        """Return a function that returns why an output may not be written; None if it may."""
+        read = cache(lambda: Inputs(inputs))
+
+        def forbidden(output: str) -> DestinationError | None:
+            path = self._out / whole(output)
+            try:
+                read().refuse(OutputPath(path, numbered=is_numbered(output)))
+            except DestinationError as err:
+                return err
+            link = first_link(self._out, output)
+            return None if link is None else _behind_link(path, link)
+
+        return forbidden
 
     def clean_up(self) -> None:
         """Remove the temporary files that killed runs have left beside the outputs in this folder."""
         planned = [step.output for action in ("convert", "keep") for step in self.made.of(action)]
         for output in {*self._history.owned, *planned}:
-            clean_up(self._out / whole(output))
+            if first_link(self._out, output) is None:
+                path = self._out / whole(output)
+                done, noted = finished(path), self._history.record(output)
+                recorded = done is None or (noted is not None and noted.files == done.files)
+                clean_up(path, recorded=recorded)
 
     def convert(self, lock: int | None, make: Callable[..., Executor]) -> None:
         """Carry out the plan, and write the manifest."""
@@ -252,12 +293,13 @@ class _Batch:
                     note(record)
                 else:
                     self._note(record)
-            if jobs and not (self._options.fail_fast and self.made.of("refuse")):
-                outputs, earlier = {step.output for step in steps}, self._history.begun
-                with begun_noted(self._out, outputs, earlier, self._is_there) as begin:
+            if self._options.fail_fast and self.made.of("refuse"):
+                jobs = []
+            outputs = {step.output for step in steps} if jobs else set()
+            with begun_noted(self._out, outputs, self._begun, self._is_there) as begin:
+                if jobs:
                     self._push(at_once=True)
-                    with folders_made(self._out, outputs, earlier):
-                        self._run(executor, jobs, by_key, note, begin)
+                    self._run(executor, jobs, by_key, note, begin)
 
     def _push(self, *, at_once: bool = False) -> None:
         """Upload the manifest, if the folder is at a URL."""
@@ -300,6 +342,8 @@ class _Batch:
                         if record.is_written and self._store is None:
                             note_written(self._out / record.output)
                         note(record)
+                        if is_numbered(record.output) and self._store is None and not self._options.dry_run:
+                            clean_up(self._out / whole(record.output), recorded=True)
                         if result.text and self._watch.shown is not None:
                             self._watch.shown(result.text)
                         begin(steps[result.key].output, False)
@@ -318,7 +362,7 @@ class _Batch:
             destination=self._stores.url_of(folder / whole(Path(step.output).name if flat else step.output)),
             request=step.choice.request,
             size_bytes=step.found.identity.size_bytes,
-            replaces=step.replaces,
+            owned=step.owned or FileRecord({}),
             checksum=self._options.checksum and not self._options.dry_run,
             dry_run=self._options.dry_run,
             shown=self._watch.shown is not None,
@@ -332,6 +376,15 @@ class _Batch:
             record = step.record if step.action == "keep" else self._records.get(step.found.key)
             self.report.outcomes.append(Outcome.of(step, record))
         self.report.seconds = time.monotonic() - began
+
+
+def _behind_link(path: Path, link: Path) -> DestinationError:
+    return DestinationError(
+        f"would be written through the link {link}, and a batch writes only into its own folder",
+        path=path,
+        hint="remove the link; or convert what belongs there in a batch of its own, "
+        f"`destination={os.path.realpath(link)}`",
+    )
 
 
 def _known_recordings(history: History, stores: Stores) -> Known:

@@ -15,13 +15,18 @@ from pathlib import Path
 from threading import RLock, Thread
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import DestinationError, OutputError, Pc2ScanError
+from pc2scan.errors import DestinationError, OutputError, Pc2ScanError, name_list
+from pc2scan.files.numbered import parts_among
+from pc2scan.files.ownership import ruling
+from pc2scan.files.places import LEFTOVERS
+from pc2scan.files.records import Left, Record, files_below
+from pc2scan.files.staged_parts import staying
 from pc2scan.remote.names import Names
 from pc2scan.remote.scratch import Room, ScratchError, scratch_folder
 from pc2scan.remote.urls import is_url
 
 from .identity import Identity, identity_of, versions
-from .results import first_part, in_order, parts_among
+from .results import first_part
 from .stores import identity_in
 from .work import Result, now
 from .workers import Ended, Queue
@@ -41,6 +46,8 @@ _BESIDE = 1_000_000
 
 #: Seconds that copying threads have to end. After that the folder is removed in any case.
 _END_SECONDS = 5.0
+
+_UNKNOWN = Left(-1)
 
 #: Space for copies, by folder and size. Dask tasks that run in one process share it.
 _rooms: dict[tuple[Path | None, int | None], Room] = {}
@@ -264,12 +271,20 @@ class _StagedQueue(Queue):
             (copy.folder / "out").mkdir(parents=True)
             copy.names.add(copy.folder / "out", place.parent)
             destination, most = str(copy.folder / "out" / place.name), (str(copy.folder), copy.reserved)
-        return replace(job, sources=tuple(map(str, sources)), destination=destination, request=request, room=most)
+        # The copies are in a new folder, where nothing is replaced.
+        owned = job.owned if most is None else None
+        return replace(
+            job, sources=tuple(map(str, sources)), destination=destination, owned=owned, request=request, room=most
+        )
 
     def _upload(self, copy: _Copy, result: Result) -> None:
         """Upload a result. Runs in a thread."""
         try:
-            result = replace(result, output_identity=self._uploaded(copy))
+            identity, warnings = self._uploaded(copy)
+            if warnings and result.report is not None:
+                report = {**result.report, "warnings": [*result.report.get("warnings", ()), *warnings]}
+                result = replace(result, report=report)
+            result = replace(result, output_identity=identity)
         except _StoppedError:
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
@@ -280,51 +295,74 @@ class _StagedQueue(Queue):
             self._uploading -= 1
             self._post(Ended(result))
 
-    def _uploaded(self, copy: _Copy) -> Identity:
-        """Upload the result, complete or not at all; return its identity."""
+    def _uploaded(self, copy: _Copy) -> tuple[Identity, list[str]]:
+        """Upload the result, complete or not at all; return its identity, and warnings."""
         from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
         target = RemotePath(Path(copy.job.destination))
         folder = RemotePath(Path(copy.job.destination.rstrip("/").rpartition("/")[0]))
-        # From the last part to the first: if the first part exists, all parts exist.
-        made = [copy.folder / "out" / name for name in in_order(p.name for p in (copy.folder / "out").iterdir())][::-1]
-        output = target.name
-        if made and target.name not in {path.name for path in made}:
-            output = first_part(output)
-            self._remove_parts(folder, output, made, replaces=copy.job.replaces)
+        here = copy.folder / "out"
+        names = [path.name for path in here.iterdir() if not path.name.endswith(LEFTOVERS)]
+        is_numbered = target.name not in names
+        made = parts_among(names, target.name) if is_numbered else names
+        warnings = self._make_way(copy.job, folder, target.name, here, made, is_numbered=is_numbered)
         objects: dict[str, Object] = {}
         done: list[str] = []
         try:
-            for path in made:
-                place = folder.child(path.name)
-                if path.is_dir():
-                    if place.below():
-                        if not copy.job.replaces:
-                            raise DestinationError(
-                                "exists already", path=place.shown, hint="`overwrite=True` replaces it"
-                            )
-                        place.remove_below()
-                    folder.upload(path, path.name, self._check)
-                    objects |= {f"{path.name}/{name}": found for name, found in place.below().items()}
+            # From the last part to the first: if the first part exists, all parts exist.
+            for name in reversed(made):
+                place = folder.child(name)
+                if (here / name).is_dir():
+                    folder.upload(here / name, name, self._check)
+                    objects |= {f"{name}/{below}": found for below, found in place.below().items()}
                 else:
-                    folder.refuse_existing(path.name, overwrite=copy.job.replaces)
-                    done.append(folder.upload_file(path, path.name, self._check))
-                    objects[path.name] = place.stated()
+                    done.append(folder.upload_file(here / name, name, self._check))
+                    objects[name] = place.stated()
         except BaseException:
             # If the recording has several files, none of them stays.
             if len(made) > 1:
                 folder.remove(done)
             raise
-        return identity_in(objects, output)
+        return identity_in(objects, first_part(target.name) if is_numbered else target.name), warnings
 
-    def _remove_parts(self, folder: RemotePath, output: str, made: Sequence[Path], *, replaces: bool) -> None:
-        """Remove the parts of an earlier result that have no new part of the same name."""
-        there = parts_among((name for name in folder.below() if "/" not in name), output)
-        if there and not replaces:
-            shown = folder.child(there[0]).shown
+    def _make_way(
+        self, job: Job, folder: RemotePath, target: str, here: Path, made: Sequence[str], *, is_numbered: bool
+    ) -> list[str]:
+        """Remove what the result replaces in the store; raise if that is not permitted. Return warnings."""
+        written: set[str] = set()
+        for name in made:
+            written |= {f"{name}/{below}" for below in files_below(here / name)} if (here / name).is_dir() else {name}
+        listed = folder.below()
+        if is_numbered:
+            present = parts_among((name for name in listed if "/" not in name), target)
+        else:
+            present = [name for name in listed if name == target or name.startswith(f"{target}/")]
+        record = job.owned or Record({})
+        # Of an upload that was killed, only the name is known.
+        begun = record.files.get(first_part(target) if is_numbered else target, _UNKNOWN) is None
+        overwrite = job.request.output.overwrite or begun
+        found = ruling(
+            present,
+            written,
+            record,
+            overwrite=overwrite,
+            as_left=lambda name, left: left is not None and listed[name] == (left.size, left.time),
+        )
+        if found.refused or (found.kept and not overwrite and not record.files):
+            shown = folder.child((found.refused or found.kept)[0]).shown
             raise DestinationError("exists already", path=shown, hint="`overwrite=True` replaces it")
-        for name in set(there) - {path.name for path in made}:
+        if found.kept and not is_numbered:
+            raise DestinationError(
+                "has something that this batch did not write, or that was changed since, and is not replaced: "
+                + name_list(found.kept, 3),
+                path=folder.child(target).shown,
+                hint="move it away, or write to another folder",
+            )
+        # Without its metadata.yaml a directory is no recording any more. Files are replaced in one step.
+        gone = found.removed if is_numbered else [name for name in (*found.removed, *found.replaced) if "/" in name]
+        for name in sorted(gone, key=lambda name: (not name.endswith("/metadata.yaml"), name)):
             folder.child(name).delete()
+        return staying(target, found.kept)
 
     def _ended(self, copy: _Copy, result: Result) -> Result:
         """Remove the copies, and replace their paths in the result by URLs."""

@@ -17,17 +17,19 @@ from secrets import token_hex
 from threading import Event, Thread
 from typing import TYPE_CHECKING
 
+from pc2scan.arguments import local_path
 from pc2scan.errors import DestinationError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.files.numbered import parts_among
 from pc2scan.files.source import on_demand
 from pc2scan.remote.names import Names
 from pc2scan.remote.urls import is_url, shown_url, url_of
 
 from .identity import Identity, versions
 from .manifest import BEGUN, MANIFEST
-from .results import is_numbered, parts_among
+from .results import is_numbered, whole
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from pc2scan.remote.store import Object, RemotePath
 
@@ -88,10 +90,11 @@ class Stores:
         MissingError, RecordingError
             If nothing is there, or it cannot be listed.
         """
-        return self._listed(url_of(Path(text))) if is_url(Path(text)) else text
+        return self._listed(url_of(Path(text))) if is_url(Path(text)) else local_path(text)
 
     def beside(self, path: Path, name: str) -> str:
         """Resolve a path that a list of paths contains; if the list is at a URL, the result is a URL, too."""
+        name = local_path(name)
         if is_url(Path(name)) or not self.is_remote(path):
             return name if is_url(Path(name)) else str(path.parent / name)
         return f"{self.url_of(path).partition('?')[0].rpartition('/')[0]}/{name}"
@@ -240,11 +243,11 @@ class Output:
                 self._pushed[name] = data
                 (self.folder / name).write_bytes(data)
 
-    def present(self, output: str) -> Identity:
-        """Return the identity that an output had when the folder was listed first."""
+    def present(self, output: str, left: Identity | None = None) -> Identity:
+        """Return the identity that an output had when the folder was listed first; ``left``: see `identity_in`."""
         if self._objects is None:
             self._objects = self._place.below()
-        return identity_in(self._objects, output)
+        return identity_in(self._objects, output, left)
 
     def exists(self, output: str) -> bool:
         """Return whether an output exists now."""
@@ -340,11 +343,16 @@ class Output:
         )
 
 
-def identity_in(objects: dict[str, Object], output: str) -> Identity:
-    """Return the identity of an output (a file, a folder, or numbered files) from a listing of the store."""
+def identity_in(objects: Mapping[str, Object], output: str, left: Identity | None = None) -> Identity:
+    """Return the identity of an output (a file, a folder, or numbered files) from a listing of the store.
+
+    ``left`` says which files a numbered output has; without it, all with such names are listed.
+    """
     if is_numbered(output):
-        parts = parts_among(objects, output)
-        return Identity(tuple((key.rpartition("/")[2], *objects[key]) for key in parts))
+        folder, _, name = whole(output).rpartition("/")
+        here = {key.rpartition("/")[2]: found for key, found in objects.items() if key.rpartition("/")[0] == folder}
+        names = parts_among(here, name) if left is None else [file for file, _, _ in left.files if file in here]
+        return Identity(tuple((name, *here[name]) for name in names))
     if found := objects.get(output):
         return Identity(((output.rpartition("/")[2], found.size, found.version),))
     below = f"{output}/"

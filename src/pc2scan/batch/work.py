@@ -6,11 +6,12 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Protocol
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import Pc2ScanError, RecordingError
+from pc2scan.files.records import Record as FileRecord
 from pc2scan.pipeline.run import run
 from pc2scan.remote.urls import is_url
 
@@ -52,8 +53,8 @@ class Job:
         The conversion that is requested.
     size_bytes
         The size of all sources together.
-    replaces
-        Whether an existing output may be replaced.
+    owned
+        What earlier runs wrote into the destination's folder: it may be replaced without ``overwrite``, too.
     threads
         The number of threads of the conversion.
     checksum
@@ -76,7 +77,7 @@ class Job:
     destination: str = field(repr=False)
     request: Request
     size_bytes: int = 0
-    replaces: bool = False
+    owned: FileRecord | None = None
     threads: int = 1
     checksum: bool = False
     dry_run: bool = False
@@ -85,6 +86,11 @@ class Job:
     scratch_size: int | None = None
     room: tuple[str, int] | None = None
     step: Step | None = None
+
+    def retried(self) -> Job:
+        """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
+        done = FileRecord({PurePosixPath(self.destination).name: None})
+        return replace(self, owned=done if self.owned is None else self.owned | done)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,7 +210,7 @@ def _done(
         return _looked_into(job, sources)
     if request.export is None or job.dry_run:
         # The forecast of an export that converts clouds is the forecast of the conversion.
-        output = request.output._replace(overwrite=job.replaces, dry_run=job.dry_run)
+        output = request.output._replace(owned=job.owned, dry_run=job.dry_run)
         return run(
             sources,
             destination,
@@ -215,7 +221,7 @@ def _done(
         )
     from pc2scan.export.run import run as export  # noqa: PLC0415  # most batches write recordings
 
-    form = replace(request.export, overwrite=job.replaces)
+    form = replace(request.export, overwrite=request.output.overwrite, owned=job.owned)
     return export(sources, destination, options, form, in_folder=True, also_read=request.files, progress=progress)
 
 

@@ -342,8 +342,7 @@ def _after_death(
     with suppress(Pc2ScanError):
         clean_up(Path(job.destination))
     if attempts[job.key] <= retries:
-        # The worker may have died after it completed the output, which the next attempt may then replace.
-        pending.again(replace(job, replaces=True))
+        pending.again(job.retried())
         yield Died(job.key, why)
     else:
         seconds = time.monotonic() - worker.began

@@ -52,8 +52,8 @@ class BatchGroup(Group):
             "-j",
             min=0,
             metavar="N",
-            help="Number of recordings at a time, each in its own process; the output does not depend on it.  "
-            "[default: number of cores, as memory allows]",
+            help="Number of recordings at a time, up to 1,024, each in its own process; the output does not depend on "
+            "it.  [default: number of cores, as memory allows]",
             show_default=False,
             rich_help_panel=_BATCH,
         ),
@@ -63,7 +63,8 @@ class BatchGroup(Group):
         typer.Option(
             min=0,
             metavar="N",
-            help="How often a recording is tried again if its process was killed, for instance for lack of memory.",
+            help="How often a recording is tried again if its process was killed, for instance for lack of memory; up "
+            "to 100 times.",
             rich_help_panel=_BATCH,
         ),
     ] = 1

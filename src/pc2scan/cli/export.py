@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from typer.models import TyperPath
 
 from . import completion
 from .damage import show_damage
+from .groups import PathType
 from .options.conversion import ConversionGroup
 from .options.frames import frame_option
 from .options.single import Json
@@ -36,7 +36,7 @@ def export(
             metavar="OUT",
             help="The file to write. DIR/: a new folder with a file for each topic. For clouds: always a folder.",
             show_default=False,
-            click_type=TyperPath(path_type=str),
+            click_type=PathType(path_type=str),
         ),
     ],
     format: Annotated[  # noqa: A002  # the name of the option

@@ -8,15 +8,28 @@ from __future__ import annotations
 
 from functools import wraps
 from inspect import Parameter, Signature, signature
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, TypeGuard, get_args, get_origin
+
+from typer.models import ParameterInfo, TyperPath
+
+from pc2scan.arguments import local_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from typing_extensions import Self
 
-__all__ = ["Group", "flat"]
+__all__ = ["Group", "PathType", "flat"]
+
+
+class PathType(TyperPath):
+    """The type of options that are paths: a ``file:`` URL is read before Path joins its slashes."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Convert what was typed."""
+        return super().convert(local_path(value) if isinstance(value, str) else value, param, ctx)
 
 
 class Group(SimpleNamespace):
@@ -44,6 +57,15 @@ class Group(SimpleNamespace):
         return cls(**{name: kind.gathered(values) if _is_group(kind) else values[name] for name, kind in kinds})
 
 
+def _read_urls(annotation: Any) -> None:
+    """Let an option whose values are paths take ``file:`` URLs."""
+    kind, *further = get_args(annotation) or (annotation,)
+    if Path in (kind, *get_args(kind)):
+        for info in further:
+            if isinstance(info, ParameterInfo) and info.click_type is None:
+                info.click_type = PathType()
+
+
 def _is_group(kind: object) -> TypeGuard[type[Group]]:
     return isinstance(kind, type) and issubclass(kind, Group)
 
@@ -56,6 +78,8 @@ def flat(command: Callable[..., None]) -> Callable[..., None]:
     for parameter in taken.values():
         kind = parameter.annotation
         parameters += kind.parameters() if _is_group(kind) else [parameter]
+    for parameter in parameters:
+        _read_urls(parameter.annotation)
 
     @wraps(command)
     def run(**values: Any) -> None:

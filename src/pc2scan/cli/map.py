@@ -96,7 +96,16 @@ def map(  # noqa: A001  # the function of a command has its name
         clear_to=length("--clear-to", clear_to),
     )
     with progress_bar(enabled=not as_json) as progress:
-        made = write_map(sources, destination, png, options, asked, overwrite=overwrite, progress=progress)
+        made = write_map(
+            sources,
+            destination,
+            png,
+            options,
+            asked,
+            overwrite=overwrite,
+            also_read=conversion.read_files(),
+            progress=progress,
+        )
     if as_json:
         print_json(made.as_dict())
     else:

@@ -50,9 +50,9 @@ def show(report: Report, *, verbose: bool = False) -> None:
         named = ", ".join(dict.fromkeys(frames))
         say(f"frame{'s' * (',' in named)}: {named}; points: those of the first messages")
         made = FORMATS[report.container].readable_one
-        say(f"{leading(report.written_to)}: {made}, about {written} from {read}")
+        say(f"{report.written_to}: {made}, about {written} from {read}")
     else:
-        say(f"{leading(report.written_to)}: {written} from {read} in {duration(report.seconds)}")
+        say(f"{report.written_to}: {written} from {read} in {duration(report.seconds)}")
     if report.container == "mcap":
         # Shown because the file's name does not say which ROS version it is for.
         converts = any(topic.action == "converted" for topic in report.topics)

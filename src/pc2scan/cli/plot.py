@@ -57,6 +57,7 @@ def plot(
             clouds=clouds,
             at=[TimeBound.parse(time) for time in at],
             overwrite=overwrite,
+            also_read=conversion.read_files(),
         )
     for note in drawn.notes:
         warn(note)

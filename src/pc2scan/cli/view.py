@@ -37,7 +37,9 @@ def view(
     clouds: Annotated[
         int,
         typer.Option(
-            metavar="N", min=1, help="Number of clouds of each topic on the page, evenly spread over the recording."
+            metavar="N",
+            min=1,
+            help="Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.",
         ),
     ] = 10,
     at: Moments = [],  # noqa: B006 - typer reads the default and never hands it out
@@ -71,6 +73,7 @@ def view(
         preset=conversion.projection.preset or "",
         command=convert_words(sources, options, "scans.mcap"),
         overwrite=overwrite,
+        also_read=conversion.read_files(),
     )
     for note in page.notes:
         warn(note)

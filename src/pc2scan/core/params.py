@@ -36,6 +36,11 @@ __all__ = ["CHOICES", "MAX_BEAMS", "MEASURED", "ProjectionParams", "beam_count",
 #: The most beams. More mean a mistyped increment: a ten-thousandth of a degree over a full circle makes 3.6 million.
 MAX_BEAMS = 4_000_000
 
+#: The largest number of returns of a beam that `kth` and `min_points` may name.
+_MOST_RETURNS = 2**31 - 1
+
+#: Nanoseconds between any two stamps are fewer, because their seconds are uint32; added to a stamp, it is an int64.
+_FOREVER_NS = 2**62
 
 #: The choices of text parameters.
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -338,6 +343,10 @@ class ProjectionParams:
                 )
         if self.min_points < 1:
             raise ParameterError(f"min_points is {self.min_points}, it must be 1 or more", name="min_points")
+        for name in ("kth", "min_points"):
+            if getattr(self, name) > _MOST_RETURNS:
+                message = f"{name} is {getattr(self, name):,}, it must be at most {_MOST_RETURNS:,}"
+                raise ParameterError(message, name=name)
         if self.no_return.startswith("range-max") and math.isinf(float32(self.range_max)):
             raise ParameterError(
                 f"no_return is {self.no_return}, which needs a finite range_max",
@@ -365,6 +374,11 @@ class ProjectionParams:
         """The beams that the scan's message advertises; with ``beams`` auto, those of ``angle_increment``."""
         beams = 0 if self.beams == "auto" else self.beams
         return _LAYOUTS[self.geometry](self.angle_min, self.angle_max, self.angle_increment, beams)
+
+    @property
+    def tolerance_ns(self) -> int:
+        """``transform_tolerance`` in nanoseconds; at most `_FOREVER_NS`."""
+        return round(min(self.transform_tolerance * 1e9, _FOREVER_NS))
 
     @property
     def length(self) -> int:

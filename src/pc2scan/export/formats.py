@@ -73,8 +73,6 @@ class Format:
         Whether it cannot be written without poses.
     home
         The module and the name of its `Writer`, which takes the path to write, and whether there are poses.
-    further
-        Names of other files in a folder.
     """
 
     name: str
@@ -84,7 +82,6 @@ class Format:
     clouds: bool = False
     folder: bool = False
     needs_poses: bool = False
-    further: tuple[str, ...] = ()
 
     def open(self, path: Path, *, posed: bool) -> Writer:
         """Begin to write a topic; ``path`` does not exist."""
@@ -110,7 +107,6 @@ FORMATS = {
             ("kitti", "KittiWriter"),
             clouds=True,
             folder=True,
-            further=("times.txt", "stamps.txt", "poses.txt"),
         ),
     )
 }

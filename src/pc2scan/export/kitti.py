@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KittiWriter"]
 
-#: Files beside the clouds; the table of formats has these names, too.
+#: Files beside the clouds.
 _FURTHER = ("times.txt", "stamps.txt", "poses.txt")
 
 #: Fields with the strength of a return, the best one first.

@@ -16,7 +16,8 @@ from pc2scan.errors import (
     UsageError,
     name_list,
 )
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.records import read_record, write_record
 from pc2scan.files.staging import staged
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from pc2scan.files.records import Record
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import Progress
 
@@ -58,12 +60,15 @@ class ExportOptions:
         Whether scans are made of clouds; otherwise they are read.
     overwrite
         Whether an existing destination is replaced.
+    owned
+        What earlier runs wrote into the destination's folder; it may be replaced without ``overwrite``, too.
     """
 
     format: str | None = None
     poses: PoseOptions = field(default_factory=PoseOptions)
     converting: bool = False
     overwrite: bool = False
+    owned: Record | None = None
 
 
 def run(
@@ -110,9 +115,7 @@ def run(
     """
     written = format_of(form.format, destination)
     _check_request(written, options, form)
-    inputs = [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)]
-    inputs += (InputPath(path, f"file of {option}") for option, path in (also_read or {}).items())
-    refuse_overlap(inputs, [OutputPath(destination)])
+    refuse_overlap(inputs_of(sources, options.frames.tf_from, also_read), [OutputPath(destination)])
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
@@ -124,7 +127,7 @@ def run(
         stream.listener, stream.progress = report.warnings.append, progress
         # Before transforms are read, which may take long.
         partial = stack.enter_context(
-            staged(destination, overwrite=form.overwrite, beside_recording=_only_exports(written))
+            staged(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
         )
         poses = None
         if form.poses.wanted:
@@ -139,6 +142,8 @@ def run(
             export.write(stream)
         finally:
             export.abort()
+        if partial.is_dir():
+            write_record(partial)
         report.notes += getattr(stream, "notes", ())
         report.damage = tuple(dict.fromkeys((*stream.damage, *(d for each in readers for d in each.damage))))
     return report
@@ -236,24 +241,6 @@ def _is_folder(destination: Path, topics: Sequence[str], written: Format, *, in_
             hint=f"name a folder: `destination={destination.with_suffix('')}/`; or choose: `topics={topics[0]}`",
         )
     return len(topics) > 1 or (in_folder and not written.folder)
-
-
-def _only_exports(written: Format) -> Any:
-    """Return a function that decides whether a folder may be replaced: if it has only files of this format."""
-
-    def check(folder: Path) -> str:
-        for entry in folder.rglob("*"):
-            is_ours = entry.is_dir() or entry.suffix == written.suffix or entry.name in written.further
-            if entry.is_symlink() or not is_ours:
-                raise DestinationError(
-                    f"is a folder with other files than those of an export as {written.name} ({entry.name}), and is "
-                    "not overwritten",
-                    path=folder,
-                    hint="choose another name, or delete it yourself",
-                )
-        return ""
-
-    return check
 
 
 class _Export:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from pc2scan.errors import visible
 
-from .overlap import InputPath, OutputPath, refuse_overlap
+from .ownership import InputPath, OutputPath, refuse_overlap
 from .text_output import text_output
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = [
+    "JOURNAL",
     "LEFTOVERS",
     "LOCK",
     "OLD",
@@ -30,6 +31,9 @@ PARTIAL = ".pc2scan-partial"
 OLD = ".pc2scan-old"
 LOCK = f"{PARTIAL}.lock"
 
+#: The name of the journal in the temporary directory of numbered files; see `pc2scan.files.journal`.
+JOURNAL = "files.json"
+
 #: Endings of the files that a killed run leaves beside its destination.
 LEFTOVERS = (PARTIAL, OLD)
 
@@ -37,7 +41,7 @@ LEFTOVERS = (PARTIAL, OLD)
 def working_names(dst: Path) -> tuple[Path, ...]:
     """Return the paths beside a destination that a run creates, renames and removes while it writes it.
 
-    No input may have one of them: see `pc2scan.files.overlap`.
+    No input may have one of them: see `pc2scan.files.ownership`.
     """
     return tuple(dst.with_name(dst.name + ending) for ending in (PARTIAL, OLD, LOCK)) if dst.name else ()
 
@@ -53,6 +57,10 @@ def check_place(dst: Path) -> None:
         exists = parent.exists()
     except OSError as err:
         raise DestinationError(f"its directory cannot exist: {err.strerror}", path=dst) from err
+    if not exists and parent.is_symlink():
+        raise DestinationError(
+            "its directory is a link that leads nowhere", path=dst, hint=f"ls -l {parent} shows where it leads"
+        )
     if not exists:
         from shlex import quote  # noqa: PLC0415  # few destinations are wrong
 

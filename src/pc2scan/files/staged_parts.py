@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import re
+import os
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import OutputError
+from pc2scan.errors import DestinationError, OutputError, name_list
 
-from .places import OLD, check_length, check_place
-from .staging import check_existing, cleaning_up, exists_already, note_renaming, prepared, remove, rename_file, sync
-from .system import sync_directory
+from .journal import Journal, undo
+from .numbered import part_number, parts_beside
+from .ownership import check_existing, exists_already, ruling
+from .places import JOURNAL, OLD, check_length, check_place
+from .records import Record, is_as_left, left_now
+from .staging import note_renaming, prepared, rename_file, sync
+from .system import remove, sync_directory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["check_parts", "parts_beside", "staged_parts"]
+__all__ = ["check_parts", "staged_parts", "staying"]
 
 
-def parts_beside(dst: Path) -> list[Path]:
-    """Return the files beside a destination that are named as parts of it: ``drive_0.bag`` of ``drive.bag``."""
-    return sorted(_parts_named(dst))
-
-
-def check_parts(dst: Path, *, overwrite: bool) -> None:
+def check_parts(dst: Path, *, overwrite: bool, owned: Record | None = None) -> None:
     """Raise what `staged_parts` would raise at its beginning, as far as that is known without writing anything.
 
     Raises
@@ -34,12 +33,28 @@ def check_parts(dst: Path, *, overwrite: bool) -> None:
     """
     check_place(dst)
     check_length(dst.with_name(f"{dst.stem}_00000{dst.suffix}"))
+    names = {} if owned is None else owned.files
     for part in parts_beside(dst):
-        check_existing(part, overwrite=overwrite, beside_recording=None)
+        # Beside files of earlier runs there may be others, which this run may not write: only its end shows that.
+        if overwrite or not names or part.name in names:
+            check_existing(part, overwrite=overwrite, owned=owned)
+
+
+def staying(name: str, kept: Sequence[str]) -> list[str]:
+    """Return the warning about files with names of parts of the recording ``name`` that are none of its parts."""
+    if not kept:
+        return []
+    text = (
+        f"{name_list(kept, 5)}: named like a part of {name}, but no record says that pc2scan wrote it; it stays, and "
+        "programs may read it as a part: remove or rename what you do not need"
+    )
+    return [text]
 
 
 @contextmanager
-def staged_parts(dst: Path, *, overwrite: bool) -> Iterator[Path]:
+def staged_parts(
+    dst: Path, *, overwrite: bool, owned: Record | None = None, warn: Callable[[str], None]
+) -> Iterator[Path]:
     """Yield a new directory to write the parts of a recording in, and move them to the destination's folder at the end.
 
     All of them appear, or none. The first one in the order of their numbers appears last: if it exists, all do.
@@ -49,7 +64,13 @@ def staged_parts(dst: Path, *, overwrite: bool) -> Iterator[Path]:
     dst
         The name from which those of the parts are made: ``drive_0.bag`` and so on from ``drive.bag``.
     overwrite
-        Whether existing parts of that name may be replaced: all of them, also if the new ones are fewer.
+        Whether existing files that the new parts have the names of may be replaced.
+    owned
+        What earlier runs wrote into the folder: it may be replaced without ``overwrite``, and is removed if the new
+        parts are fewer. If it is given, a journal of the new parts stays until the caller has recorded them: see
+        `pc2scan.files.staging.clean_up`.
+    warn
+        Called with a warning about other files that have names of parts. They stay.
 
     Yields
     ------
@@ -59,89 +80,75 @@ def staged_parts(dst: Path, *, overwrite: bool) -> Iterator[Path]:
     Raises
     ------
     DestinationError
-        If there are parts of that name and ``overwrite`` is false, or one of them is no file.
+        If there are files with names of parts that may not be replaced.
     OutputError
         If the parts cannot be written.
     """
+    known, done = owned, False
 
-    def check() -> bool:
-        with cleaning_up(dst):
-            _restore_parts(dst)
-        check_parts(dst, overwrite=overwrite)
+    def check(earlier: Record | None) -> bool:
+        nonlocal known
+        if owned is not None:
+            known = owned | earlier
+        check_parts(dst, overwrite=overwrite, owned=known)
         return overwrite
 
-    with prepared(dst, check) as (partial, _):
+    with prepared(dst, check, stays=lambda: done and owned is not None) as (partial, _):
         try:
             partial.mkdir()
         except OSError as err:
             raise OutputError(f"cannot be written: {err.strerror}", path=dst) from err
         yield partial
         try:
-            _commit_parts(partial, dst, overwrite=overwrite)
+            kept = _commit(partial, dst, known, overwrite=overwrite)
         except OSError as err:
             raise OutputError(f"its parts cannot be renamed to their final names: {err.strerror}", path=dst) from err
+        done = True
+        for text in staying(dst.name, kept):
+            warn(text)
 
 
-def _commit_parts(partial: Path, dst: Path, *, overwrite: bool) -> None:
-    """Move the parts to their places, the first one last; if that fails, restore the old ones."""
+def _commit(partial: Path, dst: Path, owned: Record | None, *, overwrite: bool) -> list[str]:
+    """Move the parts to their places, the first one last; if that fails, restore the old ones. Return what stays."""
     sync(partial)
-    old = parts_beside(dst)
-    if old and not overwrite:
-        raise exists_already(old[0])
-    aside, placed = [], []
+    new = sorted((entry.name for entry in partial.iterdir()), key=part_number)
+    found = ruling(
+        [path.name for path in parts_beside(dst)],
+        new,
+        owned,
+        overwrite=overwrite,
+        as_left=lambda name, left: is_as_left(dst.with_name(name), left),
+    )
+    if found.refused:
+        raise exists_already(dst.with_name(found.refused[0]))
+    for name in found.replaced:
+        check_existing(dst.with_name(name), overwrite=True)
+    aside = sorted((*found.replaced, *found.removed), key=part_number)
+    for name in aside:
+        if os.path.lexists(dst.with_name(name + OLD)):
+            raise DestinationError(
+                f"{name} cannot be set aside: this name is needed for it",
+                path=dst.with_name(name + OLD),
+                hint="an interrupted run may have left it; move it away",
+            )
+    _note(partial, Journal({name: left_now(partial / name) for name in new}, tuple(aside)))
     try:
         # Old and new parts are both moved with the first one last: what a killed run leaves shows how far it came.
-        for path in reversed(_sorted_by_number(old)):
-            path.rename(path.with_name(path.name + OLD))
-            aside.append(path)
-        for part in reversed(_sorted_by_number(partial.iterdir())):
-            final = dst.with_name(part.name)
-            note_renaming(part, final)
-            rename_file(part, final)
-            placed.append(final)
+        for name in reversed(aside):
+            dst.with_name(name).rename(dst.with_name(name + OLD))
+        for name in reversed(new):
+            note_renaming(partial / name, dst.with_name(name))
+            rename_file(partial / name, dst.with_name(name))
         sync_directory(dst.parent)
     except BaseException:
-        for path in placed:
-            path.unlink()
-        for path in reversed(aside):
-            path.with_name(path.name + OLD).rename(path)
+        undo(dst)
         raise
-    for path in aside:
-        remove(path.with_name(path.name + OLD))
+    for name in aside:
+        remove(dst.with_name(name + OLD))
+    return found.kept
 
 
-def _restore_parts(dst: Path) -> None:
-    """Undo or complete the replacement of parts, if a run died in the middle of it."""
-    aside = _sorted_by_number(_parts_named(dst, OLD))
-    if not aside:
-        return
-    places = [path.with_name(path.name.removesuffix(OLD)) for path in aside]
-    present = _sorted_by_number(parts_beside(dst))
-    if present and present[0] == places[0]:
-        # The first new part appears last, so all new ones are in place.
-        for path in aside:
-            remove(path)
-        return
-    if not present or _part_number(places[0]) < _part_number(present[0]):
-        # All old parts are set aside, so those in place were written by the run that died.
-        for path in present:
-            remove(path)
-    for path, place in zip(aside, places, strict=True):
-        path.rename(place)
-
-
-def _parts_named(dst: Path, ending: str = "") -> list[Path]:
-    named = re.compile(rf"{re.escape(dst.stem)}_\d+{re.escape(dst.suffix)}{re.escape(ending)}")
-    try:
-        return [entry for entry in dst.parent.iterdir() if named.fullmatch(entry.name)]
-    except OSError:
-        return []
-
-
-def _sorted_by_number(parts: Iterable[Path]) -> list[Path]:
-    """Return parts in the order of their numbers."""
-    return sorted(parts, key=_part_number)
-
-
-def _part_number(part: Path) -> int:
-    return int(re.findall(r"_(\d+)", part.name)[-1])
+def _note(partial: Path, journal: Journal) -> None:
+    """Write the journal, and wait until it is on the disk."""
+    (partial / JOURNAL).write_text(journal.as_json(), encoding="utf-8")
+    sync(partial)

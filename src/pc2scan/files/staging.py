@@ -3,34 +3,29 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections import deque
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .places import OLD, PARTIAL, check_new_folder, check_place, working_names
+from .ownership import check_existing, exists_already, refuse_others
+from .places import LEFTOVERS, OLD, PARTIAL, check_new_folder, check_place, working_names
 from .run_lock import only_run
-from .system import sync_directory, sync_file
+from .system import remove, sync_directory, sync_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-    #: Returns what a directory has besides a recording; empty for nothing.
-    _Beside = Callable[[Path], str]
+    from .records import FolderRecord, Record
 
 __all__ = [
     "check_destination",
-    "check_existing",
     "clean_up",
-    "cleaning_up",
-    "exists_already",
     "note_renaming",
     "note_written",
     "prepared",
-    "remove",
     "rename_file",
     "staged",
     "sync",
@@ -73,7 +68,9 @@ def _device_and_inode(path: Path) -> tuple[int, int] | None:
 
 
 @contextmanager
-def staged(dst: Path, *, overwrite: bool, beside_recording: _Beside | None = None) -> Iterator[Path]:
+def staged(
+    dst: Path, *, overwrite: bool, owned: Record | None = None, record_in: FolderRecord | None = None
+) -> Iterator[Path]:
     """Yield a path to write to, and rename it to the destination at the end.
 
     Parameters
@@ -81,10 +78,12 @@ def staged(dst: Path, *, overwrite: bool, beside_recording: _Beside | None = Non
     dst
         The file or directory to write. Neither it nor one of its `working_names` may be an input.
     overwrite
-        Whether an existing file, or a directory with a rosbag2 recording and nothing else, may be replaced.
+        Whether an existing file, or a directory of which a record accounts for everything, may be replaced.
         It stays unchanged until the new one is complete.
-    beside_recording
-        Returns what a directory has besides a recording, if anything. Without it no directory is replaced.
+    owned
+        What earlier runs wrote into the folder of ``dst``: that may be replaced without ``overwrite``, too.
+    record_in
+        Reads the record of what is in a directory. Without it no directory is replaced.
 
     Yields
     ------
@@ -95,31 +94,35 @@ def staged(dst: Path, *, overwrite: bool, beside_recording: _Beside | None = Non
     Raises
     ------
     DestinationError
-        If ``dst`` exists and ``overwrite`` is false (checked first, and again by the final step), cannot be replaced,
-        has no parent directory, or is being written by another run.
+        If ``dst`` exists and may not be replaced (checked first, and again by the final step), has no parent
+        directory, or is being written by another run.
     OutputError
         If its directory or the result cannot be written.
     """
 
-    def check() -> bool:
-        with cleaning_up(dst):
-            _restore(dst)
-        check_existing(dst, overwrite=overwrite, beside_recording=beside_recording)
-        return overwrite
+    def check(_: Record | None) -> bool:
+        check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
+        return overwrite or (owned is not None and dst.name in owned.files)
 
-    with prepared(dst, check, beside_recording) as (partial, commit):
+    def check_again(partial: Path) -> None:
+        from .records import files_below  # noqa: PLC0415  # few outputs replace a directory
+
+        # Other files may have been added since the beginning.
+        refuse_others(dst, owned, record_in, set(files_below(partial)) if partial.is_dir() else ())
+
+    with prepared(dst, check, check_again) as (partial, commit):
         yield partial
         commit()
 
 
 def check_destination(
-    dst: Path, *, overwrite: bool, beside_recording: _Beside | None = None, folder: Path | None = None
+    dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None, folder: Path | None = None
 ) -> None:
     """Raise what `staged` would raise at its beginning, as far as that is known without writing anything.
 
     Parameters
     ----------
-    dst, overwrite, beside_recording
+    dst, overwrite, record_in
         See `staged`.
     folder
         The folder of `dst`, if it will be made.
@@ -136,12 +139,16 @@ def check_destination(
     if not overwrite and os.path.lexists(dst.with_name(dst.name + OLD)):
         # An interrupted run has set the old output aside. It would be restored first, and then exist.
         raise exists_already(dst)
-    check_existing(dst, overwrite=overwrite, beside_recording=beside_recording)
+    check_existing(dst, overwrite=overwrite, record_in=record_in)
 
 
 @contextmanager
 def prepared(
-    dst: Path, check: Callable[[], bool], beside_recording: _Beside | None = None
+    dst: Path,
+    check: Callable[[Record | None], bool],
+    check_again: Callable[[Path], None] | None = None,
+    *,
+    stays: Callable[[], bool] = lambda: False,
 ) -> Iterator[tuple[Path, Callable[[], None]]]:
     """Yield a path to write to, and a function that renames it to the destination.
 
@@ -151,9 +158,12 @@ def prepared(
         See `staged`.
     check
         Raises if ``dst`` may not be written, and returns whether an existing ``dst`` may be replaced. Called once, at
-        the beginning; a file that appears later is replaced only if the result was true.
-    beside_recording
-        See `staged`.
+        the beginning, with the numbered files that a killed run had completed; a file that appears later is replaced
+        only if the result was true.
+    check_again
+        Called with the new directory before it replaces a directory; raises if it may not.
+    stays
+        Returns at the end whether what is left at the temporary path stays.
 
     Yields
     ------
@@ -169,69 +179,20 @@ def prepared(
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
-        with cleaning_up(dst):
-            remove(partial)
-        overwrite = check()
+        overwrite = check(_recovered(dst))
         try:
-            yield partial, lambda: _commit(partial, dst, overwrite=overwrite, beside_recording=beside_recording)
+            yield partial, lambda: _commit(partial, dst, check_again, overwrite=overwrite)
         finally:
-            with suppress(OSError):
-                remove(partial)
+            if not stays():
+                with suppress(OSError):
+                    remove(partial)
 
 
-@contextmanager
-def cleaning_up(dst: Path) -> Iterator[None]:
-    """Raise an `OutputError` if what an interrupted run left cannot be removed."""
-    try:
-        yield
-    except OSError as err:
-        raise OutputError(f"the files of an interrupted run cannot be removed: {err.strerror}", path=dst) from err
-
-
-def _restore(dst: Path) -> None:
-    """Undo or complete the replacement of a directory, if a run died between the two steps."""
-    aside = dst.with_name(dst.name + OLD)
-    if os.path.lexists(dst):
-        # The new output is in place; only the old one was still to be removed.
-        remove(aside)
-    elif os.path.lexists(aside):
-        aside.rename(dst)
-
-
-def check_existing(dst: Path, *, overwrite: bool, beside_recording: _Beside | None) -> None:
-    """Raise if there is something at the destination that may not be replaced."""
-    if not os.path.lexists(dst):
-        return
-    if not overwrite:
-        raise exists_already(dst)
-    # A link itself is replaced, not its target; but a link to a device means the device.
-    if dst.exists() and not dst.is_file() and not dst.is_dir():
-        raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
-    if dst.is_symlink() or dst.is_file():
-        return
-    _refuse_other_directory(dst, beside_recording)
-
-
-def _refuse_other_directory(dst: Path, beside_recording: _Beside | None) -> None:
-    """Raise if a directory has anything besides a recording."""
-    reason = beside_recording(dst) if beside_recording else "its content is not checked"
-    if reason:
-        raise DestinationError(
-            f"is a directory with more than a rosbag2 recording ({reason}), and is not overwritten",
-            path=dst,
-            hint="choose another name, or delete it yourself",
-        )
-
-
-def exists_already(dst: Path) -> DestinationError:
-    """Return the error of a destination that may not be replaced."""
-    return DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
-
-
-def clean_up(dst: Path) -> None:
+def clean_up(dst: Path, *, recorded: bool = False) -> None:
     """Remove the files that a killed run left beside a destination, and restore those that it had set aside.
 
-    Nothing is done for a destination that another run is writing.
+    Nothing is done for a destination that another run is writing. The journal of numbered files that are all in place
+    stays until they are ``recorded`` elsewhere.
 
     Raises
     ------
@@ -240,17 +201,25 @@ def clean_up(dst: Path) -> None:
     """
     if not any(map(os.path.lexists, working_names(dst))):
         return
-    with suppress(DestinationError), only_run(dst), cleaning_up(dst):
-        remove(dst.with_name(dst.name + PARTIAL))
-        _restore(dst)
+    with suppress(DestinationError), only_run(dst):
+        _recovered(dst, keep_journal=not recorded)
 
 
-def _commit(partial: Path, dst: Path, *, overwrite: bool, beside_recording: _Beside | None) -> None:
+def _recovered(dst: Path, *, keep_journal: bool = False) -> Record | None:
+    """Undo or complete what a killed run left, if one did; see `pc2scan.files.recovery.recover`."""
+    if not any(os.path.lexists(dst.with_name(dst.name + ending)) for ending in LEFTOVERS):
+        return None
+    from .recovery import recover  # noqa: PLC0415  # few runs are killed
+
+    return recover(dst, keep_journal=keep_journal)
+
+
+def _commit(partial: Path, dst: Path, check_again: Callable[[Path], None] | None, *, overwrite: bool) -> None:
     try:
         sync(partial)
         note_renaming(partial, dst)
         if overwrite and os.path.lexists(dst):
-            _replace(partial, dst, beside_recording)
+            _replace(partial, dst, check_again)
         elif partial.is_dir():
             _rename_directory(partial, dst)
         else:
@@ -297,14 +266,15 @@ def _rename_directory(partial: Path, dst: Path) -> None:
         raise
 
 
-def _replace(partial: Path, dst: Path, beside_recording: _Beside | None) -> None:
+def _replace(partial: Path, dst: Path, check_again: Callable[[Path], None] | None) -> None:
     """Replace the old output by the new one; if that fails, restore the old one."""
     if not partial.is_dir() and (dst.is_symlink() or not dst.is_dir()):
         partial.replace(dst)
         return
     if dst.is_dir() and not dst.is_symlink():
-        # Other files may have been added since the beginning.
-        _refuse_other_directory(dst, beside_recording)
+        if check_again is None:
+            raise exists_already(dst)
+        check_again(partial)
     aside = dst.with_name(dst.name + OLD)
     dst.rename(aside)
     try:
@@ -316,17 +286,3 @@ def _replace(partial: Path, dst: Path, beside_recording: _Beside | None) -> None
     # The new output must be on the disk before the old one is removed.
     sync_directory(dst.parent)
     remove(aside)
-
-
-def remove(path: Path) -> None:
-    """Delete a file or a directory if it exists; a symbolic link, not its target."""
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return
-    if stat.S_ISDIR(mode):
-        import shutil  # noqa: PLC0415  # it loads the compression modules
-
-        shutil.rmtree(path)
-    else:
-        path.unlink()

@@ -1,9 +1,10 @@
-"""Hides differences between operating systems: reading at an offset, locks, names, and waiting for the disk."""
+"""Hides differences between operating systems: reading at an offset, locks, names, removing, waiting for the disk."""
 
 from __future__ import annotations
 
 import errno
 import os
+import stat
 from threading import Lock
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ __all__ = [
     "REFUSES_LINKS",
     "lock",
     "read_at",
+    "remove",
     "sought_and_read",
     "sync_directory",
     "sync_file",
@@ -112,3 +114,17 @@ def sync_directory(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def remove(path: Path) -> None:
+    """Delete a file or a directory if it exists; a symbolic link, not its target."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if stat.S_ISDIR(mode):
+        import shutil  # noqa: PLC0415  # it loads the compression modules
+
+        shutil.rmtree(path)
+    else:
+        path.unlink()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import stat
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
+from .ownership import check_kind
 from .places import check_place
 from .source import NewFile
 from .staging import prepared
@@ -16,6 +15,8 @@ from .staging import prepared
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
+
+    from .records import Record
 
 __all__ = ["check_text_output", "file_output", "files_output", "text_output"]
 
@@ -85,7 +86,7 @@ def _staged_file(
 ) -> Iterator[tuple[Callable[[bytes], None], Callable[[], None]]]:
     """Yield a function that writes the file under a temporary name, and one that renames it to its final name."""
 
-    def check() -> bool:
+    def check(_: Record | None) -> bool:
         return _may_replace(path, beginning, overwrite=overwrite)
 
     with prepared(path, check) as (partial, commit):
@@ -117,31 +118,7 @@ def check_text_output(path: Path, *, beginning: bytes, overwrite: bool) -> None:
 def _may_replace(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
     if str(path) == "-":
         raise DestinationError("it is not written to standard output", hint="choose a name: `-` would be a file's name")
-    if not os.path.lexists(path):
-        return False
-    if path.is_dir() and not path.is_symlink():
-        raise DestinationError("cannot be written: it is a directory", path=path, hint="choose another name")
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise DestinationError("cannot be written: it is not a file", path=path, hint="choose another name")
-    if not overwrite and not _is_ours(path, beginning):
-        # Only kinds of files with a known beginning can be recognised as written by pc2scan.
-        raise DestinationError(
-            "exists already" if beginning is None else "exists already, and was not written by pc2scan",
-            path=path,
-            hint="choose another name; or `overwrite=True` replaces it",
-        )
-    return True
-
-
-def _is_ours(path: Path, beginning: bytes | None) -> bool:
-    """Return whether a file may be replaced: it is of the same kind, or empty."""
-    try:
-        if not stat.S_ISREG(path.lstat().st_mode):
-            return False
-        with path.open("rb") as file:
-            return file.read(len(beginning or b" ")) in (beginning, b"")
-    except OSError as err:
-        raise _unwritable(path, err) from err
+    return check_kind(path, beginning, overwrite=overwrite)
 
 
 def _unwritable(path: Path, err: OSError) -> OutputError:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render_messages
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 
 from .case import EXPECTED_TEXT, SETTINGS, load_case

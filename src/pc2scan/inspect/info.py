@@ -277,7 +277,7 @@ def info(
             buffer, warnings = read_transforms([reader, *others], asked)
         elif any(topic.msgtype in CLOUDS for topic in topics):
             buffer = read_some_transforms(reader, asked, start_ns or 0)
-        tolerance_ns = round(ProjectionParams().transform_tolerance * 1e9)
+        tolerance_ns = ProjectionParams().tolerance_ns
         places = Frames(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
         clouds, scans = _samples(reader, topics, samples, start_ns, end_ns, places, buffer)
         return Info(
@@ -372,8 +372,9 @@ def _samples(
         wanted = clouds if connection.ros_type in CLOUDS else scans if connection.ros_type == LASERSCAN else ()
         if connection.topic in wanted:
             connections[connection.topic].append(connection)
-    # The points are in memory until all topics have been read.
-    most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // samples + 1
+    # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
+    taken = min(samples, max(topic.messages for topic in topics if topic.topic in connections))
+    most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // taken + 1
     cloud_looks = {name: CloudLook(name, most, places) for name in connections if name in clouds}
     rates = {topic.topic: topic.rate_hz for topic in topics if topic.msgtype == LASERSCAN}
     scan_looks = {name: ScanLook(name, rates[name], most) for name in connections if name in scans}

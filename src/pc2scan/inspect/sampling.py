@@ -6,7 +6,7 @@ import heapq
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
@@ -44,7 +44,7 @@ def sampled(
     at the next time; if some topics still lack theirs, a new stream is opened for these only, so that chunks without
     them are not read. A new stream reads some data again, so the number of streams is bounded.
     """
-    plan = _SamplingPlan(topics, [start_ns + (end_ns - start_ns) * step // samples for step in range(samples)])
+    plan = _SamplingPlan(topics, samples, start_ns, end_ns)
     budget = reader.summary.size_bytes
     narrowed = 0
     position = start_ns
@@ -65,8 +65,10 @@ def sampled(
             plan.wake(position)
             if plan.take(message):
                 yield message
-            idle = not plan.awake and plan.waiting and plan.next_due() > position
-            if idle and (read != opened or read <= budget):
+            if plan.waiting and plan.next_due() <= position + 1:
+                # A new stream would begin with the next message, for the same topics: this one goes on.
+                continue
+            if not plan.awake and plan.waiting and (read != opened or read <= budget):
                 position = plan.next_due()
                 break
             if read != opened and len(plan.awake) < len(group) and narrowed < _NARROWED * samples:
@@ -95,11 +97,13 @@ class _SamplingPlan:
         Topics that do so from a later time on, by that time.
     """
 
-    def __init__(self, names: Mapping[str, object], times: Sequence[int]) -> None:
-        self._times = times
+    def __init__(self, names: Iterable[str], samples: int, start_ns: int, end_ns: int) -> None:
+        # Their times are computed as they are needed: there may be far more of them than messages.
+        self._samples = samples
+        self._start_ns, self._span_ns = start_ns, end_ns - start_ns
         self._step = dict.fromkeys(names, 0)
-        self.unfinished = dict.fromkeys(names, times[0])
-        self.awake = set(names)
+        self.unfinished = dict.fromkeys(self._step, start_ns)
+        self.awake = set(self._step)
         self.waiting: list[tuple[int, str]] = []
 
     def next_due(self) -> int:
@@ -124,11 +128,11 @@ class _SamplingPlan:
             return False
         self.awake.discard(name)
         self._step[name] += 1
-        if self._step[name] == len(self._times):
+        if self._step[name] == self._samples:
             del self.unfinished[name]
             return True
         # A message is taken once, even if several times are before it.
-        due = max(self._times[self._step[name]], message.log_time_ns + 1)
+        due = max(self._start_ns + self._span_ns * self._step[name] // self._samples, message.log_time_ns + 1)
         self.unfinished[name] = due
         heapq.heappush(self.waiting, (due, name))
         return True

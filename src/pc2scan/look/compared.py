@@ -12,7 +12,7 @@ from pc2scan.compare.diff import open_source, paired_streams
 from pc2scan.compare.match import matched
 from pc2scan.core.compare import differing
 from pc2scan.errors import DecodeError, TopicError
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.shown import counted

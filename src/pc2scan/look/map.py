@@ -11,7 +11,7 @@ from pc2scan.core.occupancy import OccupancyGrid
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, name_list
 from pc2scan.files.limits import MAX_MAP_CELLS
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import files_output
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
@@ -26,7 +26,7 @@ from .map_result import contents_of
 from .opened import opened
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
@@ -47,6 +47,7 @@ def write_map(
     asked: MapOptions,
     *,
     overwrite: bool = False,
+    also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
 ) -> Map:
     """Make a map of a recording, and write it; see `map_of`.
@@ -59,6 +60,8 @@ def write_map(
         The path of the picture. None: beside ``destination``.
     overwrite
         Whether files of these names may be replaced.
+    also_read
+        Files that were read for the options, by option. They are never replaced.
 
     Raises
     ------
@@ -74,7 +77,7 @@ def write_map(
     if not paths:
         raise UsageError("no file to write is given", hint="name the map, `destination=map.yaml`, or `png=map.png`")
     refuse_overlap(
-        [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
+        inputs_of(sources, options.frames.tf_from, also_read),
         [OutputPath(path) for path in paths],
     )
     with files_output(paths, overwrite=overwrite) as deliver:

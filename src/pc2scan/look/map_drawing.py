@@ -100,8 +100,7 @@ class Drawing:
         self.skipped[key] += 1
 
     def _pose(self, frame: str, stamp_ns: int) -> Rigid:
-        tolerance_ns = round(self.options.scan.params.transform_tolerance * 1e9)
-        return self.buffer.lookup(self.asked.odom_frame, frame, stamp_ns, tolerance_ns)
+        return self.buffer.lookup(self.asked.odom_frame, frame, stamp_ns, self.options.scan.params.tolerance_ns)
 
     def _end(self, scan: Scan) -> Rigid | None:
         """Return the transform at the time of the last beam; None if there is none."""

@@ -6,6 +6,8 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 
 from pc2scan.inspect.sampling import sampled
+from pc2scan.pipeline.beforehand import refuse_outside
+from pc2scan.pipeline.run import span_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -31,14 +33,19 @@ def moment(stamp_ns: int) -> str:
 def spread(
     reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, count: int
 ) -> Iterator[RawMessage]:
-    """Yield messages of each topic, evenly spread over the recording or over the cut; see `sampled`."""
-    summary = reader.summary
-    beginning = start_ns = summary.start_ns or 0
-    stop_ns = max(start_ns, summary.end_ns or 0) + 1
-    if options.start is not None:
-        start_ns = max(start_ns, options.start.resolve(beginning))
-    if options.end is not None:
-        stop_ns = min(stop_ns, options.end.resolve(beginning))
+    """Yield messages of each topic, evenly spread over the recording or over the cut; see `sampled`.
+
+    Raises
+    ------
+    UsageError
+        If the cut is empty, or lies outside of the recording.
+    """
+    span = span_of(reader, options)
+    refuse_outside(reader, span.start_ns, span.stop_ns)
+    start_ns = span.first_ns
+    stop_ns = max(reader.summary.start_ns or 0, reader.summary.end_ns or 0) + 1
+    if span.stop_ns is not None:
+        stop_ns = min(stop_ns, span.stop_ns)
     if start_ns >= stop_ns:
         return
     for message in sampled(reader, topics, count, start_ns, stop_ns - 1):

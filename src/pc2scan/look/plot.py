@@ -13,14 +13,14 @@ from pc2scan.core import kernel
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import rule_of
 from pc2scan.errors import UsageError, visible
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import file_output
 
 from .opened import opened, title_of
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -78,6 +78,7 @@ def plot(
     clouds: int = 1,
     at: Sequence[TimeBound] = (),
     overwrite: bool = False,
+    also_read: Mapping[str, Path] | None = None,
 ) -> Plotted:
     """Draw clouds of a recording into a file.
 
@@ -95,6 +96,8 @@ def plot(
         Moments to show instead.
     overwrite
         Whether an existing file may be replaced.
+    also_read
+        Files that were read for the options, by option. They are never replaced.
 
     Raises
     ------
@@ -114,7 +117,7 @@ def plot(
     if not 1 <= clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {clouds}, it must be from 1 to {_MOST_CLOUDS}")
     refuse_overlap(
-        [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
+        inputs_of(sources, options.frames.tf_from, also_read),
         [OutputPath(destination)],
     )
     with (

@@ -154,7 +154,7 @@ def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: S
     params = spec.params
     if buffer is None or not spec.needs_transforms:
         return Frames(source_frame=asked.source_frame)
-    tolerance_ns = round(params.transform_tolerance * 1e9)
+    tolerance_ns = params.tolerance_ns
     up = None
     if spec.level and levelled is not None:
         up = Ups(levelled, buffer, Report([], "", (spec,))).of(spec, tolerance_ns)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.arguments import path_of
 from pc2scan.errors import UsageError
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
@@ -21,7 +21,7 @@ from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions, TimeBound
 
 __all__ = ["Page", "page_of", "view"]
+
+#: Clouds and scans of a topic on one page. All of them are in memory until the page is written, and share its size.
+_MOST_CLOUDS = 1_000
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -88,8 +91,16 @@ def view(
     preset: str = "",
     command: Sequence[str] = (),
     overwrite: bool = False,
+    also_read: Mapping[str, Path] | None = None,
 ) -> Page:
     """Write a page; see `page_of`.
+
+    Parameters
+    ----------
+    overwrite
+        Whether a file that is not a page may be replaced.
+    also_read
+        Files that were read for the options, by option. They are never replaced.
 
     Raises
     ------
@@ -102,7 +113,7 @@ def view(
     """
     check_page_name(destination)
     refuse_overlap(
-        [*map(InputPath, sources), *(InputPath(file, "file of `tf_from`") for file in options.frames.tf_from)],
+        inputs_of(sources, options.frames.tf_from, also_read),
         [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
@@ -129,7 +140,7 @@ def page_of(
     options
         The options of a conversion: topics, parameters, frames, ``start`` and ``end``.
     clouds
-        How many moments of each topic are shown, evenly spread.
+        How many moments of each topic are shown, evenly spread: from 1 to 1,000.
     at
         Moments to show instead.
     preset
@@ -144,8 +155,8 @@ def page_of(
     RecordingError
         If no message can be read.
     """
-    if clouds < 1:
-        raise UsageError(f"clouds is {clouds}, it must be 1 or more")
+    if not 1 <= clouds <= _MOST_CLOUDS:
+        raise UsageError(f"`clouds` is {clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
     with opened(sources, options) as recording:
         reader, _, buffer = recording
         at_ns = recording.log_times(at)

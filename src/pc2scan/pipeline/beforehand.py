@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from .options import TimeBound
 
-__all__ = ["Unconnected", "idle_cut", "refuse_no_messages"]
+__all__ = ["Unconnected", "idle_cut", "refuse_no_messages", "refuse_outside"]
 
 #: How many of the first messages must fail before a user is warned.
 _LOOKED_AT = 10
@@ -57,6 +57,18 @@ def refuse_no_messages(
         f"there is nothing to convert: no messages on {topics}{' in the cut' if is_cut else ''}",
         hint="check `start` and `end`" if is_cut else "pc2scan info lists the topics, and how many messages they have",
     )
+
+
+def refuse_outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> None:
+    """Raise if the cut lies outside of the recording, unless this is damaged, which is reported instead.
+
+    Raises
+    ------
+    UsageError
+        If it does.
+    """
+    if not reader.damage and (outside := _outside(reader, start_ns, stop_ns)) is not None:
+        raise outside
 
 
 def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> UsageError | None:

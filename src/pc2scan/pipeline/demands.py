@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import ResultError
+from pc2scan.errors import ResultError, name_list
 from pc2scan.shown import agreeing, counted
 
 if TYPE_CHECKING:
@@ -34,6 +34,13 @@ def refuse_nothing(report: Report) -> None:
         place = report.damage[0]
         error = f"no message was converted: there was none to convert in a damaged recording: {place.what}"
         raise ResultError(error, path=place.path)
+    joined = [topic for topic in report.topics if topic.action == "joined" and topic.messages_in]
+    if not read and joined:
+        raise ResultError(
+            f"no message was converted: the leading topic has none, so those of "
+            f"{name_list([topic.topic for topic in joined])} are in no scan",
+            hint="`lead` chooses another leading topic; or check `topics`, `start` and `end`",
+        )
     if not read:
         raise ResultError(
             "no message was converted: there was none to convert", hint="check `topics`, `start` and `end`"
@@ -62,7 +69,7 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
                 f"{topic.empty_scans:,} of {counted(topic.messages_out, 'scan')} on {topic.target} "
                 f"{agreeing(topic.empty_scans, 'have')} no return "
                 f"(`fail_on={options.fail_on}`)",
-                hint=_reason_in(report.warnings, f"on {topic.target} "),
+                hint=_reason_in(report.warnings, f"on {topic.target} {agreeing(topic.empty_scans, 'have')} no return"),
             )
         share = topic.points.used / topic.points.total if topic.points.total else 0.0
         if share < options.min_used:

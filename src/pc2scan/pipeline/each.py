@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,8 @@ from pc2scan.bags.destinations import named_after
 from pc2scan.bags.folders import recordings_in
 from pc2scan.bags.opening import sniff
 from pc2scan.errors import DestinationError, Pc2ScanError, UsageError
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
+from pc2scan.files.same_file import path_key
 from pc2scan.remote.urls import is_url
 from pc2scan.version import __version__
 
@@ -119,7 +121,7 @@ def run_each(
         raise UsageError("`each` takes local paths, not URLs", hint="`pc2scan batch URL -o FOLDER/` takes URLs")
     result = Each(list(_with_destinations(sources, output)))
     _refuse_collisions(result.outcomes)
-    inputs = [InputPath(outcome.source) for outcome in result.outcomes]
+    inputs = inputs_of(outcome.source for outcome in result.outcomes)
     for outcome in result.outcomes:
         if outcome.destination is not None:
             refuse_overlap(inputs, [OutputPath(outcome.destination)])
@@ -127,8 +129,8 @@ def run_each(
         deliver = None
         if output.report is not None:
             paths = [path for each in result.outcomes for path in (each.source, each.destination) if path is not None]
-            read = (*paths, *options.frames.tf_from, *(also_read or {}).values())
-            refuse_overlap(map(InputPath, read), [OutputPath(output.report, "`report`")])
+            inputs = inputs_of(paths, options.frames.tf_from, also_read)
+            refuse_overlap(inputs, [OutputPath(output.report, "`report`")])
             deliver = report_file(output, stack)
         for outcome in result.outcomes:
             if outcome.error is None:
@@ -175,18 +177,17 @@ def _expanded(source: Path) -> Sequence[Path]:
 
 def _refuse_collisions(outcomes: Sequence[Outcome]) -> None:
     """Raise if a recording is given twice, or if two would get the same destination."""
-    sources: dict[Path, Path] = {}
-    destinations: dict[tuple[Path, str], Path] = {}
+    sources: dict[str, Path] = {}
+    destinations: dict[object, Path] = {}
     for outcome in outcomes:
-        source = outcome.source.resolve()
+        source = os.path.realpath(outcome.source)
         if source in sources:
             other = f" (as {sources[source]} too)" if sources[source] != outcome.source else ""
             raise UsageError(f"the recording is given twice{other}", path=outcome.source)
         sources[source] = outcome.source
         if outcome.destination is None:
             continue
-        # A file system may ignore case.
-        place = outcome.destination.parent.resolve(), outcome.destination.name.casefold()
+        place = path_key(outcome.destination)
         if place in destinations:
             raise DestinationError(
                 f"would be the output of both {destinations[place]} and {outcome.source}",

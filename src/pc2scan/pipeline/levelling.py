@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.lasting import is_static
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import NEW_ID, TF_QOS, Connection
 from pc2scan.tf.imu_reading import ImuRequest, MeasuredUp, read_up
 from pc2scan.tf.levelling import UpByFrame, UpByImu
-from pc2scan.tf.reading import is_static, tf_connections
+from pc2scan.tf.reading import tf_connections
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from pc2scan.errors import UsageError
 from pc2scan.tf.options import FrameOptions
+from pc2scan.threads import MAX_JOBS
 
 from .scan_spec import ScanSpec
 
@@ -274,8 +275,8 @@ class ConvertOptions:
         if not 0 <= self.min_used <= 1:
             hint = f"{self.min_used:g} % is {self.min_used / 100:g}" if 1 < self.min_used <= 100 else None
             raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1", hint=hint)
-        if self.jobs < 0:
-            raise UsageError(f"jobs is {self.jobs}, it must not be negative")
+        if not 0 <= self.jobs <= MAX_JOBS:
+            raise UsageError(f"`jobs` is {self.jobs:,}, it must be from 0 to {MAX_JOBS:,}")
         if self.only_scans and (self.keep or self.keep_clouds):
             raise UsageError("`only_scans` contradicts `keep` and `keep_clouds`")
 

@@ -6,10 +6,11 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.lasting import is_static
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.tf.placing import Frames
-from pc2scan.tf.reading import is_static, read_transforms, tf_connections
+from pc2scan.tf.reading import read_transforms, tf_connections
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -77,7 +78,7 @@ def prepared(
     for spec in plan.specs:
         frames = Frames(source_frame=asked.source_frame)
         if spec.needs_transforms:
-            tolerance_ns = round(spec.params.transform_tolerance * 1e9)
+            tolerance_ns = spec.params.tolerance_ns
             up = ups.of(spec, tolerance_ns) if ups is not None and spec.level else None
             frames = Frames(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
         if spec.reverse:

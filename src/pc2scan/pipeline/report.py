@@ -168,10 +168,11 @@ class Report(Shown):
 
     @property
     def written_to(self) -> str:
-        """The destination as text; for several files the first, the last and their number."""
+        """The destination for the beginning of a line; for several files the first, the last and their number."""
         if len(self.files) < 2:  # several
-            return self.files[0] if self.files and not FORMATS[self.container].is_directory else self.destination
-        return f"{self.destination}: {len(self.files)} files, {self.files[0]} to {self.files[-1]}"
+            is_file = self.files and not FORMATS[self.container].is_directory
+            return leading(self.files[0] if is_file else self.destination)
+        return f"{leading(self.destination)}: {len(self.files)} files, {self.files[0]} to {self.files[-1]}"
 
     @property
     def skipped_count(self) -> int:
@@ -268,7 +269,7 @@ class Report(Shown):
             yield ""
         yield from self.tables()
         written, read = size(self.bytes_written), size(self.bytes_read)
-        yield f"{leading(self.written_to)}: {written} from {read}, exit status {self.exit_status}"
+        yield f"{self.written_to}: {written} from {read}, exit status {self.exit_status}"
         yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
         yield from listed([str(entry) for entry in self.skipped], "skipped", _MAX_SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):

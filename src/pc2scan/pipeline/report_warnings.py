@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rule import Rejection
 
+    from .combine.counts import SourceCounts
     from .scan_spec import ScanSpec
     from .topic_report import TopicReport
 
@@ -41,6 +42,9 @@ _NOTABLE_GAP = 0.25
 _NOTABLE_TILT = 45.0
 _NO_TILT = 1e-4
 _SEVERAL = 10
+
+#: If messages in a row are in no scan for this long and an interval, nanoseconds, the leading topic is silent.
+_NOTABLE_SILENCE_NS = 2_000_000_000
 
 #: A relative change of the increment that is more than rounding.
 _NOTABLE_STEP = 1e-5
@@ -68,6 +72,7 @@ def topic_warnings(
     elif topic.action == "converted":
         yield from _point_warnings(topic, topic.spec or scan, rejections)
         yield from _removal_warnings(topic, topic.spec or scan, rejections)
+    yield from _jump_warnings(topic)
     yield from _joined_warnings(topic)
     if (motion := topic.motion) and motion["longest_gap_s"] > _NOTABLE_GAP:
         yield (
@@ -157,6 +162,23 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
     return "all of their beams were removed" if points.used else "the clouds have no points"
 
 
+def _jump_warnings(topic: TopicReport) -> Iterator[str]:
+    """Yield a warning about stamps that jump, which no scan may combine."""
+    counts = topic.joined
+    if counts is None or not counts.jumped:
+        return
+    listed = [
+        f"{'back' if jump.by_ns < 0 else 'ahead'} by {f'{abs(jump.by_ns) / 1e9:,.3f}'.rstrip('0').rstrip('.')} s "
+        f"at {stamp_text(jump.stamp_ns)}"
+        for jump in counts.jumps
+    ]
+    more = counts.jumped - len(listed)
+    yield (
+        f"the stamps of {topic.topic} jump {', '.join(listed)}{f' and {more:,} more times' if more else ''}, compared "
+        f"with their log times: no scan on {topic.target} has messages from before and after"
+    )
+
+
 def _joined_warnings(topic: TopicReport) -> Iterator[str]:
     """Yield warnings about messages that become scans together with others."""
     counts, scans = topic.joined, topic.target
@@ -174,16 +196,33 @@ def _joined_warnings(topic: TopicReport) -> Iterator[str]:
             f"nothing of {topic.topic}; {number:,} in a row, "
             f"from {stamp_text(first)} to {stamp_text(last)}"
         )
+    if _are_left_long(topic, counts):
+        yield (
+            f"{_unmatched(topic, counts)}. Scans are made for messages of the leading topic; `lead` chooses another one"
+        )
+
+
+def _are_left_long(topic: TopicReport, counts: SourceCounts) -> bool:
+    """Whether messages in a row are in no scan for so long that the leading topic is silent, or far from them."""
+    every_ns = topic.spec.combining.every_ns if topic.spec else 0
+    return counts.left.last_ns - counts.left.first_ns > _NOTABLE_SILENCE_NS + every_ns
+
+
+def _unmatched(topic: TopicReport, counts: SourceCounts) -> str:
+    """Return how many messages are in no scan, and where most of them are."""
+    first, last, number = counts.left
+    where = f"{number:,} in a row, from {stamp_text(first)} to {stamp_text(last)}"
+    return (
+        f"{counts.unmatched:,} of {counted(counts.messages, 'message')} of {topic.topic} "
+        f"{agreeing(counts.unmatched, 'are')} in no scan on {topic.target}; {where}"
+    )
 
 
 def _joined_notes(topic: TopicReport) -> Iterator[str]:
     """Yield notes about messages that are in no scan, beams that were removed, and beams that became other beams."""
     counts, scans = topic.joined, topic.target
-    if counts is not None and counts.unmatched:
-        yield (
-            f"{counts.unmatched:,} of {counted(counts.messages, 'message')} of {topic.topic} "
-            f"{agreeing(counts.unmatched, 'are')} in no scan on {scans}"
-        )
+    if counts is not None and counts.unmatched and not (topic.action == "joined" and _are_left_long(topic, counts)):
+        yield _unmatched(topic, counts)
     if topic.removed_beams:
         returns = topic.removed_beams["returns"]
         for name, number in topic.removed_beams.items():

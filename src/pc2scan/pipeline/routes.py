@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.formats import FORMATS
+from pc2scan.bags.lasting import is_static, lasts
 from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection
-from pc2scan.tf.reading import is_static
 
 from .conversion import converter
 from .topic_report import TopicReport
@@ -101,7 +101,7 @@ class OpenRoute:
     @property
     def lasts(self) -> bool:
         """Whether its messages are latched, so that those from before the cut are still valid in it."""
-        return self.connection.latching or is_static(self.connection.topic)
+        return lasts(self.connection)
 
 
 def open_routes(
@@ -203,15 +203,16 @@ def count_skipped(
         All other routes: those that write, and those whose messages must be read to be counted.
     """
     skipped = [route for route in routes.values() if not route.writes]
-    counted: dict[int, int] = {}
-    # Latched messages from before the cut would have been written, too.
-    for lasts in (False, True):
-        chosen = [route.connection for route in skipped if route.lasts is lasts]
-        if chosen:
-            counted |= reader.counts(chosen, None if lasts and latched else start_ns, stop_ns)
+    counted = reader.counts([route.connection for route in skipped], start_ns, stop_ns) if skipped else {}
+    # What was latched before the cut would have been written, too.
+    lasting = [route.connection for route in skipped if route.lasts]
+    earlier = reader.counts(lasting, None, start_ns) if lasting and latched and start_ns is not None else {}
     for route in skipped:
         (entry,) = route.reports
-        entry.skip(counted.get(route.connection.id, 0))
+        before = earlier.get(route.connection.id, 0)
+        entry.skip(
+            counted.get(route.connection.id, 0) + (before if is_static(route.connection.topic) else min(before, 1))
+        )
     return {key: route for key, route in routes.items() if key not in counted}
 
 

@@ -11,13 +11,13 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.destinations import (
-    beside_recording,
     check_to,
     default_destination,
     default_storage,
     kept_form,
     open_writer,
     plan_destination,
+    recorded_in,
 )
 from pc2scan.bags.formats import chunk_format, destinations
 from pc2scan.bags.opening import as_one, open_recordings
@@ -205,6 +205,7 @@ def _run_at_urls(
         output.scratch_size,
         output.overwrite,
         output.dry_run,
+        output.cut is not None,
     )
     with ExitStack() as stack:
         write_report = report_file(output, stack)
@@ -219,7 +220,7 @@ def _run_at_urls(
                     progress=progress if here.limit is None else here.limit.watching(progress),
                     warn=None if warn is None else lambda text: warn(here.names.text(text)),
                 )
-                here.upload()
+                done.warnings += here.upload()
                 report: Report = here.names.of(done)
         except Pc2ScanError as err:
             if write_report is not None:
@@ -267,30 +268,28 @@ def _run(
 
         report.warnings += overlap_warnings(readers)
     report.warnings += (*plan.warnings, *doubts(options))
-    in_parts = output.cut is not None and not target.storage
+    in_parts = files.numbered = output.cut is not None and not target.storage
     if in_parts:
-        from pc2scan.files.staged_parts import check_parts, parts_beside, staged_parts  # noqa: PLC0415  # most are one file
-
-        files.parts = parts_beside(path)
+        from pc2scan.files.staged_parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
     if output.dry_run:
         report.dry_run = True
         files.open_report(stack)
         if in_parts and (output.folder is None or output.folder.is_dir()):
             check_parts(path, overwrite=output.overwrite)
         else:
-            check_destination(path, overwrite=output.overwrite, beside_recording=beside_recording, folder=output.folder)
+            check_destination(path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
         _estimate(files, reader, plan, target, options, output, stack, report)
         return None
     if output.folder is not None:
         stack.enter_context(made_folder(output.folder))
     files.open_report(stack)
     if in_parts:
-        staging = staged_parts(path, overwrite=output.overwrite)
+        staging = staged_parts(path, overwrite=output.overwrite, owned=output.owned, warn=report.warnings.append)
     elif piece is not None:
         # A process that was taken for lost may have completed it.
-        staging = staged(piece.folder, overwrite=True, beside_recording=beside_recording)
+        staging = staged(piece.folder, overwrite=True, record_in=recorded_in)
     else:
-        staging = staged(path, overwrite=output.overwrite, beside_recording=beside_recording)
+        staging = staged(path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
     with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
@@ -402,6 +401,12 @@ def _estimate(
 
         last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
         report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
+        if files.numbered:
+            from pc2scan.files.numbered import parts_beside  # noqa: PLC0415
+            from pc2scan.files.staged_parts import staying  # noqa: PLC0415
+
+            there = [part.name for part in parts_beside(target.path) if str(part) not in report.files]
+            report.warnings += staying(target.path.name, there)
 
 
 def robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:

@@ -6,7 +6,7 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.source import changed_while_read, state_of
 
 from .report import BEGINNING
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.splitting import Cut
+    from pc2scan.files.records import Record
     from pc2scan.tf.options import FrameOptions
 
     from .report import Failure, Report
@@ -39,6 +40,9 @@ class OutputOptions(NamedTuple):
         The metadata version of a rosbag2 directory.
     overwrite
         Whether an existing destination, and an existing file at the report's path, are replaced.
+    owned
+        What earlier runs wrote into the destination's folder; it may be replaced without ``overwrite``, too. None: no
+        record says.
     report
         Path of the report as JSON; None for no file.
     folder
@@ -62,6 +66,7 @@ class OutputOptions(NamedTuple):
     profile: str | None = None
     metadata_version: int = 8
     overwrite: bool = False
+    owned: Record | None = None
     report: Path | None = None
     folder: Path | None = None
     to: str | None = None
@@ -110,19 +115,17 @@ class RunFiles:
         self.sources = sources
         self.destination = destination
         self.read = (*sources, *frames.tf_from)
-        named = [*(("`tf_from`", other) for other in frames.tf_from), *also_read.items()]
-        self._inputs = [*map(InputPath, sources), *(InputPath(file, f"file of {option}") for option, file in named)]
+        self._inputs = inputs_of(sources, frames.tf_from, also_read)
         self._states = [state_of(path) for path in self.read]
         self._output = output
-        #: Other files that the destination replaces: parts of a recording of the same name.
-        self.parts: Sequence[Path] = ()
+        #: Whether the destination becomes numbered files.
+        self.numbered = False
         self._write_report: Callable[[str], None] | None = None
 
     def open_report(self, stack: ExitStack) -> None:
         """Raise if an input would be overwritten, or if the report cannot be written."""
         report = [] if self._output.report is None else [OutputPath(self._output.report, "`report`")]
-        paths = [] if self.destination is None else [self.destination, *self.parts]
-        destination = [OutputPath(path) for path in paths]
+        destination = [] if self.destination is None else [OutputPath(self.destination, numbered=self.numbered)]
         refuse_overlap(self._inputs, [*destination, *report])
         self._write_report = report_file(self._output, stack)
 

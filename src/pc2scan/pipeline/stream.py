@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from pc2scan.errors import MessageError, UnwritableError
 from pc2scan.model import StoredChunk, own, owned
@@ -69,7 +69,7 @@ class _Outcome(NamedTuple):
 class Span(NamedTuple):
     """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and its first time.
 
-    ``latched`` is whether latched messages from before it are written, too.
+    ``latched`` is whether what is latched at its beginning is written, too.
     """
 
     start_ns: int | None
@@ -136,19 +136,23 @@ def _outcomes(
     """Return the results of the messages in the cut, after those of latched messages from before it."""
     work = partial(_outcome_or_later, routes)
     window = min((spec.params.queue_size for spec in options.scans if spec.params.queue_size), default=None)
-    for units in _units_of_cut(reader, routes, span, rule):
+    for units in _units_of_cut(reader, routes, span, rule, pool):
         yield from schedule(units, work, pool, window=window, path=reader.path)
 
 
 def _units_of_cut(
-    reader: Reader, routes: Mapping[int, OpenRoute], span: Span, rule: ChunkRule | None
+    reader: Reader, routes: Mapping[int, OpenRoute], span: Span, rule: ChunkRule | None, pool: Threads | None
 ) -> Iterator[Iterable[Unit]]:
-    """Return the units of the cut, after those with the latched messages from before it."""
+    """Return the units of the cut, after the one with what is latched at its beginning."""
     wanted = [route.connection for route in routes.values()]
     start, stop = span.start_ns, span.stop_ns
     lasting = [route.connection for route in routes.values() if route.lasts]
     if start is not None and lasting and span.latched:
-        yield reader.units(lasting, None, start)
+        from .latched import latched_at  # noqa: PLC0415  # most recordings are converted from their beginning
+
+        with closing(schedule(reader.units(lasting, None, start), owned, pool, path=reader.path)) as earlier:
+            # No rule allows whole chunks here.
+            yield [latched_at(cast("Iterator[RawMessage]", earlier), start)]
     yield reader.units(wanted, start, stop, rule)
 
 

@@ -11,7 +11,7 @@ from pc2scan.core.counts import PointCounts
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from .combine.matching import SourceCounts
+    from .combine.counts import SourceCounts
     from .combine.rebinned import Rebinned
     from .scan_spec import ScanSpec
 

@@ -11,6 +11,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
+from time import monotonic
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import Pc2ScanError, RecordingError
@@ -18,6 +19,7 @@ from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.source import on_demand, opened_bytes
 
 from .names import Names
+from .pace import LEAST_BYTES, affordable
 from .store import RemotePath
 from .urls import is_url
 
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Nearby", "complete", "nearby", "stand_in"]
 
 #: Bytes are fetched in blocks of this size. Their transfer takes little time compared with the request itself.
-_BLOCK = 1 << 16
+_BLOCK = LEAST_BYTES
 
 #: Maximum number of blocks in a request.
 _MOST_BLOCKS = 1 << 9
@@ -124,18 +126,21 @@ def complete(path: Path) -> None:
 
 def _stand_in(place: RemotePath, target: Path, stack: ExitStack) -> None:
     size = place.stated().size
-    head = place.bytes_at(0, min(size, _BLOCK)) if size else b""
+    began = monotonic()
+    head = (place.bytes_at(0, min(size, _BLOCK)) or b"") if size else b""
+    took = monotonic() - began
     if size <= _SMALL or head.startswith(_WHOLE):
         place.download(target)
         return
     fetched = _Fetched(place, target, size)
+    fetched.took(len(head), took)
     on_demand[target] = fetched.fetch
     stack.callback(on_demand.pop, target)
     fetched.keep(0, head)
 
 
 class _Fetched:
-    """A stand-in that is filled as it is read."""
+    """A stand-in that is filled as it is read, by requests that a slow network answers in seconds, too."""
 
     def __init__(self, place: RemotePath, path: Path, size: int) -> None:
         self._place = place
@@ -143,6 +148,8 @@ class _Fetched:
         self._size = size
         self._there = bytearray(-(-size // _BLOCK))
         self._lock = Lock()
+        #: Blocks in the next request.
+        self._most = _MOST_BLOCKS
         try:
             with path.open("xb") as file:
                 file.truncate(size)
@@ -160,10 +167,20 @@ class _Fetched:
             block = self._there.find(0, offset // _BLOCK, last)
             while block >= 0:
                 stop = self._there.find(1, block, last)
-                stop = min(last if stop < 0 else stop, block + _MOST_BLOCKS)
+                stop = min(last if stop < 0 else stop, block + self._most)
                 start = block * _BLOCK
-                self.keep(start, self._place.bytes_at(start, min(stop * _BLOCK, self._size)))
+                began = monotonic()
+                data = self._place.bytes_at(start, min(stop * _BLOCK, self._size))
+                if data is None:
+                    self._most = 1
+                    continue
+                self.took(len(data), monotonic() - began)
+                self.keep(start, data)
                 block = self._there.find(0, stop, last)
+
+    def took(self, size: int, seconds: float) -> None:
+        """Choose the size of the next request by how long one of this size took."""
+        self._most = max(1, min(affordable(size, seconds) // _BLOCK, _MOST_BLOCKS))
 
     def keep(self, start: int, data: bytes) -> None:
         """Write fetched bytes into the stand-in."""

@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError, Pc2ScanError
+from pc2scan.files.numbered import parts_among
+from pc2scan.files.staged_parts import staying
 
 from .names import Names
 from .scratch import Limit, Room, scratch_folder
@@ -32,6 +34,8 @@ class Asked(NamedTuple):
         The folder for local copies, and how many bytes it may have; None: the system's folder, and all its free space.
     overwrite, dry_run
         As for local conversions.
+    numbered
+        Whether the destination may become numbered files.
     """
 
     sources: Sequence[Path]
@@ -42,6 +46,7 @@ class Asked(NamedTuple):
     scratch_size: int | None
     overwrite: bool
     dry_run: bool
+    numbered: bool = False
 
 
 class Staged:
@@ -108,8 +113,9 @@ class Staged:
             hint = "give a destination: `destination=scans.mcap`"
             raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown, hint=hint)
         if named is asked.destination:
-            if any(place.key == read.key and place.scheme == read.scheme for read in self._read):
-                raise DestinationError("is a source", path=place.shown)
+            read = [each.name for each in self._read if each.folder == place.folder]
+            for name in (place.name, *(parts_among(read, place.name) if asked.numbered else ())):
+                self._refuse_source(RemotePath(named.parent).child(name))
             RemotePath(named.parent).refuse_existing(place.name, overwrite=asked.overwrite)
         if named is asked.folder:
             self._out = place
@@ -138,16 +144,24 @@ class Staged:
             raise error
         return None if self._out is None or asked.scratch_size is None else Limit(self._scratch, asked.scratch_size)
 
-    def upload(self) -> None:
-        """Upload the result, complete or not at all."""
+    def _refuse_source(self, place: RemotePath) -> None:
+        """Raise if the result would replace something that is read."""
+        if any(place.identity == read.identity for read in self._read):
+            raise DestinationError(
+                "is a source", path=place.shown, hint="sources are never changed; choose another name"
+            )
+
+    def upload(self) -> list[str]:
+        """Upload the result, complete or not at all; return warnings."""
         if self._out is None or self._out_folder is None or self._asked.dry_run:
-            return
+            return []
         sources = {*self.sources, *self.tf_from}
         if self.limit is not None:
             self.limit.check()
         # From the last part to the first: if the first part exists, all parts exist.
         made = sorted((path for path in self._out_folder.iterdir() if path not in sources), reverse=True)
         for path in made:
+            self._refuse_source(self._out.child(path.name))
             self._out.refuse_existing(path.name, overwrite=self._asked.overwrite)
         done: list[str] = []
         try:
@@ -161,6 +175,12 @@ class Staged:
             if len(made) > 1:
                 self._out.remove(done)
             raise
+        target = None if self._asked.destination is None or not self._asked.numbered else self._asked.destination.name
+        names = {path.name for path in made}
+        if target is None or target in names:
+            return []
+        there = parts_among((name for name in self._out.below() if "/" not in name), target)
+        return staying(target, [name for name in there if name not in names])
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import posixpath
 import secrets
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.errors import DestinationError, MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.source import changed_while_read
 
+from .pace import LEAST_BYTES, Pace, TooSlowError, finished
 from .urls import LIBRARIES, shown_url, url_of
 
 if TYPE_CHECKING:
@@ -25,10 +27,13 @@ _VERSION = (
 )
 
 #: Stores in which an unfinished upload is visible. There, files get their names when they are complete.
-_GRADUAL = ("file", "memory")
+_GRADUAL = ("memory",)
 
 #: Timeouts in seconds: for a connection, and for the next bytes.
 _CONNECT_SECONDS, _READ_SECONDS = 10, 20
+
+#: Stores whose libraries show blocks of up to 32 MB only, so that the pace of a whole file cannot be judged.
+_IN_BLOCKS = ("az", "abfs", "abfss")
 
 _DENIED = (401, 403)
 _NOT_FOUND = 404
@@ -106,6 +111,16 @@ class RemotePath:
         return self.shown.rstrip("/").rpartition("/")[0]
 
     @property
+    def identity(self) -> tuple[object, str]:
+        """What is equal for URLs of one object: the store, whatever its scheme is called, and the key."""
+        return type(self._fs), posixpath.normpath(self.key)
+
+    @property
+    def folder(self) -> tuple[object, str]:
+        """The `identity` of the folder."""
+        return type(self._fs), posixpath.dirname(posixpath.normpath(self.key))
+
+    @property
     def is_read_only(self) -> bool:
         """Whether files there can only be read."""
         return self.scheme in {"http", "https"}
@@ -144,13 +159,13 @@ class RemotePath:
         if self.scheme in _GRADUAL:
             return True
         with self.reported():
-            return bool(self._fs.exists(self.key.strip("/").partition("/")[0]))
+            return bool(finished(self._fs, "exists", self.key.strip("/").partition("/")[0], pace=Pace()))
 
     def is_folder(self) -> bool:
         """Whether it is a folder: other keys begin with this one. True for the root of a store."""
         with self.reported():
             self._fs.invalidate_cache()
-            return not self._fs.isfile(self.key)
+            return not finished(self._fs, "isfile", self.key, pace=Pace())
 
     def child(self, below: str) -> RemotePath:
         """Return the place at a path relative to this folder."""
@@ -188,12 +203,12 @@ class RemotePath:
     def _exists(self, key: str) -> bool:
         with self.reported():
             self._fs.invalidate_cache()
-            return bool(self._fs.exists(key))
+            return bool(finished(self._fs, "exists", key, pace=Pace()))
 
     def _info(self, key: str) -> dict[str, Any]:
         with self.reported():
             self._fs.invalidate_cache()
-            found: dict[str, Any] = self._fs.info(key)
+            found: dict[str, Any] = finished(self._fs, "info", key, pace=Pace())
         return found
 
     def files(self) -> dict[str, RemotePath] | None:
@@ -216,10 +231,15 @@ class RemotePath:
         other.__dict__.update(self.__dict__, key=key, shown=shown)
         return other
 
-    def bytes_at(self, start: int, stop: int) -> bytes:
-        """Read a range of bytes."""
+    def bytes_at(self, start: int, stop: int) -> bytes | None:
+        """Read a range of bytes; None if it is longer than `LEAST_BYTES`, and the transfer too slow for it."""
         with self.reported():
-            data = bytes(self._fs.cat_file(self.key, start=start, end=stop))
+            try:
+                data = bytes(finished(self._fs, "cat_file", self.key, start=start, end=stop, pace=Pace()))
+            except TooSlowError:
+                if stop - start > LEAST_BYTES:
+                    return None
+                raise
         if len(data) != stop - start:
             raise RecordingError(
                 f"the server sent {len(data)} bytes instead of {stop - start}: it does not serve ranges, or the file "
@@ -235,8 +255,13 @@ class RemotePath:
         ``check`` is called from time to time. If it raises, the download ends.
         """
         before = self.stated()
+        pace = Pace()
         with self.reported():
-            self._fs.get_file(self.key, str(target), **_called(check))
+            if self.scheme in _IN_BLOCKS:
+                self._fs.get_file(self.key, str(target), **_called(check))
+            else:
+                options = _called(check, pace.arrived)
+                finished(self._fs, "get_file", self.key, str(target), pace=pace, **options)
         if self.stated() != before:
             raise self.changed()
         arrived = target.stat().st_size
@@ -280,14 +305,6 @@ class RemotePath:
         self._put(source, key, check)
         return key
 
-    def remove_below(self) -> None:
-        """Remove an earlier output that is a folder; its metadata.yaml first, so that it is no recording any more."""
-        for below in sorted(self.below(), key=lambda name: (name != "metadata.yaml", name)):
-            self.child(below).delete()
-        if self.scheme in _GRADUAL:
-            with suppress(Exception):
-                self._fs.rm(self.key, recursive=True)
-
     def refuse_existing(self, name: str, *, overwrite: bool) -> None:
         """Raise if this name exists in the folder and may not be replaced. Folders are never replaced."""
         key = f"{self.key.rstrip('/')}/{name}"
@@ -295,7 +312,7 @@ class RemotePath:
         if not self._exists(key):
             return
         with self.reported():
-            is_folder = self._fs.isdir(key)
+            is_folder = finished(self._fs, "isdir", key, pace=Pace())
         if is_folder:
             raise DestinationError("is a folder; folders in a store are never replaced", path=shown, hint=_OTHER_NAME)
         if not overwrite:
@@ -364,6 +381,8 @@ class RemotePath:
             return kind("no space for its local copy", path=self.shown, hint="give another disk's folder as `scratch`")
         if name.startswith(_UNREACHABLE):
             return kind(f"the host cannot be reached ({name})", path=self.shown, hint=_NO_ANSWER)
+        if isinstance(err, TooSlowError):
+            return kind(f"the transfer is too slow to finish: {err}", path=self.shown, hint=_AGAIN)
         if "Timeout" in name:
             return kind(f"the store does not answer in time ({name})", path=self.shown, hint=_NO_ANSWER)
         does = "upload" if writes else "download"
@@ -411,16 +430,17 @@ def _status(err: BaseException) -> int | None:
     return status if isinstance(status, int) else None
 
 
-def _called(check: Callable[[], None] | None) -> dict[str, Any]:
-    """Return the argument that lets fsspec call a function while it copies."""
-    if check is None:
+def _called(check: Callable[[], None] | None, arrived: Callable[[int], None] | None = None) -> dict[str, Any]:
+    """Return the argument that lets fsspec call functions while it copies: ``arrived`` with the number of bytes."""
+    if check is None and arrived is None:
         return {}
     from fsspec.callbacks import Callback  # noqa: PLC0415  # only an extra
 
-    called = check
-
     class Called(Callback):  # type: ignore[misc, unused-ignore]
         def call(self, *_names: object, **_values: object) -> None:
-            called()
+            if arrived is not None:
+                arrived(self.value)
+            if check is not None:
+                check()
 
     return {"callback": Called()}

@@ -1,4 +1,7 @@
-"""Recognises paths that are URLs. Every command imports this module, so it must load quickly."""
+"""Recognises paths that are URLs of stores. Every command imports this module, so it must load quickly.
+
+``file:`` URLs are not among them: `pc2scan.arguments.local_path` has made paths of them before.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,6 @@ LIBRARIES = {
     "abfss": "adlfs",
     "https": "aiohttp",
     "http": "aiohttp",
-    "file": "",
     "memory": "",
 }
 
@@ -43,12 +45,11 @@ def url_of(path: Path) -> str:
     """Return the URL that a path was given as.
 
     >>> from pathlib import PurePosixPath as Path
-    >>> url_of(Path("s3://bucket/drive.mcap")), url_of(Path("file:///tmp/drive.mcap"))
-    ('s3://bucket/drive.mcap', 'file:///tmp/drive.mcap')
+    >>> url_of(Path("s3://bucket/drive.mcap"))
+    's3://bucket/drive.mcap'
     """
     scheme, _, rest = path.as_posix().partition(":")
-    rest = rest.lstrip("/")
-    return f"{scheme}:///{rest}" if scheme == "file" else f"{scheme}://{rest}"
+    return f"{scheme}://{rest.lstrip('/')}"
 
 
 def shown_url(url: str) -> str:

@@ -176,7 +176,7 @@ class Source(NamedTuple):
     read
         Makes the items of a message.
     latched
-        Connections whose messages from before the cut are read, too.
+        Connections whose messages that are latched at the beginning of the cut are read, too.
     account
         Counts the result of each message; None if not needed.
     joints
@@ -218,7 +218,9 @@ class Source(NamedTuple):
         reader = self.readers[0]
         parts = [reader.units(self.connections, self.start_ns, self.stop_ns)]
         if self.latched and self.start_ns is not None:
-            parts.insert(0, reader.units(self.latched, None, self.start_ns))
+            from pc2scan.pipeline.latched import latched_at  # noqa: PLC0415  # few streams have them
+
+            parts.insert(0, [latched_at(reader.messages(self.latched, None, self.start_ns), self.start_ns)])
         for units in parts:
             with closing(in_time_order(units, self.read, path=reader.path)) as found:
                 # Readers yield whole chunks only if they are given a rule for them, which is not the case here.

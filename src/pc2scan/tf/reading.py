@@ -6,6 +6,7 @@ import math
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.lasting import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.names import did_you_mean
@@ -28,7 +29,6 @@ __all__ = [
     "begun_with",
     "built",
     "collect_transforms",
-    "is_static",
     "read_some_transforms",
     "read_transforms",
     "recorded_transforms",
@@ -78,11 +78,6 @@ def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()
         f"several robots have transforms: {', '.join(f'/{space}' for space in sorted(spaces))}",
         hint=f"choose one: `tf_topics=/{min(spaces)}/tf` `tf_topics=/{min(spaces)}/tf_static`",
     )
-
-
-def is_static(topic: str) -> bool:
-    """Whether transforms on this topic are valid at any time."""
-    return topic.rsplit("/", 1)[-1] == "tf_static"
 
 
 def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
@@ -214,5 +209,5 @@ def recorded_transforms(path: Path) -> Callable[[str, str, int], Rigid]:
         buffer, _ = read_transforms([reader], FrameOptions())
     finally:
         reader.close()
-    tolerance_ns = round(ProjectionParams().transform_tolerance * 1e9)
+    tolerance_ns = ProjectionParams().tolerance_ns
     return lambda target, source, stamp_ns: buffer.lookup(target, source, stamp_ns, tolerance_ns)

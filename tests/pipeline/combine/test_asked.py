@@ -21,7 +21,7 @@ from pc2scan.pipeline.combine.asked import Combining
         ({"accumulate": "10clouds"}, Combining(count=10)),
         ({"accumulate": "3 scans", "every": "1/2"}, Combining(count=3, every_ns=500_000_000)),
         # An interval has what is in it, if nothing else is said.
-        ({"every": 0.1}, Combining(span_ns=100_000_000, every_ns=100_000_000)),
+        ({"every": 0.1}, Combining(every_ns=100_000_000)),
         ({"every": "1s", "accumulate": "2s"}, Combining(span_ns=2_000_000_000, every_ns=1_000_000_000)),
         ({"lead": "/a", "window": "30ms"}, Combining(lead="/a", window_ns=30_000_000)),
     ],

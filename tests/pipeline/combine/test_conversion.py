@@ -19,7 +19,8 @@ from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.combine import conversion as combine
 from pc2scan.pipeline.combine.asked import Combining
 from pc2scan.pipeline.combine.conversion import CombineToScan, Prepared, kept_together
-from pc2scan.pipeline.combine.matching import Nearest
+from pc2scan.pipeline.combine.matching import Grouper
+from pc2scan.pipeline.combine.rules import Nearest
 from pc2scan.pipeline.conversion import Measured, Result
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from pc2scan.pipeline.stages.height_slope import MinHeightSlope
@@ -45,7 +46,7 @@ def frames() -> Frames:
 
 def conversion(params: ProjectionParams, **options: Any) -> CombineToScan:
     spec = ScanSpec(topics=tuple(TopicRequest(topic, "/scan") for topic in TOPICS), params=params, **options)
-    return CombineToScan(spec, TOPICS, frames(), Measured(0.1), lambda: Nearest([0, 0, 0]))
+    return CombineToScan(spec, TOPICS, frames(), Measured(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3))
 
 
 def cloud(rng: np.random.Generator, frame: str, stamp_ns: int) -> Points:
@@ -151,7 +152,9 @@ def test_a_scan_is_the_same_whichever_one_its_messages_were_projected_for(
             fixed_frame="odom",
             filters=filters,
         )
-        made = CombineToScan(spec, TOPICS, moving_frames(), Measured(0.1), lambda: Nearest([0, 0, 0]))
+        made = CombineToScan(
+            spec, TOPICS, moving_frames(), Measured(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3)
+        )
         stages = [made.stages(topic)[0] for topic in TOPICS]
         first, second = (stages[0](cloud(rng, "a", T0 + ms * 1_000_000)) for ms in (0, 200))
         rear: Prepared = stages[1](cloud(rng, "b", T0 + 237_000_000))

@@ -15,6 +15,7 @@ from pc2scan.bags.chunked.segments import Segment
 from pc2scan.bags.damage import MAX_PLACES
 from pc2scan.errors import DamageError
 from pc2scan.files.crc32 import crc32
+from pc2scan.files.limits import ConnectionLimit
 
 from . import record_types as records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
@@ -95,6 +96,8 @@ class McapIndex:
         Where the data section ends, and its CRC (0 if none was written). None if there is no DataEnd record.
     differing
         Schemas and channels that are declared again differently: names and offsets.
+    limit
+        Of the channels and schemas; None before the first.
     """
 
     profile: str = ""
@@ -112,6 +115,7 @@ class McapIndex:
     verified: bool = False
     data_end: tuple[int, int] | None = None
     differing: dict[str, int] = field(default_factory=dict)
+    limit: ConnectionLimit | None = None
 
     def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
         """Add a Schema or a Channel; other records are ignored. The first of an id is kept."""
@@ -120,7 +124,13 @@ class McapIndex:
         record = _declared(opcode, content, offset, file)
         known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
         # "A Schema record with an id of zero is invalid and should be ignored."
-        if (record.id or opcode == Opcode.CHANNEL) and known.setdefault(record.id, record) != record:
+        if not record.id and opcode == Opcode.SCHEMA:
+            return
+        held = known.setdefault(record.id, record)
+        if held is record:
+            self.limit = self.limit or ConnectionLimit(file.path, file.size)
+            self.limit.add(len(content), count=opcode == Opcode.CHANNEL)
+        elif held != record:
             self._differs(_name_of(record), offset)
 
     def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str | None:

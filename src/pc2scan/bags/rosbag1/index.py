@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.chunked.segments import Segment
 from pc2scan.errors import RecordingError
-from pc2scan.files.limits import MAX_CONNECTIONS
+from pc2scan.files.limits import ConnectionLimit
 
 from .chunks import payload, records_in
 from .records import (
@@ -30,13 +30,13 @@ from .records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from pc2scan.model import Buffer, Connection
 
     from .records import BagFile
 
-__all__ = ["BagIndex", "ConnectionCheck", "chunk_segment", "contained_span", "read_index"]
+__all__ = ["BagIndex", "ConnectionCheck", "Connections", "chunk_segment", "contained_span", "read_index"]
 
 
 class BagIndex(NamedTuple):
@@ -48,6 +48,20 @@ class BagIndex(NamedTuple):
     connections: dict[int, Connection]
     segments: list[Segment]
     unlisted: frozenset[int] = frozenset()
+
+
+class Connections:
+    """The connections of a bag by id, of which the first description counts; they are limited (`ConnectionLimit`)."""
+
+    def __init__(self, file: BagFile) -> None:
+        self.by_id: dict[int, Connection] = {}
+        self._limit = ConnectionLimit(file.path, file.size)
+
+    def add(self, fields: Mapping[bytes, bytes], body: Buffer) -> None:
+        """Add the connection of a record with these fields and this body."""
+        connection = parsed_connection(fields, body)
+        if self.by_id.setdefault(connection.id, connection) is connection:
+            self._limit.add(len(body))
 
 
 class ConnectionCheck:
@@ -91,13 +105,11 @@ class ConnectionCheck:
 def read_index(file: BagFile) -> BagIndex:
     """Read the index of a bag."""
     position, connection_count, chunk_count = _read_bag_header(file)
-    if connection_count > MAX_CONNECTIONS:
-        raise Damaged(f"{connection_count} connections are declared, at most {MAX_CONNECTIONS} are allowed")
-    connections: dict[int, Connection] = {}
+    found = Connections(file)
     for _ in range(connection_count):
         fields, start, position = file.record(position, CONNECTION)
-        connection = parsed_connection(fields, file.body(start, position))
-        connections.setdefault(connection.id, connection)
+        found.add(fields, file.body(start, position))
+    connections = found.by_id
 
     counts = dict.fromkeys(connections, 0)
     located = []
@@ -134,7 +146,7 @@ def read_index(file: BagFile) -> BagIndex:
         if known:
             segments.append(known)
     unlisted = frozenset(counts) - connections.keys()
-    connections.update(_find_connections(file, segments, set(unlisted)))
+    _find_connections(file, segments, set(unlisted), found)
     return BagIndex(
         {key: replace(connection, message_count=counts[key]) for key, connection in connections.items()},
         segments,
@@ -216,17 +228,14 @@ def _with_times(file: BagFile, segment: Segment) -> Segment | None:
     return replace(segment, start_ns=span[0], end_ns=span[1]) if span else None
 
 
-def _find_connections(
-    file: BagFile, segments: Sequence[Segment], missing: set[int]
-) -> Iterator[tuple[int, Connection]]:
+def _find_connections(file: BagFile, segments: Sequence[Segment], missing: set[int], found: Connections) -> None:
     """Find connections in the chunks that have messages and are not in the index."""
     for segment in segments:
         if not missing:
             return
         for fields, body in records_in(memoryview(payload(file, segment))):
-            if kind_of(fields) == CONNECTION and uint32_field(fields, "conn") in missing:
-                connection = parsed_connection(fields, body)
-                missing.discard(connection.id)
-                yield connection.id, connection
+            if kind_of(fields) == CONNECTION and (identity := uint32_field(fields, "conn")) in missing:
+                found.add(fields, body)
+                missing.discard(identity)
     if missing:
         raise Damaged(f"connection {min(missing)} has messages but is not described")

@@ -80,6 +80,9 @@ UINT32_MAX = 0xFFFF_FFFF
 SECOND_NS = 1_000_000_000
 _READ_AHEAD = 4096
 
+#: Fields of a header; publishers write about ten. In memory a field takes many times its bytes.
+_MAX_FIELDS = 4096
+
 UINT32 = struct.Struct("<I")
 UINT64 = struct.Struct("<Q")
 PAIR = struct.Struct("<II")
@@ -92,7 +95,7 @@ class Damaged(Exception):  # noqa: N818  # it never leaves the reader
 def parsed_fields(raw: Buffer) -> dict[bytes, bytes]:
     """Split a header into fields; each is a uint32 length and ``name=value``."""
     raw = bytes(raw)
-    fields = {}
+    fields: dict[bytes, bytes] = {}
     position = 0
     while position < len(raw):
         start = position + 4
@@ -105,6 +108,8 @@ def parsed_fields(raw: Buffer) -> dict[bytes, bytes]:
         name, equals, value = raw[start:position].partition(b"=")
         if not equals:
             raise Damaged(f"the header field {name[:40]!r} has no '='")
+        if len(fields) == _MAX_FIELDS:
+            raise Damaged(f"a header has more than {_MAX_FIELDS} fields")
         fields[name] = value
     return fields
 

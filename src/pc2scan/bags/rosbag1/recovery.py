@@ -8,6 +8,7 @@ way.
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from pc2scan.bags.chunked.segments import Segment, times_around
 from pc2scan.files.salvage import decompressed_prefix
 
 from .chunks import FoundMessages, payload
-from .index import BagIndex, chunk_segment
+from .index import BagIndex, Connections, chunk_segment
 from .records import (
     BAG_HEADER,
     CHUNK,
@@ -27,7 +28,6 @@ from .records import (
     SECOND_NS,
     Damaged,
     kind_of,
-    parsed_connection,
     time_field,
     uint32_field,
 )
@@ -55,8 +55,7 @@ _RUN_SIZE = 4 << 20
 class _Found:
     """The results of the pass over the file."""
 
-    connections: dict[int, Connection] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
+    connections: Connections
     segments: list[Segment] = field(default_factory=list)
     gaps: list[tuple[int, int, str]] = field(default_factory=list)
 
@@ -99,7 +98,7 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
     """
     if log.strict:
         raise problem
-    found = _Found()
+    found = _Found(Connections(file))
     position = _next_after_header(file)
     loose = _Stamps()
     loose_start = position
@@ -166,7 +165,7 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
     end_run(file.size)
     _find_times(file, found, log)
     _note(file, found, problem, log)
-    connections = {key: replace(item, message_count=None) for key, item in sorted(found.connections.items())}
+    connections = {key: replace(item, message_count=None) for key, item in sorted(found.connections.by_id.items())}
     return BagIndex(connections, [segment for segment in found.segments if segment.end_ns])
 
 
@@ -183,11 +182,9 @@ def _note_record(file: BagFile, found: _Found, position: int, record: Record) ->
         _add_chunk(file, found, position, record.stop)
     elif record.kind == CONNECTION:
         try:
-            connection = parsed_connection(record.fields, file.nearby(record.start, record.stop - record.start))
+            found.connections.add(record.fields, file.nearby(record.start, record.stop - record.start))
         except Damaged as err:
             found.gaps.append((position, record.stop, str(err)))
-        else:
-            found.connections.setdefault(connection.id, connection)
 
 
 def _with_entries(index: _Stamps | None, file: BagFile, record: Record) -> _Stamps | None:
@@ -242,8 +239,9 @@ def _set_end(found: _Found, record: Record, stop: int) -> None:
 def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
     """Read the chunks whose times are not in index records, or that may describe unknown connections."""
     segments = []
+    known = found.connections.by_id
     for segment in found.segments:
-        if segment.end_ns and segment.connection_ids is not None and segment.connection_ids <= found.connections.keys():
+        if segment.end_ns and segment.connection_ids is not None and segment.connection_ids <= known.keys():
             segments.append(segment)
             continue
         try:
@@ -257,11 +255,8 @@ def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
             if kind_of(fields) == MESSAGE:
                 stamps.add(uint32_field(fields, "conn"), time_field(fields, "time"))
             elif kind_of(fields) == CONNECTION:
-                try:
-                    connection = parsed_connection(fields, data[start:stop])
-                except Damaged:
-                    continue
-                found.connections.setdefault(connection.id, connection)
+                with suppress(Damaged):
+                    found.connections.add(fields, data[start:stop])
         if stamps.counts:
             segments.append(
                 replace(

@@ -33,6 +33,7 @@ from pc2scan.bags.folders import are_named_as_parts, natural_order, recordings_i
 from pc2scan.bags.formats import and_list, storages
 from pc2scan.bags.qos import latches
 from pc2scan.errors import DamageError, RecordingError
+from pc2scan.files.records import Record
 from pc2scan.files.source import opened_text
 from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 from pc2scan.model import Connection
@@ -47,11 +48,11 @@ __all__ = [
     "ROOT",
     "BagInfo",
     "Extent",
-    "beside_recording",
     "is_in",
     "is_one",
     "located_file",
     "read_info",
+    "recorded_in",
     "storage_files",
 ]
 
@@ -182,14 +183,11 @@ def located_file(folder: Path, name: str) -> Path:
     )
 
 
-def beside_recording(folder: Path) -> str:
-    """Return why a directory is not just a rosbag2 recording; empty if it is one, or if it is empty.
+def recorded_in(folder: Path) -> Record | str:
+    """Return the record of a directory's files that its metadata.yaml is; text if it is none: the reason.
 
     A recording's files are its metadata.yaml, the storage files that this names, and the logs beside them.
     """
-    entries = sorted(folder.iterdir())
-    if not entries:
-        return ""
     if not (folder / METADATA_NAME).is_file():
         return f"it has no {METADATA_NAME}"
     try:
@@ -200,13 +198,10 @@ def beside_recording(folder: Path) -> str:
             raise
         return f"its {METADATA_NAME} is not understood: {err.message}"
     plain = {zstd.without_suffix(name) for name in info.files if _storage_of(name) is not None}
-    own = {METADATA_NAME, *(name + suffix for name in plain for suffix in ("", *zstd.SUFFIXES, *_LOGS))}
-    foreign = next((entry.name for entry in entries if entry.name not in own or not _is_file_or_link(entry)), None)
-    return f"its {METADATA_NAME} does not name {foreign}" if foreign else ""
-
-
-def _is_file_or_link(path: Path) -> bool:
-    return path.is_symlink() or path.is_file()
+    # Not what it names in other folders: versions 1 and 2 begin with the directory's name.
+    plain = {name for name in plain if "/" not in name}
+    own = (METADATA_NAME, *(name + suffix for name in plain for suffix in ("", *zstd.SUFFIXES, *_LOGS)))
+    return Record(dict.fromkeys(own), METADATA_NAME)
 
 
 def _storage_of(name: str) -> str | None:

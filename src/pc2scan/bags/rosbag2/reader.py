@@ -14,6 +14,7 @@ from pc2scan.bags.folders import refuse_unrelated
 from pc2scan.bags.formats import ReadOptions, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.errors import DamageError, RecordingError, stamp_text
+from pc2scan.files.limits import ConnectionLimit
 from pc2scan.files.source import opened_bytes
 from pc2scan.files.temporary import private_folder
 
@@ -72,6 +73,7 @@ class Rosbag2Reader(MergedReader):
         self._info = read_info(path, self._log)
         files: list[Path] = []
         opened: list[Reader] = []
+        limit = ConnectionLimit(path)
         with ExitStack() as undo:
             undo.callback(self._discard_temporary)
             for name in self._info.files:
@@ -85,6 +87,7 @@ class Rosbag2Reader(MergedReader):
                     self._lose(name, err)
                     continue
                 undo.callback(reader.close)
+                limit.add_file(reader.connections, reader.summary.size_bytes)
                 files.append(file)
                 opened.append(reader)
             if self._info.is_guessed:
@@ -175,6 +178,8 @@ class Rosbag2Reader(MergedReader):
         known = [damage.messages_lost for damage in self._log.found if damage.loses]
         if stored is None or declared is None or None in known:
             return
+        # What the files themselves lack by their own damage is noted there.
+        known += [damage.messages_lost for damage in super().damage if damage.messages_lost]
         missing = declared - stored - sum(filter(None, known))
         details = ""
         if not known and all(connection.message_count is not None for connection in self.connections):

@@ -97,7 +97,7 @@ class RunGroup(Group):
             "-j",
             min=0,
             metavar="N",
-            help="Number of threads; the output does not depend on it.  [default: number of cores]",
+            help="Number of threads, up to 1,024; the output does not depend on it.  [default: number of cores]",
             show_default=False,
             rich_help_panel=RUN,
         ),

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from typer.models import TyperPath
 
-from pc2scan.cli.groups import Group
+from pc2scan.cli.groups import Group, PathType
 
 from . import OUTPUT, REPORT
 
@@ -32,7 +31,7 @@ Destination = Annotated[
         help="*.bag: ROS 1 bag; *.mcap: MCAP file; DIR/: a file in this folder, named after SRC; any other name: "
         "rosbag2 directory.  [default: next to SRC, in SRC's format, with _scan (repair: _repaired) in its name]",
         show_default=False,
-        click_type=TyperPath(path_type=str),
+        click_type=PathType(path_type=str),
     ),
 ]
 

@@ -61,7 +61,7 @@ class TopicsGroup(Group):
         typer.Option(
             metavar="TIME",
             help="Start time: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). "
-            "Earlier latched messages and static transforms are kept.",
+            "Messages that are latched then, and static transforms, are written at the start.",
             rich_help_panel=TOPICS,
         ),
     ] = None

@@ -33,7 +33,8 @@ class Combining(NamedTuple):
         The largest difference between the stamps of another topic and of the leading one, nanoseconds; None: half the
         median period.
     span_ns, count
-        A scan has the points of this many nanoseconds, or of this many messages of each topic; both 0: of one message.
+        A scan has the points of this many nanoseconds, or of this many messages of each topic, counted back from its
+        stamp; both 0: of one message, or of its interval.
     every_ns
         The length of an interval that becomes one scan, nanoseconds; 0: each message of the leading topic becomes one.
     rebin
@@ -77,15 +78,13 @@ class Combining(NamedTuple):
         elif accumulate is not None:
             span_ns = _nanoseconds("accumulate", accumulate, "; or a number of clouds (10clouds)")
         every_ns = 0 if every is None else _nanoseconds("every", every)
-        if every_ns and not count:
-            span_ns = span_ns or every_ns
         window_ns = None if window is None else _nanoseconds("window", window)
         return cls(lead, window_ns, span_ns, count, every_ns, rebin)
 
     @property
     def accumulates(self) -> bool:
         """Whether scans are made of several messages of each topic."""
-        return bool(self.span_ns or self.count)
+        return bool(self.span_ns or self.count or self.every_ns)
 
 
 def _nanoseconds(name: str, value: Duration, more: str = "") -> int:

@@ -181,7 +181,7 @@ class CombineToScan(Conversion):
         #: Whether the transform of points does not depend on the scan's time, so that no message waits for that.
         self._rigid = not spec.fixed_frame and frames.up is None
         #: Whether a message is in at most one scan. A leading message is in the scan of its own time.
-        self._once = not (spec.combining.accumulates or spec.combining.every_ns)
+        self._once = not spec.combining.accumulates
         #: The messages of the leading topic that were prepared last, in any order. The list is replaced, never changed,
         #: because threads share it.
         self._leads: list[Prepared] = []

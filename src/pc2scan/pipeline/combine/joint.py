@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from pc2scan.threads import Threads
 
     from .conversion import CombineToScan, Prepared
-    from .matching import Entry, Group
+    from .rules import Entry
+    from .series import Group
 
 __all__ = ["Arrived", "Joint", "MadeScan", "with_scans"]
 

@@ -17,10 +17,11 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.clocks import are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measured
 
-from .matching import Intervals, Nearest, Recent
+from .matching import Grouper
+from .rules import Interval, Nearest, Recent
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.points import Points
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from .asked import Combining
     from .conversion import Prepared
-    from .matching import Grouper
+    from .rules import Rule
 
 __all__ = ["measured"]
 
@@ -43,6 +44,9 @@ _HALF_PERIOD_NS = 50_000_000
 
 #: Two topics have different clocks if the delays from their stamps to their log times differ by this.
 _SURELY_ANOTHER_NS = 2_000_000_000
+
+#: At the beginning of each of so many parts of the recording, clocks are compared that differ in the first messages.
+_QUARTERS = 4
 
 #: A window of more periods was probably meant in milliseconds.
 _MOST_PERIODS = 5
@@ -139,26 +143,26 @@ def measured(
     if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
         found = Measured(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
     warnings = _doubtful(asked, reader, topics, firsts)
+    later = partial(_later_delays, reader, own, start_ns, stop_ns)
     grouper: Callable[[], Grouper[Prepared]]
-    if asked.every_ns:
-        begin_ns = 0
-        if lead is not None and lead.stamps:
-            # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
-            begin_ns = min(lead.stamps) - (lead.period_ns or 0) // 2
-        grouper = partial(Intervals, len(topics), asked.every_ns, begin_ns, asked.span_ns, asked.count)
-        return found, grouper, notes, [*warnings, *_clocks(firsts, topics, None)]
     if asked.accumulates:
-        grouper = partial(Recent, len(topics), asked.span_ns, asked.count)
-        return found, grouper, notes, [*warnings, *_clocks(firsts, topics, None)]
+        # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
+        half_ns = 0 if lead is None else (lead.period_ns or 0) // 2
+        rule: Rule = Recent(asked.every_ns, half_ns, asked.span_ns, asked.count)
+        if not (asked.span_ns or asked.count):
+            rule = Interval(asked.every_ns, half_ns)
+        grouper = partial(Grouper, rule, len(topics))
+        return found, grouper, notes, [*warnings, *_clocks(firsts, topics, None, later)]
     if len(topics) == 1:
         return found, None, notes, warnings
     windows = _windows(firsts, topics, asked.window_ns)
-    warnings += _clocks(firsts, topics, windows)
+    warnings += _clocks(firsts, topics, windows, later)
     joined = ", ".join(
         f"{topic} (within {window / 1e9:.4g} s)" for topic, window in zip(topics[1:], windows[1:], strict=True)
     )
     notes.append(f"{combination.target}: has the stamps of {topics[0]}, and the nearest messages of {joined}")
-    return found, partial(Nearest, windows), notes, warnings
+    grouper = partial(Grouper, Nearest(windows_ns=tuple(windows)), len(topics), apart_ns=asked.window_ns or 0)
+    return found, grouper, notes, warnings
 
 
 def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: Mapping[str, _Firsts]) -> list[str]:
@@ -166,8 +170,8 @@ def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: M
     start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
     length_ns = 0 if start_ns is None or end_ns is None else end_ns - start_ns
     found = []
-    gathered_ns = 0 if asked.span_ns == asked.every_ns else asked.span_ns
-    for name, value_ns in (("every", asked.every_ns), ("accumulate", gathered_ns), ("window", asked.window_ns or 0)):
+    gathered_ns = asked.span_ns or (0 if asked.count else asked.every_ns)
+    for name, value_ns in (("every", asked.every_ns), ("accumulate", asked.span_ns), ("window", asked.window_ns or 0)):
         seconds = value_ns / 1e9
         why = ""
         if seconds >= 1 and value_ns > length_ns > 0:
@@ -176,7 +180,7 @@ def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: M
             periods = [firsts[topic].period_ns or value_ns for topic in topics if topic in firsts]
             if periods and value_ns > _MOST_PERIODS * max(periods):
                 why = f"messages of {topics[0]} come every {periods[0] / 1e9:.3g} s"
-        elif value_ns == asked.span_ns >= _LONG_NS:
+        elif value_ns == gathered_ns >= _LONG_NS:
             period_ns = firsts[topics[0]].period_ns if topics[0] in firsts else None
             if period_ns and value_ns > _MOST_MESSAGES * period_ns:
                 why = f"messages of {topics[0]} come every {period_ns / 1e9:.3g} s: {value_ns // period_ns:,} in a scan"
@@ -247,8 +251,39 @@ def _windows(firsts: Mapping[str, _Firsts], topics: Sequence[str], window_ns: in
     return [max(period, periods[0]) // 2 for period in periods]
 
 
-def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Sequence[int] | None) -> list[str]:
-    """Compare the clocks of the topics: return warnings if they may differ, and raise if they do."""
+def _later_delays(
+    reader: Reader,
+    own: Mapping[str, Sequence[Connection]],
+    start_ns: int | None,
+    stop_ns: int | None,
+    topics: Sequence[str],
+) -> Iterator[list[int]]:
+    """Yield the median delays of topics at some places of the recording where all of them have messages."""
+    first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
+    if first_ns is None or last_ns is None:
+        return
+    first_ns = first_ns if start_ns is None else max(first_ns, start_ns)
+    last_ns = last_ns if stop_ns is None else min(last_ns, stop_ns)
+    for quarter in range(1, _QUARTERS):
+        found = {topic: _Firsts([], [], []) for topic in topics}
+        for topic in topics:
+            begin_ns = first_ns + (last_ns - first_ns) * quarter // _QUARTERS
+            _look(reader, own[topic], found, begin_ns, stop_ns, _LOOKED_AT)
+        if all(each.delays for each in found.values()):
+            yield [median_low(found[topic].delays) for topic in topics]
+
+
+def _clocks(
+    firsts: Mapping[str, _Firsts],
+    topics: Sequence[str],
+    windows: Sequence[int] | None,
+    later: Callable[[Sequence[str]], Iterable[Sequence[int]]],
+) -> list[str]:
+    """Compare the clocks of the topics: return warnings if they may differ, and raise if they do.
+
+    ``later`` yields the delays of topics at places after the first messages: a clock that is wrong only at first is no
+    other clock.
+    """
     warnings = []
     lead = firsts.get(topics[0])
     for number, topic in enumerate(topics[1:], 1):
@@ -256,8 +291,11 @@ def _clocks(firsts: Mapping[str, _Firsts], topics: Sequence[str], windows: Seque
         if lead is None or own is None or not lead.stamps or not own.stamps:
             continue
         own_ns, lead_ns = median_low(own.delays), median_low(lead.delays)
-        behind_ns = own_ns - lead_ns
         window_ns = 0 if windows is None else windows[number]
+        if abs(own_ns - lead_ns) > max(window_ns, _SURELY_ANOTHER_NS):
+            places = [(own_ns, lead_ns), *later((topic, topics[0]))]
+            own_ns, lead_ns = min(places, key=lambda each: abs(each[0] - each[1]))
+        behind_ns = own_ns - lead_ns
         if not are_doubtful(own_ns, lead_ns, window_ns):
             continue
         how = f"{abs(behind_ns) / 1e9:.4g} s {'behind' if behind_ns > 0 else 'ahead of'}"

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 __all__ = ["TIMES_SUM", "Trouble", "index_trouble", "table_trouble"]
 
-#: A sum over rows that changes if a row has another time or replaces another.
-TIMES_SUM = "coalesce(sum(timestamp % 2147483647 + id), 0)"
+#: A sum over rows that changes if a row has another time or replaces another. It is exact: a sum with one REAL would be
+#: rounded, and neither text nor numbers of 64 bits may end it.
+TIMES_SUM = "coalesce(sum(CAST(timestamp AS INTEGER) % 2147483647 + CAST(id AS INTEGER) % 2147483647), 0)"
 
 
 class Trouble(NamedTuple):

@@ -35,6 +35,9 @@ _DOUBTFUL = 1 << 32
 #: Text and numbers are read up to this size; a message's data is read when it is needed.
 _LONGEST_VALUE = 1 << 20
 
+#: Bytes of a blob that are kept, for a report of one that is in the wrong place.
+_SHOWN_BYTES = 40
+
 #: The schema of the rebuilt database: all readable rows, without the data of messages.
 _SCHEMA = """
 CREATE TABLE topics(
@@ -42,6 +45,7 @@ CREATE TABLE topics(
 CREATE TABLE message_definitions(
   id INTEGER PRIMARY KEY, topic_type, encoding, encoded_message_definition, type_description_hash);
 CREATE TABLE places(id INTEGER PRIMARY KEY, topic_id, timestamp, page, offset);
+CREATE TABLE unsound(id INTEGER PRIMARY KEY, topic_id, timestamp, page, offset);
 CREATE VIEW messages AS SELECT id, topic_id, timestamp, payload(page, offset) AS data FROM places;
 """
 
@@ -49,7 +53,7 @@ Value = int | float | str | bytes | None
 
 
 class Cell(NamedTuple):
-    """A row: its place (page and byte), its rowid, and its values, with empty ones instead of long blobs."""
+    """A row: its place (page and byte), its rowid, and its values, with the first bytes of blobs."""
 
     page: int
     offset: int
@@ -58,11 +62,14 @@ class Cell(NamedTuple):
 
     @property
     def is_message(self) -> bool:
-        """Whether it is a row of ``messages``: id, topic_id, timestamp, data."""
+        """Whether it is a row of ``messages``: id, topic_id, timestamp, data. The values may be of any type."""
+        return len(self.values) == 4 and self.values[0] is None and not self.is_topic
+
+    @property
+    def is_sound_message(self) -> bool:
+        """Whether it is a row of ``messages`` with values of the right types."""
         v = self.values
-        return (
-            len(v) == 4 and v[0] is None and isinstance(v[1], int) and isinstance(v[2], int) and isinstance(v[3], bytes)
-        )
+        return self.is_message and isinstance(v[1], int) and isinstance(v[2], int) and isinstance(v[3], bytes)
 
     @property
     def is_definition(self) -> bool:
@@ -141,7 +148,7 @@ class PageFile(SourceFile):
                 if cell is not None:
                     yield cell
 
-    def payload(self, number: int, offset: int) -> bytes | None:
+    def payload(self, number: int, offset: int) -> Value:
         """Return the last value of the row at a place, a message's data; None if part of it is missing."""
         page = self._page(number)
         head = _varint(page, offset)
@@ -151,9 +158,9 @@ class PageFile(SourceFile):
         record = self._record(page, rowid[1], head[0], head[0])
         if len(record) < head[0]:
             return None
-        values = _serial_types(record)
-        size = _size_of(values[-1]) if values else 0
-        return record[len(record) - size :]
+        kind = (_serial_types(record) or [0])[-1]
+        data = record[len(record) - _size_of(kind) :]
+        return data if kind >= 12 and kind % 2 == 0 else _value(kind, data)
 
     def _page(self, number: int) -> bytes:
         if self._latest[0] != number:
@@ -183,7 +190,7 @@ class PageFile(SourceFile):
         # The declared length and those of the values must agree, which random bytes hardly do.
         if position + sum(map(_size_of, types)) != size:
             return None
-        if size > len(record) and types[-1] >= 12 and types[-1] % 2:
+        if size > len(record) and any(kind >= 12 and kind % 2 for kind in types):
             # Long text in overflow pages: QoS profiles, definitions.
             record = self._record(page, rowid[1], size, min(size, _LONGEST_VALUE))
         values: list[Value] = []
@@ -260,9 +267,9 @@ def _size_of(kind: int) -> int:
 
 
 def _value(kind: int, data: bytes) -> Value:
-    """Return a value; None also for one that is cut off. Long blobs become empty."""
+    """Return a value; None also for one that is cut off. Of a blob the first bytes are enough."""
     if kind >= 12 and kind % 2 == 0:
-        return b""
+        return data[:_SHOWN_BYTES]
     if len(data) < _size_of(kind) or kind == 0:
         return None
     if kind >= 12:
@@ -286,8 +293,9 @@ def rebuilt(pages: PageFile) -> tuple[sqlite3.Connection, int | None]:
     for cell in pages.cells():
         values = cell.values
         if cell.is_message:
+            table = "places" if cell.is_sound_message else "unsound"
             database.execute(
-                "INSERT OR IGNORE INTO places VALUES (?, ?, ?, ?, ?)",
+                f"INSERT OR IGNORE INTO {table} VALUES (?, ?, ?, ?, ?)",  # noqa: S608 - constants
                 (cell.rowid, *values[1:3], cell.page, cell.offset),
             )
         elif cell.is_topic:
@@ -297,6 +305,9 @@ def rebuilt(pages: PageFile) -> tuple[sqlite3.Connection, int | None]:
             database.execute(
                 "INSERT OR IGNORE INTO message_definitions VALUES (?, ?, ?, ?, ?)", (cell.rowid, *values[1:])
             )
-    database.execute("COMMIT")
     (last_ns,) = database.execute("SELECT max(timestamp) FROM places").fetchone()
+    # A row that some page has sound is sound, whatever an older page has.
+    database.execute("INSERT OR IGNORE INTO places SELECT * FROM unsound")
+    database.execute("DROP TABLE unsound")
+    database.execute("COMMIT")
     return database, last_ns

@@ -15,6 +15,7 @@ from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import RawMessage, Summary, declared_counts
 
 from .database import SQLITE_ERRORS, Database
+from .rows import SOUND, message_row, shown_value
 from .tables import read_tables
 
 if TYPE_CHECKING:
@@ -184,10 +185,6 @@ class Sqlite3Reader(Reader):
                     expected -= 1
                     if expected < 0:
                         raise RecordingError("has more messages than it counts", path=self._path)
-                    if topic_id not in known or not isinstance(time_ns, int):
-                        raise RecordingError(
-                            f"a message has topic_id {topic_id!r:.40} and timestamp {time_ns!r:.40}", path=self._path
-                        )
                     after = (time_ns, message_id)
                     if isinstance(data, bytes) and topic_id not in self._packed_topics:
                         self._bytes_read += len(data)
@@ -205,8 +202,9 @@ class Sqlite3Reader(Reader):
         """Decompress a message; None, with a note, if it cannot be decompressed."""
         try:
             if not isinstance(data, bytes):
-                what = "is not in the file any more" if data is None else f"is {type(data).__name__}, not bytes"
-                raise self._database.damage(f"a message's data {what}", connection.topic)
+                gone = data is None and self._database.is_rebuilt
+                what = "has lost its data" if gone else f"has data {shown_value(data)}, not a blob"
+                raise self._database.damage(f"{message_row(message_id, connection.topic)} {what}", connection.topic)
             self._bytes_read += len(data)
             unpacked = zstd.unpacked_message(data, self._path, connection.topic)
         except DamageError as err:
@@ -222,7 +220,8 @@ class Sqlite3Reader(Reader):
             return declared_counts(connections)
         found = dict.fromkeys((connection.id for connection in connections), 0)
         conditions, values = _time_conditions(start_ns, stop_ns)
-        sql = f"SELECT topic_id, count(*) FROM messages WHERE {' AND '.join(conditions)} GROUP BY topic_id"  # noqa: S608
+        where = " AND ".join((SOUND, *conditions))
+        sql = f"SELECT topic_id, count(*) FROM messages WHERE {where} GROUP BY topic_id"  # noqa: S608
         try:
             with self._database.ending():
                 rows = self._database.query(sql, values).fetchall()
@@ -240,11 +239,11 @@ class Sqlite3Reader(Reader):
     ) -> Iterator[tuple[int, int, int, object]]:
         """Yield topic, time, id and data of messages by time and id, those after ``after`` (time and id)."""
         times, bounds = _time_conditions(start_ns, stop_ns)
-        conditions = [f"topic_id IN ({', '.join('?' * len(topic_ids))})", *times]
-        values = [*topic_ids, *bounds]
+        # Not as values, of which some builds of SQLite allow 32,766.
+        conditions = [f"topic_id IN ({', '.join(map(str, topic_ids))})", SOUND, *times]
+        values = [*bounds, *(after or ())]
         if after is not None:
             conditions.append("(timestamp, id) > (?, ?)")
-            values += after
         tail = f"WHERE {' AND '.join(conditions)} ORDER BY timestamp, id"
         if self._index is not None:
             # Without INDEXED BY, SQLite may sort whole messages instead of using the index.

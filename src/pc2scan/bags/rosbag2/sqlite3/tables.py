@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags.qos import latches
 from pc2scan.errors import RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC
-from pc2scan.files.limits import MAX_CONNECTIONS
+from pc2scan.files.limits import MAX_CONNECTIONS, ConnectionLimit
 from pc2scan.model import Connection, Definition
 from pc2scan.shown import counted
 
 from .checks import TIMES_SUM, index_trouble, table_trouble
+from .rows import SOUND, kinds_of, note_kinds, note_unsound, shown_value
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -129,84 +130,87 @@ def _read_connections(
     database: Database, noted: DamageLog, index: str | None
 ) -> tuple[tuple[Connection, ...], int | None, int | None]:
     """Return the connections, and the times of the first and the last message."""
-    available = database.columns("topics")
-    names = ["name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"]
-    columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
-    definitions = _read_definitions(database)
+    topics = _read_topics(database, noted)
     counts = {
         topic_id: numbers
         for topic_id, *numbers in database.query(
-            f"SELECT topic_id, count(*), min(timestamp), max(timestamp), {TIMES_SUM} FROM messages "  # noqa: S608
-            "GROUP BY topic_id LIMIT ?",
-            (MAX_CONNECTIONS,),
+            f"SELECT CASE WHEN {SOUND} THEN topic_id END, count(*), min(timestamp), max(timestamp), "  # noqa: S608
+            f"{TIMES_SUM} FROM messages GROUP BY 1 LIMIT ?",
+            (MAX_CONNECTIONS + 2,),
         )
     }
     total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
+    unsound, *_ = counts.pop(None, (0,))
+    ConnectionLimit(database.path).add(count=len(counts))
     if index is not None and (trouble := index_trouble(database.query, index, total, times_sum)):
         raise database.damage(trouble)
-    connections: list[Connection] = []
-    starts, ends = [], []
-    for topic_id, topic, msgtype, serialization, qos, digest in database.stored(
-        database.query(f"SELECT id, {columns} FROM topics ORDER BY id")  # noqa: S608 - constants
-    ):
-        count, first_ns, last_ns, _ = counts.get(topic_id, (0, None, None, 0))
-        if len(connections) == MAX_CONNECTIONS or not isinstance(topic_id, int):
-            raise RecordingError(
-                f"has more than {MAX_CONNECTIONS} topics, or one whose id is no number", path=database.path
-            )
-        if count and not (isinstance(first_ns, int) and isinstance(last_ns, int)):
-            raise RecordingError("has timestamps that are no numbers", path=database.path, topic=topic)
-        if count:
-            starts.append(first_ns)
-            ends.append(last_ns)
-        connections.append(
-            Connection(
-                id=topic_id,
-                topic=topic,
-                msgtype=msgtype,
-                serialization=serialization,
-                definition=definitions.get((msgtype, digest)) or definitions.get((msgtype, None), Definition()),
-                digest=digest,
-                latching=latches(qos),
-                qos=qos,
-                message_count=count,
-            )
+    if unsound:
+        note_unsound(database, noted, unsound, {topic_id: row[0] for topic_id, row in topics.items()})
+    definitions = _read_definitions(database, noted)
+    connections = [
+        Connection(
+            id=topic_id,
+            topic=topic,
+            msgtype=msgtype,
+            serialization=serialization,
+            definition=definitions.get((msgtype, digest)) or definitions.get((msgtype, None), Definition()),
+            digest=digest,
+            latching=latches(qos),
+            qos=qos,
+            message_count=counts[topic_id][0] if topic_id in counts else 0,
         )
-    _note_undescribed(database, noted, counts, {connection.id for connection in connections})
-    return tuple(connections), min(starts, default=None), max(ends, default=None)
+        for topic_id, (topic, msgtype, serialization, qos, digest) in topics.items()
+    ]
+    _note_undescribed(database, noted, {key: numbers for key, numbers in counts.items() if key not in topics})
+    times = [numbers for topic_id, numbers in counts.items() if topic_id in topics]
+    start_ns = min((first_ns for _, first_ns, _, _ in times), default=None)
+    return tuple(connections), start_ns, max((last_ns for _, _, last_ns, _ in times), default=None)
 
 
-def _note_undescribed(
-    database: Database, noted: DamageLog, counts: Mapping[Any, Sequence[Any]], described: set[int]
-) -> None:
+def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
+    """Return name, type, serialization format, QoS profiles and hash of each topic; missing columns are empty."""
+    names = ("name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash")
+    available = database.columns("topics")
+    columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
+    kinds = kinds_of([name for name in names if name in available])
+    found: dict[int, list[str]] = {}
+    limit = ConnectionLimit(database.path, database.size)
+    for topic_id, kind, *values in database.stored(
+        database.query(f"SELECT id, {kinds}, {columns} FROM topics ORDER BY id")  # noqa: S608 - constants
+    ):
+        if not isinstance(topic_id, int) or topic_id in found:
+            what = "the id of another row" if topic_id in found else "not an integer"
+            error = database.damage(f"topic {values[0]!r:.80} has id {shown_value(topic_id)}, {what}")
+            noted.note(error, key=("topics", topic_id, values[0]), messages_lost=0)
+            continue
+        note_kinds(database, noted, f"row {topic_id} of topics", kind)
+        found[topic_id] = values
+        limit.add(sum(map(len, values)))
+    return found
+
+
+def _note_undescribed(database: Database, noted: DamageLog, counts: Mapping[int, Sequence[Any]]) -> None:
     """Note messages of topics without a row."""
     for topic_id, (count, first_ns, last_ns, _) in counts.items():
-        if topic_id not in described:
-            timed = isinstance(first_ns, int) and isinstance(last_ns, int)
-            noted.note(
-                database.damage(
-                    f"{counted(count, 'message', 'are')} of topic {topic_id!r:.40}, which is not described"
-                ),
-                key=("topic", topic_id),
-                messages_lost=count,
-                first_ns=first_ns if timed else None,
-                last_ns=last_ns if timed else None,
-            )
+        error = database.damage(f"{counted(count, 'message', 'are')} of topic {topic_id}, which is not described")
+        noted.note(error, key=("topic", topic_id), messages_lost=count, first_ns=first_ns, last_ns=last_ns)
 
 
-def _read_definitions(database: Database) -> dict[tuple[str, str | None], Definition]:
+def _read_definitions(database: Database, noted: DamageLog) -> dict[tuple[str, str | None], Definition]:
     """Return definitions by type and hash; without a hash, the first of a type."""
     found: dict[tuple[str, str | None], Definition] = {}
     columns = database.columns("message_definitions")
     if not {"topic_type", "encoding", "encoded_message_definition"} <= columns:
         return found
+    names = ["topic_type", "encoding", *(["type_description_hash"] if "type_description_hash" in columns else [])]
     digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "''"
     rows = database.query(
-        f"SELECT {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608 - constants
+        f"SELECT id, {kinds_of(names)}, {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608
         f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
         (MAX_CONNECTIONS,),
     )
-    for msgtype, encoding, data, own_digest in database.stored(rows):
+    for row_id, kind, msgtype, encoding, data, own_digest in database.stored(rows):
+        note_kinds(database, noted, f"row {shown_value(row_id)} of message_definitions", kind)
         # rosbag2 writes "unknown" if it did not find the definition.
         if data and encoding not in {"", "unknown"}:
             definition = Definition(encoding, data)
@@ -226,7 +230,7 @@ def _find_packed(database: Database, connections: Sequence[Connection], *, decla
     cdr = frozenset(connection.id for connection in connections if connection.serialization == "cdr")
     rows = database.query("SELECT topic_id, substr(data, 1, 4) FROM messages LIMIT ?", (_LOOKED_AT,))
     for topic_id, head in rows:
-        if topic_id in cdr:
+        if topic_id in cdr and isinstance(head, bytes):
             return cdr if head == ZSTD_MAGIC else frozenset()
     return frozenset()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pc2scan.errors import DestinationError
-from pc2scan.files.overlap import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import InputPath, OutputPath, refuse_overlap
 
 
 @pytest.fixture

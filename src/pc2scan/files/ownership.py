@@ -1,0 +1,466 @@
+"""What a run may write, replace and remove: the one rule of ownership, which everything that writes files asks.
+
+A run replaces or removes a path only if one of these is true:
+
+- It writes exactly this path, and may: the user allows it (``overwrite``), or a record of an earlier run names it.
+- A record of an earlier run names the path, and it is still as that run left it.
+
+Anything else stays, and is named in a warning or an error. An input of the run is never replaced, removed or hidden,
+by any of its names (`refuse_overlap`). A symbolic link is replaced, never followed.
+
+These are records:
+
+- The manifest of a batch: names, sizes and times of modification (in a store, versions) of each result's files.
+- ``metadata.yaml`` of a rosbag2 directory: the names of its files. It has no sizes, so a file that it names counts as
+  unchanged; the user names such a directory as one recording, and replaces it as one.
+- `pc2scan.files.records.RECORD` in an exported folder: the names, sizes and CRC-32s of its files. Times of modification
+  would differ between two exports of the same messages, and are lost by copying. CRC-32 recognises an edited file and,
+  unlike SHA-256, takes no time beside writing it. It would not stop a forger; but whoever can write the record can
+  remove the files, too.
+- The journal of a run that renames numbered files (`pc2scan.files.journal`).
+
+Numbered files of a single conversion have no record: one beside them would be one more file for each recording. Those
+with numbers above the last one that a run writes stay, and a warning names them.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import stat
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.errors import DestinationError, OutputError, name_list
+
+from .places import working_names
+from .same_file import file_ids, name_key, path_key, places
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+
+    from .records import FolderRecord, Left, Record
+    from .same_file import FileId
+
+__all__ = [
+    "InputPath",
+    "Inputs",
+    "OutputPath",
+    "Ruling",
+    "check_existing",
+    "check_kind",
+    "exists_already",
+    "first_link",
+    "inputs_of",
+    "refuse_others",
+    "refuse_overlap",
+    "ruling",
+]
+
+#: Endings of the files that SQLite reads beside a database.
+_LOGS = ("-wal", "-journal", "-shm")
+
+
+class Ruling(NamedTuple):
+    """What happens to existing files, by the rule of ownership.
+
+    Attributes
+    ----------
+    replaced
+        The run writes them, and may replace them.
+    removed
+        The run does not write them; they are as an earlier run left them.
+    refused
+        The run would write them, and may not replace them.
+    kept
+        All others. They stay.
+    """
+
+    replaced: list[str]
+    removed: list[str]
+    refused: list[str]
+    kept: list[str]
+
+
+def ruling(
+    present: Iterable[str],
+    written: Collection[str],
+    record: Record | None,
+    *,
+    overwrite: bool,
+    as_left: Callable[[str, Left | None], bool],
+) -> Ruling:
+    """Apply the rule of ownership to the files of a folder.
+
+    Parameters
+    ----------
+    present
+        The names of existing files.
+    written
+        The names that the run writes.
+    record
+        What earlier runs wrote.
+    overwrite
+        Whether the user allows to replace what the run writes.
+    as_left
+        Whether a file that the record names is as it was left. Called only where that decides.
+    """
+    files = {} if record is None else record.files
+    found = Ruling([], [], [], [])
+    for name in present:
+        if name in written:
+            (found.replaced if overwrite or name in files else found.refused).append(name)
+        elif name in files and as_left(name, files[name]):
+            found.removed.append(name)
+        else:
+            found.kept.append(name)
+    return found
+
+
+# --- What may be replaced ---
+
+
+def check_existing(
+    dst: Path, *, overwrite: bool, owned: Record | None = None, record_in: FolderRecord | None = None
+) -> None:
+    """Raise if there is something at a destination that this run may not replace, as far as that is known beforehand.
+
+    Parameters
+    ----------
+    dst
+        The file or folder that the run writes.
+    overwrite
+        Whether the user allows to replace it.
+    owned
+        What earlier runs wrote into its folder.
+    record_in
+        Reads the record of what is in a folder. Without it no folder is replaced.
+
+    Raises
+    ------
+    DestinationError
+        If it exists and may not be replaced, or is a folder with anything that no record names.
+    """
+    if not os.path.lexists(dst):
+        return
+    if not overwrite and (owned is None or dst.name not in owned.files):
+        raise exists_already(dst)
+    # A link itself is replaced, not its target; but a link to a device means the device.
+    if dst.exists() and not dst.is_file() and not dst.is_dir():
+        raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
+    if not dst.is_symlink() and dst.is_dir():
+        refuse_others(dst, owned, record_in)
+
+
+def refuse_others(
+    folder: Path, owned: Record | None, record_in: FolderRecord | None, written: Collection[str] | None = None
+) -> None:
+    """Raise if a folder that is replaced as a whole has anything that this run may not replace or remove.
+
+    Parameters
+    ----------
+    folder, owned, record_in
+        As for `check_existing`.
+    written
+        The paths in it that the run writes; None while they are unknown. Then only the names are checked.
+
+    Raises
+    ------
+    DestinationError
+        If there is anything that no record names, or that was changed and is not written by this run.
+    """
+    from .records import files_below, is_as_left  # noqa: PLC0415  # few outputs replace a directory
+
+    present = sorted(files_below(folder))
+    if not present:
+        return
+    found = "its content is not checked" if record_in is None else record_in(folder)
+    if isinstance(found, str) and owned is not None and owned.below(folder.name).files:
+        # An older version wrote no record into the folder, but the manifest lists its files.
+        found = owned.below(folder.name)
+    away = "choose another name, or move it away"
+    if isinstance(found, str):
+        hint = f"choose another name, or remove it yourself: rm -r {shlex.quote(str(folder))}"
+        raise _not_ours(folder, f"{found}, so it does not account for {name_list(present, 3)}", hint)
+    if unnamed := [name for name in present if name not in found.files]:
+        raise _not_ours(folder, f"its {found.name} does not name {name_list(unnamed, 3)}", away)
+    if written is not None:
+        kept = ruling(
+            present,
+            written,
+            found,
+            overwrite=True,
+            as_left=lambda name, left: is_as_left(folder / name, left),
+        ).kept
+        if kept:
+            raise _not_ours(folder, f"{name_list(kept, 3)} was changed after it was written", away)
+
+
+def _not_ours(folder: Path, reason: str, hint: str) -> DestinationError:
+    return DestinationError(
+        f"is a directory with something that pc2scan has not written, and is not overwritten: {reason}",
+        path=folder,
+        hint=hint,
+    )
+
+
+def exists_already(dst: Path) -> DestinationError:
+    """Return the error of a destination that may not be replaced."""
+    return DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
+
+
+def check_kind(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
+    """Return whether there is a file that may be replaced by a small file, such as a report, of a known kind.
+
+    Parameters
+    ----------
+    path
+        The file.
+    beginning
+        The first bytes of files of this kind. A file that has them, or is empty, may be replaced. None: no file may.
+    overwrite
+        Whether any other file may be replaced. A symbolic link itself is replaced, not the file that it leads to.
+
+    Raises
+    ------
+    DestinationError
+        If there is something else.
+    OutputError
+        If it cannot be read.
+    """
+    if not os.path.lexists(path):
+        return False
+    if path.is_dir() and not path.is_symlink():
+        raise DestinationError("cannot be written: it is a directory", path=path, hint="choose another name")
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise DestinationError("cannot be written: it is not a file", path=path, hint="choose another name")
+    if not overwrite and not _is_of_kind(path, beginning):
+        # Only kinds of files with a known beginning can be recognised as written by pc2scan.
+        raise DestinationError(
+            "exists already" if beginning is None else "exists already, and was not written by pc2scan",
+            path=path,
+            hint="choose another name; or `overwrite=True` replaces it",
+        )
+    return True
+
+
+def _is_of_kind(path: Path, beginning: bytes | None) -> bool:
+    """Return whether a file has this beginning, or is empty."""
+    try:
+        if not stat.S_ISREG(path.lstat().st_mode):
+            return False
+        with path.open("rb") as file:
+            return file.read(len(beginning or b" ")) in (beginning, b"")
+    except OSError as err:
+        raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
+
+
+def first_link(folder: Path, below: str) -> Path | None:
+    """Return the first folder on the way to a path below a folder that is a symbolic link; None if there is none."""
+    for part in PurePosixPath(below).parts[:-1]:
+        folder = folder / part
+        if folder.is_symlink():
+            return folder
+    return None
+
+
+# --- Inputs ---
+
+
+class InputPath(NamedTuple):
+    """A file or folder that a run reads, and its role: ``source``, or the option that names it."""
+
+    path: Path
+    role: str = "source"
+
+
+class OutputPath(NamedTuple):
+    """A file or folder that a run writes.
+
+    Attributes
+    ----------
+    path
+        The path.
+    option
+        The option that names it; empty for the recording itself.
+    numbered
+        Whether the recording becomes numbered files, which are named after ``path``.
+    """
+
+    path: Path
+    option: str = ""
+    numbered: bool = False
+
+
+def inputs_of(
+    sources: Iterable[Path], tf_from: Iterable[Path] = (), files: Mapping[str, Path] | None = None
+) -> list[InputPath]:
+    """Return the inputs of a run: its sources, recordings of transforms, and the files of options, by option."""
+    named = [*(("`tf_from`", path) for path in tf_from), *(files or {}).items()]
+    return [*map(InputPath, sources), *(InputPath(path, f"file of {option}") for option, path in named)]
+
+
+def refuse_overlap(inputs: Iterable[InputPath], outputs: Sequence[OutputPath]) -> None:
+    """Raise if an output of a run is one of its inputs, or another output.
+
+    Files and folders are compared by device and inode, through hard links, symbolic links, links to folders, and names
+    that a file system does not distinguish. An output includes the names that it has while it is written; a folder
+    includes its entries; a file includes the logs that SQLite reads beside a database.
+
+    Parameters
+    ----------
+    inputs
+        The inputs; they need not exist.
+    outputs
+        The outputs.
+
+    Raises
+    ------
+    DestinationError
+        If an output is an input, is inside one, or contains one, or if this is true of two outputs.
+    """
+    read = Inputs(inputs)
+    for output in outputs:
+        read.refuse(output)
+    for number, output in enumerate(outputs):
+        for earlier in outputs[:number]:
+            _refuse_output(output, earlier)
+
+
+class Inputs:
+    """All paths of the inputs, by name and by device and inode, and the folders above them.
+
+    Parameters
+    ----------
+    inputs
+        The inputs; they need not exist.
+    """
+
+    def __init__(self, inputs: Iterable[InputPath]) -> None:
+        self._paths: dict[Path, InputPath] = {}
+        self._ids: dict[FileId, InputPath] = {}
+        self._folders: dict[FileId, InputPath] = {}
+        self._seen: set[Path] = set()
+        for given in inputs:
+            for path in (given.path, *_entries(given.path)):
+                for place in places(path):
+                    for read in (place, *_logs(place)):
+                        self._add(given, read)
+
+    def _add(self, given: InputPath, path: Path) -> None:
+        for place in places(path):
+            self._paths.setdefault(place, given)
+            for identity in file_ids(place):
+                self._ids.setdefault(identity, given)
+            for folder in place.parents:
+                if folder in self._seen:
+                    break
+                self._seen.add(folder)
+                for identity in file_ids(folder):
+                    self._folders.setdefault(identity, given)
+
+    def refuse(self, output: OutputPath) -> None:
+        """Raise if an output, or a name that it has while it is written, is an input, is inside one or contains one.
+
+        Raises
+        ------
+        DestinationError
+            If it does; the message says how the two are related.
+        """
+        written = [output.path]
+        if output.numbered:
+            from .numbered import parts_beside  # noqa: PLC0415  # most recordings are one file
+
+            written += parts_beside(output.path)
+        for path in (*written, *working_names(output.path)):
+            if (related := self._related(path)) is None:
+                continue
+            relation, found = related
+            if path not in written:
+                raise _leftover(output, path, found)
+            what = _a(found.role) if relation == "is" else f"the {found.role} {found.path}"
+            raise DestinationError(
+                f"{_subject(output)}{relation} {what}",
+                path=path,
+                hint="sources are never changed; choose another name",
+            )
+
+    def _related(self, path: Path) -> tuple[str, InputPath] | None:
+        """Return how a path is related to an input, and to which; None if to none."""
+        found_at = list(places(path))
+        # A file that does not exist has no inode, but a log that appears beside a database would be read with it.
+        if found := self._paths.get(found_at[0]) or _first(self._ids, file_ids(*found_at)):
+            return "is", found
+        if found := _first(self._folders, file_ids(*found_at)):
+            return "contains", found
+        if found := _first(self._ids, file_ids(*(folder for place in found_at for folder in place.parents))):
+            return "is inside", found
+        return None
+
+
+def _leftover(output: OutputPath, path: Path, found: InputPath) -> DestinationError:
+    """Return the error for an input with a name that staging needs, and a command that renames it."""
+    better = output.path.with_name(f"interrupted_{output.path.name}")
+    rename = f" (mv {shlex.quote(str(path))} {shlex.quote(str(better))})" if not os.path.lexists(better) else ""
+    return DestinationError(
+        f"needs the name {path.name} while it is written, which is {_a(found.role)}",
+        path=output.path,
+        hint=f"choose another name for it, or rename the {found.role} first{rename}",
+    )
+
+
+def _refuse_output(output: OutputPath, earlier: OutputPath) -> None:
+    other = f"the file of {earlier.option}" if earlier.option else "the destination"
+    own, others = ({path_key(path) for path in (each.path, *working_names(each.path))} for each in (output, earlier))
+    relation = None
+    if own & others:
+        relation = "is"
+    elif others & _folder_keys(output.path):
+        relation = "is inside"
+    elif own & _folder_keys(earlier.path):
+        relation = "contains"
+    elif _is_part(output, earlier) or _is_part(earlier, output):
+        relation = "has the name of a file of"
+    if relation:
+        raise DestinationError(f"{_subject(output)}{relation} {other}", path=output.path, hint="choose another name")
+
+
+def _is_part(path: OutputPath, recording: OutputPath) -> bool:
+    """Whether a path has a name that one of the numbered files of a recording may have."""
+    if not recording.numbered or path_key(path.path.parent) != path_key(recording.path.parent):
+        return False
+    from .numbered import parts_among  # noqa: PLC0415
+
+    return bool(parts_among([name_key(path.path.name)], name_key(recording.path.name)))
+
+
+def _subject(output: OutputPath) -> str:
+    return f"the file of {output.option} " if output.option else ""
+
+
+def _entries(path: Path) -> list[Path]:
+    """Return the entries of a folder; none for a file, or if the folder cannot be read."""
+    try:
+        return list(path.iterdir())
+    except OSError:
+        return []
+
+
+def _logs(path: Path) -> Iterator[Path]:
+    """Return the paths that SQLite would read beside a database, if they are files or do not exist."""
+    for log in (path.with_name(path.name + suffix) for suffix in _LOGS if path.name):
+        # A name may be too long, which `Path.is_dir` raises.
+        if not os.path.isdir(log):  # noqa: PTH112
+            yield log
+
+
+def _folder_keys(path: Path) -> set[object]:
+    return {path_key(folder) for folder in next(places(path)).parents}
+
+
+def _first(known: dict[FileId, InputPath], ids: Iterable[FileId]) -> InputPath | None:
+    return next((known[identity] for identity in ids if identity in known), None)
+
+
+def _a(role: str) -> str:
+    return f"an {role}" if role[0] in "aeiou" else f"a {role}"

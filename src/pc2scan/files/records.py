@@ -1,0 +1,161 @@
+"""Records of what earlier runs wrote, and whether it is still as they left it; see `pc2scan.files.ownership`."""
+
+from __future__ import annotations
+
+import os
+import stat
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.errors import OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from pathlib import Path
+
+    #: Reads the record of what is in a folder; text if there is none: the reason.
+    FolderRecord = Callable[[Path], "Record | str"]
+
+__all__ = ["RECORD", "Left", "Record", "files_below", "is_as_left", "left_now", "read_record", "write_record"]
+
+#: The record in an exported folder.
+RECORD = ".pc2scan-files.json"
+
+_RECORD_VERSION = 1
+
+#: A record is small: even a million clouds need less.
+_MAX_RECORD_BYTES = 256_000_000
+
+_PIECE_BYTES = 1 << 20
+
+
+class Left(NamedTuple):
+    """How a run left a file.
+
+    Attributes
+    ----------
+    size
+        In bytes.
+    time
+        The time of modification in nanoseconds, or a version in a store; None if it is not recorded.
+    crc
+        The CRC-32 of the content; None if it is not recorded.
+    """
+
+    size: int
+    time: int | str | None = None
+    crc: int | None = None
+
+
+class Record(NamedTuple):
+    """What earlier runs wrote into a folder, by their own account.
+
+    Attributes
+    ----------
+    files
+        How the files were left, by their paths relative to the folder, with slashes; None if only the name is known.
+    name
+        The name of the file with this record, for messages.
+    """
+
+    files: Mapping[str, Left | None]
+    name: str = "record"
+
+    def below(self, folder: str) -> Record:
+        """Return what it says about a folder in this folder."""
+        start = f"{folder}/"
+        return Record(
+            {name.removeprefix(start): left for name, left in self.files.items() if name.startswith(start)}, self.name
+        )
+
+    def __or__(self, other: Record | None) -> Record:
+        """Return both together; of a file that both name, what the other says."""
+        return self if other is None else Record({**self.files, **other.files}, self.name)
+
+
+def is_as_left(path: Path, left: Left | None) -> bool:
+    """Return whether a file is as it was left, as far as that is recorded."""
+    try:
+        status = path.lstat()
+        if left is None:
+            return stat.S_ISREG(status.st_mode) or stat.S_ISLNK(status.st_mode)
+        if not stat.S_ISREG(status.st_mode) or status.st_size != left.size:
+            return False
+        return left.time in (None, status.st_mtime_ns) and (left.crc is None or _crc_of(path) == left.crc)
+    except OSError:
+        return False
+
+
+def left_now(path: Path) -> Left:
+    """Return the size and the time of modification of a file, as a run leaves it."""
+    status = path.lstat()
+    return Left(status.st_size, status.st_mtime_ns)
+
+
+def _crc_of(path: Path) -> int:
+    from .crc32 import crc32  # noqa: PLC0415  # few runs need it
+
+    value = 0
+    with path.open("rb") as file:
+        while piece := file.read(_PIECE_BYTES):
+            value = crc32(piece, value)
+    return value
+
+
+def write_record(folder: Path) -> None:
+    """Write the record of a complete folder into it. Folders with the same files get the same bytes.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    import json  # noqa: PLC0415  # only exports have such a record
+
+    try:
+        files = {
+            name: [(folder / name).stat().st_size, _crc_of(folder / name)]
+            for name in sorted(files_below(folder))
+            if name != RECORD
+        }
+        text = json.dumps({"pc2scan files": _RECORD_VERSION, "files": files}, ensure_ascii=True, indent=0) + "\n"
+        with (folder / RECORD).open("x", encoding="ascii") as file:
+            file.write(text)
+    except OSError as err:
+        raise OutputError(f"its record cannot be written: {err.strerror}", path=folder) from err
+
+
+def read_record(folder: Path) -> Record | str:
+    """Return the record in a folder; text if there is none that can be read: the reason."""
+    import json  # noqa: PLC0415  # only exports have such a record
+
+    try:
+        path = folder / RECORD
+        if not stat.S_ISREG(path.lstat().st_mode) or path.stat().st_size > _MAX_RECORD_BYTES:
+            return f"its {RECORD} is not a record of pc2scan"
+        noted = json.loads(path.read_bytes())
+        if noted["pc2scan files"] != _RECORD_VERSION:
+            return f"its {RECORD} is of another version of pc2scan"
+        files: dict[str, Left | None] = {
+            str(name): Left(int(size), crc=int(crc)) for name, (size, crc) in noted["files"].items()
+        }
+    except FileNotFoundError:
+        return f"it has no {RECORD}, which lists what an export wrote"
+    except OSError as err:
+        return f"its {RECORD} cannot be read: {err.strerror}"
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return f"its {RECORD} is not a record of pc2scan"
+    return Record({**files, RECORD: None}, RECORD)
+
+
+def files_below(folder: Path, below: str = "") -> Iterator[str]:
+    """Yield everything in a folder that is not a folder itself, and folders that are empty, as relative paths."""
+    with os.scandir(folder) as entries:
+        listed = list(entries)
+    if not listed and below:
+        yield below
+    for entry in listed:
+        name = f"{below}/{entry.name}" if below else entry.name
+        if entry.is_dir(follow_symlinks=False):
+            yield from files_below(folder / entry.name, name)
+        else:
+            yield name

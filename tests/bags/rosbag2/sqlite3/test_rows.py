@@ -1,0 +1,297 @@
+"""Rows whose values have types that rosbag2 never writes: SQLite stores any value in any column."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from collections import Counter
+from contextlib import closing
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from builders import CONTENT, write_db3, write_rosbag2
+from pc2scan.bags.opening import open_recording
+from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
+from pc2scan.cli.in_process import run_command
+from pc2scan.errors import DamageError
+
+if TYPE_CHECKING:
+    from pc2scan.bags.damage import Damage
+
+Value = int | float | str | bytes | None
+Row = tuple[int, int, bytes]
+
+WRONG_TIMES = {
+    "1e300": "timestamp 1e+300",
+    "1.5": "timestamp 1.5",
+    "'tomorrow'": "timestamp 'tomorrow'",
+    "x'00ff'": "timestamp x'00ff'",
+    "x''": "timestamp x''",
+    "NULL": "timestamp NULL",
+}
+
+#: Tables made of a query have columns without types and constraints; it also runs on tables with them.
+LOOSE = "CREATE TABLE loose AS SELECT * FROM {0}; DROP TABLE {0}; ALTER TABLE loose RENAME TO {0};"
+
+
+def change(path: Path, script: str, *, loose: tuple[str, ...] = ()) -> Path:
+    """Change a database by SQL statements, with tables that constrain nothing where asked."""
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript("".join(map(LOOSE.format, loose)) + script)
+    return path
+
+
+def without_constraints(path: Path) -> None:
+    """Let ``messages`` take NULL, and keep its other properties."""
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute("UPDATE sqlite_master SET sql = replace(sql, 'NOT NULL', '') WHERE name = 'messages'")
+
+
+def unreachable(path: Path) -> None:
+    """Let the header declare more pages than there are, so that the rows are read page by page."""
+    data = bytearray(path.read_bytes())
+    struct.pack_into(">I", data, 28, 1_000_000)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("pages", [False, True], ids=["by SQLite", "page by page"])
+@pytest.mark.parametrize("value", WRONG_TIMES)
+def test_a_row_with_a_wrong_time_is_one_damaged_row(value: str, pages: bool, tmp_path: Path) -> None:
+    path = write_db3(tmp_path / "drive.db3", CONTENT)
+    without_constraints(path)
+    with closing(open_recording(path)) as reader:
+        rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
+        assert not reader.damage
+    change(path, f"UPDATE messages SET timestamp = {value} WHERE id = 4;")
+    if pages:
+        unreachable(path)
+    with closing(open_recording(path)) as reader:
+        found = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
+        damage = [place for place in reader.damage if "row 4" in place.what]
+        assert reader.summary.message_count == len(rows) - 1
+        start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
+    topic = rows[3][0]
+    assert found == rows[:3] + rows[4:]
+    assert (start_ns, end_ns) == (found[0][1], found[-1][1])
+    (place,) = damage
+    assert place.what == f"row 4 of messages, of topic {topic!r}, has {WRONG_TIMES[value]}, not an integer"
+    assert place.messages_lost == 1
+    with pytest.raises(DamageError, match=r"row 4 of messages|is cut off"):
+        open_recording(path, strict=True)
+
+
+@pytest.mark.parametrize("command", ["info", "convert", "repair"])
+def test_commands_read_what_other_rows_have(command: str, tmp_path: Path) -> None:
+    folder = write_rosbag2(tmp_path / "drive", CONTENT)
+    change(folder / "drive_0.db3", "UPDATE messages SET timestamp = 1e300 WHERE id = 4;")
+    output = [] if command == "info" else ["-o", str(tmp_path / "out.mcap")]
+    ended = run_command([command, str(folder), *output])
+    assert ended.status == (0 if command == "info" else 3), ended.messages
+    assert "drive_0.db3: row 4 of messages" in ended.messages
+    # metadata.yaml counts it, too: it is lost once.
+    assert ended.messages.count("1 message lost") == 1
+
+
+def test_a_row_with_wrong_topic_and_time_names_both(tmp_path: Path) -> None:
+    path = write_db3(tmp_path / "drive.db3", CONTENT)
+    change(path, "UPDATE messages SET topic_id = 'x', timestamp = 1.5 WHERE id = 4;")
+    with closing(open_recording(path)) as reader:
+        assert [p.what for p in reader.damage] == ["row 4 of messages has topic_id 'x' and timestamp 1.5, not integers"]
+
+
+@pytest.mark.parametrize(("value", "shown"), [("7", "7"), ("'text'", "'text'"), ("NULL", "NULL"), ("2.5", "2.5")])
+def test_data_that_are_no_blob_lose_one_message(value: str, shown: str, tmp_path: Path) -> None:
+    path = write_db3(tmp_path / "drive.db3", CONTENT)
+    without_constraints(path)
+    change(path, f"UPDATE messages SET data = {value} WHERE id = 4;")
+    with closing(open_recording(path)) as reader:
+        assert len(list(reader.messages())) == len(CONTENT.items) - 1
+        (place,) = reader.damage
+    assert place.what.startswith("row 4 of messages, of topic ")
+    assert place.what.endswith(f"has data {shown}, not a blob")
+    assert place.messages_lost == 1
+    assert place.first_ns == place.last_ns == CONTENT.items[3].log_time_ns
+
+
+def test_more_wrong_rows_than_are_named_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.rows.MAX_PLACES", 3)
+    path = write_db3(tmp_path / "drive.db3", CONTENT)
+    change(path, "UPDATE messages SET timestamp = 'x' WHERE id <= 8;")
+    with closing(open_recording(path)) as reader:
+        damage = reader.damage
+        assert len(list(reader.messages())) == len(CONTENT.items) - 8
+    assert [place.messages_lost for place in damage] == [1, 1, 1, 5]
+    assert "5 further rows of messages" in damage[-1].what
+
+
+WRONG_TOPICS = {
+    "UPDATE topics SET name = x'2f61' WHERE id = 2": "in row 2 of topics name is blob, not text",
+    "UPDATE topics SET type = x'61', offered_qos_profiles = x'00' WHERE id = 2": (
+        "in row 2 of topics type is blob, offered_qos_profiles is blob, not text"
+    ),
+    "UPDATE message_definitions SET encoding = x'61' WHERE id = 1": (
+        "in row 1 of message_definitions encoding is blob, not text"
+    ),
+}
+
+
+@pytest.mark.parametrize("statement", WRONG_TOPICS)
+def test_topics_with_wrong_values_lose_no_message(statement: str, tmp_path: Path) -> None:
+    path = change(write_db3(tmp_path / "drive.db3", CONTENT), f"{statement};")
+    with closing(open_recording(path)) as reader:
+        assert [place.what for place in reader.damage] == [WRONG_TOPICS[statement]]
+        assert len(list(reader.messages())) == len(CONTENT.items)
+
+
+@pytest.mark.parametrize("value", ["'x'", "NULL", "1.5", "1"])
+def test_a_topic_with_a_wrong_id_leaves_the_others(value: str, tmp_path: Path) -> None:
+    path = write_db3(tmp_path / "drive.db3", CONTENT)
+    with closing(open_recording(path)) as reader:
+        expected = [m.data for m in reader.messages() if m.connection.id != 2]
+    change(path, f"UPDATE topics SET id = {value} WHERE id = 2;", loose=("topics",))
+    with closing(open_recording(path)) as reader:
+        assert [m.data for m in reader.messages()] == expected
+        damage = reader.damage
+    assert sum(place.messages_lost or 0 for place in damage) == len(CONTENT.items) - len(expected)
+    assert any("has id" in place.what for place in damage)
+
+
+@pytest.mark.parametrize("value", ["x'00'", "1e300", "'text'"])
+def test_tables_that_are_not_read_may_have_any_value(value: str, tmp_path: Path) -> None:
+    path = write_db3(tmp_path / "drive.db3", CONTENT)
+    change(
+        path,
+        f"UPDATE schema SET ros_distro = {value}; CREATE TABLE metadata(id, x); "
+        f"INSERT INTO metadata VALUES (NULL, {value});",
+    )
+    with closing(open_recording(path)) as reader:
+        assert len(list(reader.messages())) == len(CONTENT.items)
+        assert not reader.damage
+
+
+def test_text_in_the_first_message_does_not_hide_compression(tmp_path: Path) -> None:
+    path = write_db3(tmp_path / "drive.db3", CONTENT, pack=zstandard.ZstdCompressor().compress)
+    change(path, "UPDATE messages SET data = 'text' WHERE id = 1;")
+    with closing(open_recording(path)) as reader:
+        assert reader.summary.compression == ("zstd",)
+
+
+def test_large_ids_are_no_damage(tmp_path: Path) -> None:
+    path = change(write_db3(tmp_path / "drive.db3", CONTENT), "UPDATE messages SET id = 9223372036854775807 - id;")
+    with closing(open_recording(path)) as reader:
+        assert len(list(reader.messages())) == len(CONTENT.items)
+        assert not reader.damage
+
+
+def test_more_topics_than_sqlite_takes_values_are_read(tmp_path: Path) -> None:
+    path = write_db3(tmp_path / "drive.db3", CONTENT)
+    with closing(Sqlite3Reader(path)) as reader:
+        opened = reader._database._connection
+        assert opened is not None
+        if hasattr(opened, "setlimit"):
+            opened.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, 2)
+        assert len(list(reader.messages())) == len(CONTENT.items)
+
+
+# --- Rows of any type, compared with what SQLite says of their types ---
+
+TOPICS = (1, 2, 3)
+
+
+class Case(NamedTuple):
+    """A database: its rows, how it is stored, and what is asked of it."""
+
+    rows: list[tuple[Value, Value, Value]]
+    loose: bool
+    indexed: bool
+    pages: bool
+    topics: frozenset[int]
+    start_ns: int | None
+    stop_ns: int | None
+
+
+WRONG = st.sampled_from([None, 1e300, -1e300, 2.5, 3.0, 9.3e18, "", "x", "12abc", "3", b"", b"\0", b"3"])
+BOUND = st.none() | st.integers(-3, 12) | st.sampled_from([-(2**63), 2**62])
+ROWS = st.tuples(
+    st.integers(1, 4) | WRONG,
+    st.integers(0, 9) | st.sampled_from([-(2**63), -1, 2**62]) | WRONG,
+    st.binary(max_size=5) | WRONG,
+)
+CASES = st.builds(
+    Case,
+    rows=st.lists(ROWS, max_size=12),
+    loose=st.booleans(),
+    indexed=st.booleans(),
+    pages=st.booleans(),
+    topics=st.frozensets(st.sampled_from(TOPICS)),
+    start_ns=BOUND,
+    stop_ns=BOUND,
+)
+
+
+def build(path: Path, case: Case) -> None:
+    """Make the database; one that is read page by page has the tables that rosbag2 makes."""
+    typed = not case.loose or case.pages
+    columns = "topic_id INTEGER, timestamp INTEGER, data BLOB" if typed else "topic_id, timestamp, data"
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
+        database.executemany("INSERT INTO topics VALUES (?, ?, 'a/msg/A', 'x')", [(n, f"/{n}") for n in TOPICS])
+        database.execute(f"CREATE TABLE messages(id INTEGER PRIMARY KEY, {columns})")
+        if case.indexed:
+            database.execute("CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+        database.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", case.rows)
+
+
+def oracle(path: Path, case: Case) -> tuple[list[Row], Counter[int], list[int], list[int]]:
+    """What can be read, how many of each topic are counted, and the rows with and without a place that are lost."""
+    placed: list[tuple[int, int, int, bytes | None]] = []
+    unsound, undescribed = [], 0
+    with closing(sqlite3.connect(path)) as database:
+        for number, topic, time, data, *kinds in database.execute(
+            "SELECT id, topic_id, timestamp, data, typeof(topic_id), typeof(timestamp), typeof(data) FROM messages"
+        ):
+            if kinds[:2] != ["integer", "integer"]:
+                unsound.append(number)
+            elif topic not in TOPICS:
+                undescribed += 1
+            else:
+                placed.append((time, number, topic, data if kinds[2] == "blob" else None))
+    first = -(2**63) if case.start_ns is None else case.start_ns
+    stop = 2**63 if case.stop_ns is None else case.stop_ns
+    due = [row for row in sorted(placed, key=lambda row: row[:2]) if first <= row[0] < stop and row[2] in case.topics]
+    rows = [(topic, time, data) for time, _, topic, data in due if data is not None]
+    counts = Counter(topic for _, _, topic, _ in due)
+    return rows, counts, unsound, [number for _, number, _, data in due if data is None]
+
+
+def rows_named(damage: tuple[Damage, ...]) -> list[int]:
+    return sorted(int(p.what.split()[1]) for p in damage if p.what.startswith("row ") and p.messages_lost == 1)
+
+
+@settings(max_examples=150)
+@given(CASES)
+def test_rows_of_any_type_are_read_as_sqlite_types_them(case: Case) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "a.db3")
+        build(path, case)
+        rows, counts, unsound, without_data = oracle(path, case)
+        if case.pages:
+            unreachable(path)
+        with closing(Sqlite3Reader(path)) as reader:
+            chosen = [connection for connection in reader.connections if connection.id in case.topics]
+            assert rows_named(reader.damage) == unsound
+            counted = reader.counts(chosen, case.start_ns, case.stop_ns)
+            assert {number: count for number, count in counted.items() if count} == counts
+            found = [
+                (m.connection.id, m.log_time_ns, bytes(m.data))
+                for m in reader.messages(chosen, case.start_ns, case.stop_ns)
+            ]
+            assert found == rows
+            assert rows_named(reader.damage) == sorted(unsound + without_data)

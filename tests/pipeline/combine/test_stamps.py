@@ -1,0 +1,266 @@
+"""Scans of several messages whose stamps jump, and of topics that begin late or stop: by the public functions."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.bags.destinations import open_writer, plan_destination
+from pc2scan.errors import ResultError, UsageError, stamp_text
+from pc2scan.messages.definitions import definition
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.tfmessage import encode_transforms
+from pc2scan.model import Connection
+from pc2scan.pipeline.combine import matching
+from support import ROOT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.bag"
+SECOND = 1_000_000_000
+T0 = 1_700_000_000 * SECOND
+HOUR = 3600 * SECOND
+DAY = 86_400 * SECOND
+TF = "tf2_msgs/msg/TFMessage"
+
+#: Each cloud has one point, and its number decides in which of so many beams.
+BEAMS = 360
+BOTH: dict[str, Any] = {"topics": ["/front:=/scan", "/rear:=/scan"], "target_frame": "base_link"}
+
+
+class Cloud(NamedTuple):
+    """A cloud on its way to a recording: seconds from the beginning, and by how much its stamp is off, nanoseconds."""
+
+    topic: str
+    at: float
+    off_ns: int = 0
+
+
+def clouds(topic: str, seconds: Iterable[float], off_ns: Callable[[float], int] = lambda _: 0) -> list[Cloud]:
+    return [Cloud(topic, at, off_ns(at)) for at in seconds]
+
+
+def tenths(begin: float, end: float, phase: float = 0.0) -> list[float]:
+    return [round(number / 10 + phase, 3) for number in range(round(begin * 10), round(end * 10))]
+
+
+def recorded(path: Path, found: Iterable[Cloud], points: int = 1, *, moving: float = 0.0) -> Path:
+    """Write an MCAP file; with ``moving`` seconds of odometry."""
+    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
+    topics = {"/tf_static": TF, "/tf": TF, "/front": POINTCLOUD2, "/rear": POINTCLOUD2}
+    handles = {}
+    for topic, msgtype in topics.items():
+        text, digest = definition(msgtype, 2)
+        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
+    still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    static = [("base_link", frame, T0, *still) for frame in ("front", "rear")]
+    rows = [(T0 - SECOND, "/tf_static", encode_transforms(static, "cdr"))]
+    for number in range(round(-5 * bool(moving)), round(10 * moving)):
+        time_ns = T0 + number * SECOND // 10
+        rows.append((time_ns, "/tf", encode_transforms([("odom", "base_link", time_ns, *still)], "cdr")))
+    fields = [PointField(axis, 4 * place, 7) for place, axis in enumerate("xyz")]
+    for number, (topic, at, off_ns) in enumerate(found):
+        time_ns = T0 + round(at * 1e9)
+        angle = np.radians(0.5 + number % BEAMS)
+        xyz = np.tile(np.array([2 * np.cos(angle), 2 * np.sin(angle), 0.5], "<f4"), (points, 1))
+        data = encode_pointcloud2(
+            serialization="cdr", sequence=0, stamp_ns=time_ns + off_ns, frame_id=topic.removeprefix("/"),
+            fields=fields, point_step=12, data=xyz.tobytes(),
+        )  # fmt: skip
+        rows.append((time_ns + 5_000_000, topic, data))
+    for log_time_ns, topic, data in sorted(rows, key=lambda row: row[:2]):
+        writer.write(handles[topic], log_time_ns, data, log_time_ns)
+    writer.finish()
+    return path
+
+
+class Made(NamedTuple):
+    """The scans of a conversion: their stamps as seconds from the beginning, how many clouds each has; its report."""
+
+    stamps: list[float]
+    sizes: list[int]
+    report: pc2scan.Report
+
+
+def made(source: Path, **options: Any) -> Made:
+    destination = source.with_name("scans.mcap")
+    report = pc2scan.convert(source, destination, only_scans=True, overwrite=True, beams=BEAMS, **options)
+    scans = list(pc2scan.scans(destination))
+    stamps = [round((scan.stamp_ns - T0) / 1e9, 3) for scan in scans]
+    return Made(stamps, [int(np.isfinite(scan.ranges).sum()) for scan in scans], report)
+
+
+@pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.parametrize("fixed", [{}, {"fixed_frame": "odom", "target_frame": "base_link"}], ids=["", "fixed"])
+def test_the_last_clouds_of_each_interval_are_all_that_is_held(
+    jobs: int, fixed: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 120_000)
+    # Some 14 kB each.
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 15)), 1000, moving=16.0)
+    found = made(source, topics="/front:=/scan", every=1, accumulate="2clouds", jobs=jobs, **fixed)
+    assert found.stamps == [round(0.9 + number, 1) for number in range(15)]
+    assert found.sizes == [2] * 15
+
+
+@pytest.mark.parametrize("speaks", [(0, 2), (10, 15)], ids=["stops", "starts late"])
+@pytest.mark.parametrize(
+    ("options", "scans", "size"),
+    [({"accumulate": 1}, 10, 20), ({"every": 1}, 1, 20), ({"accumulate": "3clouds"}, 10, 6), ({}, 10, 2)],
+    ids=["accumulate", "every", "count", "nearest"],
+)
+def test_scans_are_made_while_the_leading_lidar_speaks(
+    speaks: tuple[int, int],
+    options: dict[str, Any],
+    scans: int,
+    size: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 700_000)
+    begin, end = speaks
+    found = [*clouds("/front", tenths(begin, end)), *clouds("/rear", tenths(0, 15, 0.03))]
+    source = recorded(tmp_path / "d.mcap", sorted(found, key=lambda each: each.at), 1000, moving=16.0)
+    done = made(source, **BOTH, **options, fixed_frame="odom")
+    assert len(done.stamps) == (end - begin) * scans
+    assert all(begin <= stamp < end for stamp in done.stamps)
+    assert done.sizes[-2] == size
+
+
+@pytest.mark.parametrize(
+    ("speaks", "options", "left"),
+    [
+        ((0, 2), {}, "130 of 150 messages of /rear are in no scan on /scan; 130 in a row, from {2.03} to {14.93}"),
+        ((10, 15), {}, "100 of 150 messages of /rear are in no scan on /scan; 100 in a row, from {0.03} to {9.93}"),
+        (
+            (0, 2), {"every": 1, "accumulate": "2clouds"},
+            "146 of 150 messages of /rear are in no scan on /scan; 131 in a row, from {1.93} to {14.93}",
+        ),
+    ],
+)  # fmt: skip
+def test_what_is_lost_while_the_lead_is_silent_is_said(
+    speaks: tuple[int, int], options: dict[str, Any], left: str, tmp_path: Path
+) -> None:
+    found = [*clouds("/front", tenths(*speaks)), *clouds("/rear", tenths(0, 15, 0.03))]
+    source = recorded(tmp_path / "d.mcap", sorted(found, key=lambda each: each.at))
+    report = made(source, **BOTH, **options).report
+    expected = re.sub(r"\{(.*?)\}", lambda at: stamp_text(T0 + round(float(at[1]) * 1e9)), left)
+    (warning,) = (each for each in report.warnings if "messages of /rear" in each)
+    assert warning == f"{expected}. Scans are made for messages of the leading topic; `lead` chooses another one"
+    assert not any("messages of /rear are" in each for each in report.notes)
+    assert not any("messages of /front" in each for each in report.warnings)
+    (entry,) = (topic for topic in report.as_dict()["topics"] if topic["topic"] == "/rear")
+    assert entry["joined"]["longest_unmatched"]["messages"] == int(expected.partition("; ")[2].partition(" ")[0])
+
+
+def test_a_lead_without_messages_is_named_as_the_cause(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/rear", tenths(0, 5)))
+    with pytest.raises(ResultError, match="the leading topic has none, so those of /rear are in no scan") as caught:
+        made(source, **BOTH)
+    assert "lead" in str(caught.value.hint)
+
+
+def test_messages_left_out_on_purpose_are_a_note(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30)))
+    report = made(source, topics="/front:=/scan", every=10, accumulate="2clouds").report
+    (note,) = (each for each in report.notes if "in no scan" in each)
+    assert note == (
+        "294 of 300 messages of /front are in no scan on /scan; 98 in a row, from 1700000000.000000000 to "
+        "1700000009.700000000"
+    )
+    assert not any("in no scan" in each for each in report.warnings)
+
+
+def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30), lambda at: 0 if at < 10 else -HOUR))
+    one = {"topics": "/front:=/scan"}
+    turns = made(source, **one, every=1)
+    assert turns.sizes == [10] * 30
+    gathered = made(source, **one, accumulate=1)
+    assert gathered.sizes == [*range(1, 10), *[10] * 91, *range(1, 10), *[10] * 191]
+    for done in (turns, gathered):
+        (warning,) = (each for each in done.report.warnings if "jump" in each)
+        assert warning == (
+            "the stamps of /front jump back by 3,600 s at 1699996410.000000000, compared with their log times: no scan "
+            "on /scan has messages from before and after"
+        )
+        (entry,) = (topic for topic in done.report.as_dict()["topics"] if topic["topic"] == "/front")
+        assert entry["joined"]["jumped"] == 1
+        assert entry["joined"]["jumps"] == [{"stamp_ns": T0 + 10 * SECOND - HOUR, "by_ns": -HOUR}]
+
+
+def test_a_cloud_joins_the_scan_whose_stamp_is_nearest(tmp_path: Path) -> None:
+    found = [*clouds("/front", [0.5, 0.5, 0.57]), *clouds("/rear", [0.55])]
+    done = made(recorded(tmp_path / "d.mcap", found), **BOTH, window=0.06)
+    assert list(zip(done.stamps, done.sizes, strict=True)) == [(0.5, 1), (0.5, 1), (0.57, 2)]
+
+
+def test_a_first_stamp_one_day_ahead_is_a_scan_of_its_own(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30), lambda at: 0 if at else DAY))
+    turns = made(source, topics="/front:=/scan", every=1)
+    assert sorted(turns.sizes) == [1, 9, *[10] * 29]
+    gathered = made(source, topics="/front:=/scan", accumulate=1)
+    assert sorted(gathered.sizes) == [1, *range(1, 10), *[10] * 290]
+    assert any("jump back by 86,400 s at 1700000000.100000000" in each for each in gathered.report.warnings)
+
+
+def test_one_wrong_stamp_does_not_end_the_series(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 6), lambda at: DAY if at == 3 else 0))
+    done = made(source, topics="/front:=/scan", accumulate=1)
+    # The cloud with the wrong stamp is missing in ten scans.
+    assert sorted(done.sizes) == sorted([*range(1, 10), *[10] * 21, 1, *[9] * 9, *[10] * 20])
+    assert any("jump ahead by 86,400 s at" in each and ", back by 86,400 s at" in each for each in done.report.warnings)
+
+
+def test_four_wrong_first_stamps_are_no_other_clock(tmp_path: Path) -> None:
+    rear = clouds("/rear", tenths(0, 30, 0.03), lambda at: DAY if at < 0.4 else 0)
+    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 30)), *rear])
+    for options in ({}, {"accumulate": "100ms"}, {"every": "100ms"}):
+        done = made(source, **BOTH, **options)
+        assert len(done.stamps) == 300
+        (entry,) = (topic for topic in done.report.topics if topic.topic == "/rear")
+        assert entry.joined is not None
+        assert (entry.joined.unmatched, entry.joined.jumped) in {(4, 1), (5, 1)}
+        assert any("the stamps of /rear jump back by 86,400 s" in each for each in done.report.warnings)
+
+
+def test_another_clock_is_one_in_the_whole_recording(tmp_path: Path) -> None:
+    rear = clouds("/rear", tenths(0, 10, 0.03), lambda _: DAY)
+    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 10)), *rear])
+    with pytest.raises(UsageError, match="of different clocks"):
+        made(source, **BOTH)
+
+
+def test_many_jumps_are_counted_and_three_are_listed(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 6), lambda at: -HOUR * (int(at) % 2)))
+    done = made(source, topics="/front:=/scan", every=1)
+    assert done.sizes == [10] * 6
+    (warning,) = (each for each in done.report.warnings if "jump" in each)
+    assert warning.count("by 3,600 s at") == 3
+    assert "and 2 more times, compared with" in warning
+
+
+@pytest.mark.parametrize("options", [{}, {"keep_used": "/used"}], ids=["ranges", "points"])
+def test_time_is_counted_back_from_the_last_message(options: dict[str, Any], tmp_path: Path) -> None:
+    report = pc2scan.convert(
+        HALL, tmp_path / "o.bag", every=0.4, accumulate=0.1, min_height=-0.3, topics="/points:=/scan", **options
+    )
+    (entry,) = (topic for topic in report.topics if topic.action == "converted")
+    assert entry.messages_out > 1
+    assert entry.empty_scans == 0
+    assert not any("no return" in each for each in report.warnings)
+
+
+def test_scans_in_python_have_the_jumps_in_their_warnings(tmp_path: Path) -> None:
+    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 4), lambda at: 0 if at < 2 else -HOUR))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert len(list(pc2scan.scans(source, "/front:=/scan", every=1))) == 4
+    assert any("the stamps of /front jump back by 3,600 s" in str(each.message) for each in caught)
