@@ -50,7 +50,7 @@ from .search import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import DamageLog
@@ -108,12 +108,19 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
     except DamageError as err:
         without_header = err
     summary, end = McapIndex(), file.size - len(MAGIC) * _ends_with_magic(file)
+    indexed: Sequence[Segment] = ()
     try:
         end, _ = read_summary(file, summary, verify=verify)
     except DamageError as err:
         without_summary = err
         # The walk then includes the records of the summary, and finds channels there.
-        summary = McapIndex()
+        summary, doubtful = McapIndex(), McapIndex()
+        with suppress(DamageError):
+            read_summary(file, doubtful, verify=False)
+            # With a wrong CRC, these may still be the only ones that know where a chunk is.
+            indexed = doubtful.segments
+    else:
+        indexed = summary.segments
     index.statistics = summary.statistics
     gaps = list(_walked(file, index, summary.channels, end))
     for identity, schema in summary.schemas.items():
@@ -121,7 +128,7 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
     for identity, channel in summary.channels.items():
         index.channels.setdefault(identity, channel)
     index.channels_listed = summary.channels_listed
-    _adopt(index, summary.segments, gaps)
+    _adopt(index, indexed, gaps)
     # Message indexes may be missing, or be those of another chunk.
     index.segments = [replace(segment, connection_ids=None) for segment in index.segments]
     around = times_around(index.segments)
