@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 import pc2scan
-from e2e.command import run
 from pc2scan.errors import ParameterError, Pc2ScanError, RecordingError, TransformError, UsageError
 from pc2scan.pipeline.options import TimeBound
 from support import ROOT
+from support.command import run
 
 HALL = ROOT / "fixtures" / "hall.bag"
 CASES = ROOT / "fixtures" / "golden"

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import pc2scan
-from builders import SCAN, Recording, Stream, item, write_mcap
-from builders import scan as scan_message
 from pc2scan.batch.request import all_keywords
 from pc2scan.cli.app import COMMANDS
 from pc2scan.cli.groups import flat
 from pc2scan.errors import UsageError
 from pc2scan.requests import parameter_names
 from support import ROOT
+from support.builders import SCAN, Recording, Stream, item, write_mcap
+from support.builders import scan as scan_message
 
 if TYPE_CHECKING:
     from pathlib import Path

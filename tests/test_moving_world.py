@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from moving_world import BEGIN_NS, Drive, Lidar, off_the_walls, write_world
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, write_world
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from builders import SCAN, Item, Recording, Stream, write_mcap
 from pc2scan.messages.laserscan import encode_laserscan
 from pc2scan.shown import Shown, Table
-from scan_recordings import scans
 from support import ROOT
+from support.builders import SCAN, Item, Recording, Stream, write_mcap
+from support.scan_recordings import scans
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -19,8 +19,8 @@ import moving  # noqa: E402  # beside this one
 import speed  # noqa: E402  # this, too
 import wrong  # noqa: E402  # and this
 
-from builders import write_mcap  # noqa: E402  # a folder of its own
-from drives import drive_recording  # noqa: E402
+from support.builders import write_mcap  # noqa: E402  # a folder of its own
+from support.worlds.drives import drive_recording  # noqa: E402
 
 
 def pc2scan(*words: str | Path) -> None:

@@ -19,10 +19,10 @@ import numpy as np
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[1] / "tests"))
 
-from moving_world import BEGIN_NS, WALLS, Drive, Lidar, off_the_walls, returns_in_odom, write_world  # noqa: E402  # not installed
 from pc2scan.bags.opening import open_recording  # noqa: E402
 from pc2scan.core.rigid import Rigid  # noqa: E402
 from pc2scan.messages.laserscan import decode_laserscan  # noqa: E402
+from support.worlds.moving import BEGIN_NS, WALLS, Drive, Lidar, off_the_walls, returns_in_odom, write_world  # noqa: E402  # not installed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bags.rosbag1_files import ros1_missing
 from pc2scan.bags.mcap import chunks as mcap_chunks
 from pc2scan.bags.mcap import reader as mcap_reader
+from support.rosbag1_files import ros1_missing
 
 if TYPE_CHECKING:
     from pathlib import Path

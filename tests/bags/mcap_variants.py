@@ -36,8 +36,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from bags.mcap_files import encoded, record
 from pc2scan.bags.mcap.records import MAGIC
+from support.mcap_files import encoded, record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
-from builders import CONTENT, SOURCES
 from pc2scan.bags.opening import open_recording
+from support.builders import CONTENT, SOURCES
+from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 
 if TYPE_CHECKING:
     from pathlib import Path

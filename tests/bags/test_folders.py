@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from bags.rosbag2_files import write_metadata, write_storage
 from pc2scan.bags.folders import are_named_as_parts, overlap_warnings, recordings_in
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import UsageError
+from support.rosbag2_files import write_metadata, write_storage
 
 SECOND = 1_000_000_000
 MINUTE = 60 * SECOND

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import pytest
 import zstandard
 
-from bags import mcap_files, rosbag1_files
 from pc2scan.bags import many, units
 from pc2scan.bags.many import Many
 from pc2scan.bags.mcap import messages as mcap_messages
@@ -19,6 +18,7 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
 from pc2scan.bags.units import Extent, Unit, in_time_order
 from pc2scan.errors import RecordingError
+from support import mcap_files, rosbag1_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable

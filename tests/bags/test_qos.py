@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from bags.mcap_files import QOS
-from bags.rosbag2_files import QOS_NAMES, QOS_NUMBERS
 from pc2scan.bags.qos import latches, parsed_qos, respelled_qos
+from support.mcap_files import QOS
+from support.rosbag2_files import QOS_NAMES, QOS_NUMBERS
 
 
 @pytest.mark.parametrize(

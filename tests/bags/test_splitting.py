@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags.rosbag1_files import connection
 from pc2scan.bags.splitting import Cut, Part, SplitWriter, narrowed
 from pc2scan.errors import UnwritableError, UsageError
 from pc2scan.files.numbered import part_name
 from pc2scan.model import ChunkRule, Connection, StoredChunk
+from support.rosbag1_files import connection
 
 if TYPE_CHECKING:
     from collections.abc import Callable

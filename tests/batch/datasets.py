@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import zstandard
 
-from builders import CHATTER, CONTENT, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
+from support.builders import CHATTER, CONTENT, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
 
 if TYPE_CHECKING:
     from pathlib import Path

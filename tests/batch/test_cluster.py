@@ -20,9 +20,9 @@ import pytest
 import pc2scan
 from batch.datasets import HEIGHTS, contents
 from batch.test_cutting import WORDS, drive
-from builders import CONTENT, POINTS, T0, Mcap, Recording, cloud, item, points_of, write_mcap, write_rosbag1
-from e2e.command import COMMAND, INTERRUPTED, environment, run
 from pc2scan.batch.manifest import read_begun
+from support.builders import CONTENT, POINTS, T0, Mcap, Recording, cloud, item, points_of, write_mcap, write_rosbag1
+from support.command import COMMAND, INTERRUPTED, environment, run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

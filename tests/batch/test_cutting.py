@@ -9,7 +9,8 @@ import pytest
 
 import pc2scan
 from batch.datasets import contents
-from builders import (
+from pc2scan.batch import cutting
+from support.builders import (
     CHARGE,
     CHATTER,
     MOUNT,
@@ -28,7 +29,6 @@ from builders import (
     write_rosbag1,
     write_rosbag2,
 )
-from pc2scan.batch import cutting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

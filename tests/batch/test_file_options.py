@@ -15,7 +15,6 @@ from typer.main import get_command
 
 import pc2scan
 from batch.datasets import HEIGHTS
-from builders import CONTENT, write_rosbag1
 from pc2scan.batch import file_options
 from pc2scan.batch.file_options import FILE_OPTIONS, schema
 from pc2scan.batch.request import all_keywords, request_of
@@ -27,6 +26,7 @@ from pc2scan.errors import UsageError
 from pc2scan.export.formats import FORMATS
 from pc2scan.export.poses import PoseOptions
 from support import ROOT
+from support.builders import CONTENT, write_rosbag1
 
 if TYPE_CHECKING:
     from pathlib import Path

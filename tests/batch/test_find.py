@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from builders import CONTENT, SECOND, Item, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from pc2scan.batch.find import Found, find
 from pc2scan.errors import MissingError, UsageError
+from support.builders import CONTENT, SECOND, Item, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
 
 if TYPE_CHECKING:
     from pathlib import Path

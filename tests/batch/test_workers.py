@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from batch.datasets import HEIGHTS
-from builders import CONTENT, write_rosbag1
 from pc2scan.batch.frames import receive, send
 from pc2scan.batch.request import request_of
 from pc2scan.batch.resources import available_bytes, workers_for
 from pc2scan.batch.work import Job, convert_one
 from pc2scan.batch.workers import Began, Ended, Progressed, execute
 from pc2scan.errors import Pc2ScanError
+from support.builders import CONTENT, write_rosbag1
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
-from bags import mcap_files, rosbag1_files
+from support import mcap_files, rosbag1_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -30,8 +30,6 @@ from benchmarks.clouds import CLOUD_BYTES, FORMS, POINT_BYTES, POINTS, TRIFLE, F
 from benchmarks.test_combining import CLOUDS, convert_two, write_two
 from benchmarks.test_deskewing import tasks as moving_tasks
 from benchmarks.test_projection import LAYOUTS, cloud, params_of, straightforward
-from builders import write_mcap
-from drives import drive_recording
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
 from pc2scan.batch.options import BatchOptions
@@ -41,6 +39,8 @@ from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
 from pc2scan.memory import keep_freed_memory
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
+from support.builders import write_mcap
+from support.worlds.drives import drive_recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import POINTS, T0, Item, Recording, cloud, item, points_of, write_mcap
 from pc2scan.bags.opening import open_recording
 from pc2scan.compare.libm import CloudsByStamp, Explainer, Explanation
 from pc2scan.compare.rules import Rules
 from pc2scan.core.rounding import CORRECT, GLIBC
 from pc2scan.messages.laserscan import LaserScan
+from support.builders import POINTS, T0, Item, Recording, cloud, item, points_of, write_mcap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

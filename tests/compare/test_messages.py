@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import CLOUD, T0, cloud, deserialized, points_of, scan, serialized, typestore
 from pc2scan.compare.messages import compare_messages
 from pc2scan.compare.rules import Rules
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, RawMessage
+from support.builders import CLOUD, T0, cloud, deserialized, points_of, scan, serialized, typestore
 
 if TYPE_CHECKING:
     from pc2scan.compare.difference import MessageDifference

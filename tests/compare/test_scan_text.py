@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from builders import CLOUD, STRING, T0, cloud, deserialized, points_of, scan, serialized, string, typestore
 from pc2scan.compare.diff import open_source
 from pc2scan.compare.rules import GEOMETRY
 from pc2scan.compare.scan_text import is_scan_text, open_scan_text, render_messages
@@ -17,6 +16,7 @@ from pc2scan.errors import RecordingError, UsageError
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, RawMessage
+from support.builders import CLOUD, STRING, T0, cloud, deserialized, points_of, scan, serialized, string, typestore
 
 if TYPE_CHECKING:
     from pathlib import Path

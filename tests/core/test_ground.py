@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from mounted_worlds import PLACES, SENSORS, Place, cloud, mounted, up_in_sensor, without
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.ground import Ground, agreed, look_at
 from pc2scan.core.level import thinned
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
 from support import RECORDINGS, needs_shared
+from support.worlds.mounted import PLACES, SENSORS, Place, cloud, mounted, up_in_sensor, without
 
 #: Rolls and pitches, degrees. The full grid is for `tests/fuzz`; this one is coarse, and has odd angles.
 MOUNTINGS = [

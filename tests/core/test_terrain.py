@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from labelled_worlds import Labelled, labelled
 from pc2scan.core import terrain
 from pc2scan.core.terrain import Terrain, on_ground
+from support.worlds.labelled import Labelled, labelled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -198,7 +198,7 @@ def test_points_that_are_none_are_not_ground_and_change_nothing() -> None:
 
 @pytest.mark.parametrize(("roll", "pitch"), [(4, 0), (0, -5), (3, 3)])
 def test_a_frame_may_be_tilted_a_little(roll: float, pitch: float) -> None:
-    from mounted_worlds import mounted
+    from support.worlds.mounted import mounted
 
     cloud = labelled("street", "64 rings")
     tilted = cloud._replace(points=(cloud.points @ mounted(roll, pitch)).astype(np.float32))

@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from e2e.command import environment
 from e2e.trace_driver import MARK
+from support.command import environment
 
 __all__ = ["Job", "Touch", "Traced", "no_tracer", "trace"]
 

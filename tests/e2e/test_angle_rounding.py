@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pc2scan
-from e2e.command import run
-from e2e.outputs import opened
 from pc2scan.core import kernel, plain
 from pc2scan.pipeline.parameters import Setting, resolve
 from pc2scan.pipeline.params_file import load_params_file
 from support import ROOT
+from support.command import run
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,10 +13,10 @@ import pytest
 
 import pc2scan
 from batch.datasets import contents
-from builders import CONTENT, write_mcap, write_rosbag1, write_rosbag2
-from e2e.command import COMMAND, INTERRUPTED
-from e2e.command import environment as plain_environment
 from pc2scan.errors import DestinationError, MissingError, RecordingError, UsageError
+from support.builders import CONTENT, write_mcap, write_rosbag1, write_rosbag2
+from support.command import COMMAND, INTERRUPTED
+from support.command import environment as plain_environment
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from core.consumer_rules import mrpt_2_5, mrpt_ros_bridge_3_2
-from e2e.command import run
 from pc2scan.cli.check import Consumer
 from pc2scan.cli.spelling import as_typed
 from pc2scan.core.consumers import CONSUMERS
-from scan_recordings import GOOD, scans, write
 from support import GOLDEN, ROOT
+from support.command import run
+from support.scan_recordings import GOOD, scans, write
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import pc2scan
-from e2e.command import run
-from moving_world import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from support.command import run
+from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,7 +17,8 @@ import pytest
 from mcap.reader import make_reader
 
 import pc2scan
-from builders import (
+from support import ROOT
+from support.builders import (
     BATTERY,
     CHARGE,
     CHATTER,
@@ -37,13 +38,12 @@ from builders import (
     typestore,
     write_mcap,
 )
-from e2e.command import run
-from e2e.npm import needs_npm, node
-from e2e.outputs import opened, physical_order
-from support import ROOT
+from support.command import run
+from support.npm import needs_npm, node
+from support.outputs import opened, physical_order
 
 if TYPE_CHECKING:
-    from e2e.outputs import Output
+    from support.outputs import Output
 
 PARAMS = pc2scan.ProjectionParams(min_height=-2.0, max_height=2.0)
 PASSING = (ODOMETRY, CHATTER, INERTIA, CHARGE)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import (
+from support.builders import (
     CHATTER,
     CLOUD,
     CONTENT,
@@ -29,14 +29,14 @@ from builders import (
     write_rosbag1,
     write_rosbag2,
 )
-from e2e.command import run
-from e2e.outputs import Found, opened
+from support.command import run
+from support.outputs import Found, opened
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from e2e.command import Finished
+    from support.command import Finished
 
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 EVERYTHING = {"/scan", "/tf_static", "/tf", "/chatter", "/imu", "/battery"}

@@ -9,21 +9,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import T0, TF, Item, Recording, Stream, write_mcap
-from e2e.command import run
-from moving_world import Lidar, write_world
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.in_process import run_command
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
 from support import ROOT
+from support.builders import T0, TF, Item, Recording, Stream, write_mcap
+from support.command import run
+from support.worlds.moving import Lidar, write_world
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from e2e.command import Finished
     from pc2scan.core.rigid import TransformRow
+    from support.command import Finished
 
 HALL = ROOT / "fixtures" / "hall.mcap"
 

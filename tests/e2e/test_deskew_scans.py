@@ -13,7 +13,7 @@ import numpy as np
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.in_process import run_command
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
-from scan_recordings import GOOD, STEP, scans, write
+from support.scan_recordings import GOOD, STEP, scans, write
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,7 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 import pc2scan
-from builders import (
+from pc2scan.cli.app import application
+from support import RECORDINGS, ROOT, needs_shared
+from support.builders import (
     BATTERY,
     CHATTER,
     CONTENT,
@@ -32,9 +34,7 @@ from builders import (
     write_mcap,
     write_rosbag1,
 )
-from e2e.command import Finished, run
-from pc2scan.cli.app import application
-from support import RECORDINGS, ROOT, needs_shared
+from support.command import Finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

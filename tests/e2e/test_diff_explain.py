@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from builders import CLOUD, POINTS, SCAN, T0, Item, Recording, Stream, cloud, item, points_of, scan, write_mcap
-from e2e.command import run
 from support import ROOT
+from support.builders import CLOUD, POINTS, SCAN, T0, Item, Recording, Stream, cloud, item, points_of, scan, write_mcap
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path

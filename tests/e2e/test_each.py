@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 import pc2scan.files.staging
 import pc2scan.pipeline.each
 import pc2scan.pipeline.run
-from builders import CONTENT, write_mcap, write_rosbag1
-from e2e.command import run
-from e2e.outputs import opened
 from pc2scan.cli.app import application
 from support import ROOT
+from support.builders import CONTENT, write_mcap, write_rosbag1
+from support.command import run
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from pathlib import Path

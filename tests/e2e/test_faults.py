@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from builders import CONTENT, write_mcap
-from e2e.command import environment
 from e2e.fault_driver import CASES
-from e2e.outputs import opened
 from support import sampled
+from support.builders import CONTENT, write_mcap
+from support.command import environment
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,9 +12,6 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from builders import CLOUD, SCAN, deserialized, serialized, typestore
-from e2e.command import run
-from e2e.outputs import opened
 from pc2scan.cli.in_process import run_command
 from pc2scan.compare.rules import Rules
 from pc2scan.compare.scan_text import render_messages
@@ -23,12 +20,15 @@ from pc2scan.golden.case import load_case
 from pc2scan.golden.check import check_case
 from pc2scan.model import Connection, RawMessage
 from support import GOLDEN, ROOT
+from support.builders import CLOUD, SCAN, deserialized, serialized, typestore
+from support.command import run
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from e2e.outputs import Found
+    from support.outputs import Found
 
 #: The project's own copies.
 FOLDERS = (ROOT / "fixtures" / "golden", ROOT / "fixtures" / "golden_exact")

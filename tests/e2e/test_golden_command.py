@@ -12,9 +12,9 @@ import pytest
 from typer.testing import CliRunner
 
 import pc2scan
-from e2e.command import Finished, run
 from pc2scan.cli.app import application
 from support import ROOT
+from support.command import Finished, run
 
 if TYPE_CHECKING:
     from pathlib import Path

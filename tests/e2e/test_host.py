@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from benchmarks.clouds import FORMS, write_recording
-from e2e.command import environment
 from support import ROOT
+from support.command import environment
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -19,11 +19,11 @@ import pytest
 import zstandard
 
 import pc2scan
-from builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1, write_rosbag2
-from e2e.command import COMMAND, INTERRUPTED, run, run_process
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import RecordingError
 from support import ROOT
+from support.builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1, write_rosbag2
+from support.command import COMMAND, INTERRUPTED, run, run_process
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -5,8 +5,8 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
-from e2e.command import run
 from support import ROOT
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,7 +11,6 @@ import pytest
 from typer.testing import CliRunner
 
 import pc2scan
-from moving_world import Lidar, write_world
 from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.app import application
@@ -24,6 +23,7 @@ from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.model import Connection, Definition
 from support import ROOT
+from support.worlds.moving import Lidar, write_world
 
 if TYPE_CHECKING:
     from pathlib import Path

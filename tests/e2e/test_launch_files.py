@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from e2e.command import run
 from support import ROOT
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from e2e.command import Finished
+    from support.command import Finished
 
 HALL = ROOT / "fixtures" / "hall.bag"
 

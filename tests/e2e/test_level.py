@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 
 import pc2scan
-from builders import definition
-from e2e.command import run
 from messages.test_imu import imu_message
-from moving_world import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.model import Connection, Definition
+from support.builders import definition
+from support.command import run
+from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from e2e.command import Finished
+    from support.command import Finished
 
 #: Three degrees, a little more than once a second.
 TILTING = Drive(speed=0.5, turn=0.0, tilt=float(np.radians(3.0)))

@@ -16,11 +16,10 @@ import pytest
 from mcap.writer import Writer as McapLibraryWriter
 
 import pc2scan
-from bags.mcap_files import altered_index, library_file
-from bags.rosbag1_files import connection
-from bags.rosbag1_files import string as string_of
-from bags.rosbag1_files import write as write_bag
-from builders import (
+from pc2scan.bags.opening import open_recording
+from pc2scan.errors import ResultError, UsageError
+from support import SHARED, needs_shared
+from support.builders import (
     CHATTER,
     CONTENT,
     POINTS,
@@ -35,10 +34,11 @@ from builders import (
     write_rosbag1,
     write_rosbag2,
 )
-from e2e.command import run
-from pc2scan.bags.opening import open_recording
-from pc2scan.errors import ResultError, UsageError
-from support import SHARED, needs_shared
+from support.command import run
+from support.mcap_files import altered_index, library_file
+from support.rosbag1_files import connection
+from support.rosbag1_files import string as string_of
+from support.rosbag1_files import write as write_bag
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -193,7 +193,7 @@ def test_an_empty_storage_identifier_of_files_that_are_not_there(tmp_path: Path)
 
 def with_times(times: Iterable[int]) -> Recording:
     """A message of /chatter at each of these times, and the clouds of the usual content."""
-    from builders import Item
+    from support.builders import Item
 
     said = [Item(CHATTER, time_ns, {g: string(f"at {time_ns}", g) for g in (1, 2)}) for time_ns in times]
     return Recording((POINTS, CHATTER), (*CONTENT.of("/points"), *said))
@@ -236,7 +236,7 @@ def test_a_log_time_that_the_container_cannot_hold(command: str, case: str, tmp_
 
 
 def test_a_chunk_with_a_log_time_that_rosbag2_cannot_hold_is_not_copied_whole(tmp_path: Path) -> None:
-    from builders import Item
+    from support.builders import Item
 
     large = [Item(CHATTER, t, {2: string("a" * 400_000, 2)}) for t in (T0, T0 + 1, 2**63 + 5)]
     source = write_mcap(tmp_path / "drive.mcap", Recording((CHATTER,), tuple(large)))
@@ -324,7 +324,7 @@ def test_a_connection_that_only_chunks_describe(tmp_path: Path) -> None:
 @pytest.mark.parametrize("verify", [True, False])
 def test_a_chunk_with_another_connection_is_not_copied_whole(verify: bool, tmp_path: Path) -> None:
     """What is damaged in the source is not damaged in its copy."""
-    from builders import Item
+    from support.builders import Item
 
     large = [Item(CHATTER, T0 + n, {1: string("a" * 400_000, 1)}) for n in range(3)]
     source = write_rosbag1(tmp_path / "drive.bag", Recording((CHATTER,), tuple(large)))
@@ -775,7 +775,7 @@ def test_three_recordings_of_which_the_last_is_cut(kind: str, tmp_path: Path) ->
 
 def test_a_recording_in_a_message_is_no_second_recording(tmp_path: Path) -> None:
     """Bags are sent around in messages, too."""
-    from builders import Item
+    from support.builders import Item
 
     inner = write_rosbag1(tmp_path / "inner.bag", drive(1)).read_bytes().decode("latin-1")
     items = [Item(CHATTER, T0 + n, {1: string(inner, 1)}) for n in range(3)]
@@ -791,7 +791,7 @@ def test_a_recording_in_a_message_is_no_second_recording(tmp_path: Path) -> None
 @pytest.mark.parametrize("command", [("repair",), ("convert", "--min-height", "-1"), ("convert", "--jobs", "1")])
 def test_the_crc_of_a_data_section_without_chunks(command: tuple[str, ...], tmp_path: Path) -> None:
     # Large enough for several stretches, and with other records between the messages.
-    from builders import Item
+    from support.builders import Item
 
     large = [Item(CHATTER, T0 + 20 * SECOND + n, {2: string("a" * 900_000, 2)}) for n in range(12)]
     recording = drive(2)

@@ -11,9 +11,6 @@ import numpy as np
 import pytest
 
 import pc2scan
-from e2e.command import run
-from e2e.outputs import opened
-from mounted_worlds import PLACES, cloud, mounted, write_clouds
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
 from pc2scan.pipeline.options import ConvertOptions
@@ -21,6 +18,9 @@ from pc2scan.pipeline.run import OutputOptions
 from pc2scan.pipeline.run import run as convert
 from pc2scan.pipeline.scan_spec import ScanSpec
 from support import RECORDINGS, ROOT, needs_shared
+from support.command import run
+from support.outputs import opened
+from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

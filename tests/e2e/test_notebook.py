@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from notebooks import code_cells, outputs_of, run
 from support import ROOT
+from support.notebooks import code_cells, outputs_of, run
 
 NOTEBOOK = ROOT / "docs" / "python.ipynb"
 
@@ -24,7 +24,7 @@ def test_the_notebook_shows_what_its_cells_return() -> None:
     pytest.importorskip("xarray")
     cells = code_cells(json.loads(NOTEBOOK.read_text("utf-8")))
     assert len(cells) > 10
-    # python tests/notebooks.py docs/python.ipynb
+    # python tests/support/notebooks.py docs/python.ipynb
     assert shown([cell["outputs"] for cell in cells]) == shown(run(NOTEBOOK))
 
 

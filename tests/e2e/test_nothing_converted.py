@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from builders import (
+from pc2scan import scans
+from pc2scan.cli.in_process import run_command
+from pc2scan.errors import RecordingWarning, UnconnectedError
+from support.builders import (
     CONTENT,
     POINTS,
     T0,
@@ -24,16 +27,13 @@ from builders import (
     write_rosbag1,
     write_rosbag2,
 )
-from e2e.command import run
-from pc2scan import scans
-from pc2scan.cli.in_process import run_command
-from pc2scan.errors import RecordingWarning, UnconnectedError
+from support.command import run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from e2e.command import Finished
+    from support.command import Finished
 
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 SOURCES = {"bag": "drive.bag", "mcap": "drive.mcap", "rosbag2": "drive"}

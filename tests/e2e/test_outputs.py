@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pc2scan
-from builders import CONTENT, POINTS, T0, Recording, cloud, item, points_of, write_rosbag1, write_rosbag2
-from e2e.command import COMMAND, environment, run
 from pc2scan.errors import DestinationError
 from pc2scan.tf.options import FrameOptions
 from support import ROOT
+from support.builders import CONTENT, POINTS, T0, Recording, cloud, item, points_of, write_rosbag1, write_rosbag2
+from support.command import COMMAND, environment, run
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,9 +14,9 @@ import pytest
 from ruamel.yaml import YAML
 
 import pc2scan
-from e2e.command import environment
 from pc2scan.version import __version__
 from support import ROOT
+from support.command import environment
 
 FILES = sorted(
     path.relative_to(ROOT).as_posix()

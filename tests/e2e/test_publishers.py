@@ -12,7 +12,8 @@ import pytest
 from mcap.reader import make_reader
 from ruamel.yaml import YAML
 
-from builders import (
+from pc2scan.bags.opening import open_recording
+from support.builders import (
     CONTENT,
     MOUNT,
     ODOMETRY,
@@ -30,10 +31,9 @@ from builders import (
     write_mcap,
     write_rosbag1,
 )
-from e2e.command import run
-from e2e.npm import needs_npm, node
-from e2e.outputs import opened
-from pc2scan.bags.opening import open_recording
+from support.command import run
+from support.npm import needs_npm, node
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from collections.abc import Callable

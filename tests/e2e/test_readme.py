@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 import pytest
 from ruamel.yaml import YAML
 
-from e2e.command import environment, run
 from pc2scan import pytest_plugin
 from pc2scan.compare.rules import GEOMETRY, IGNORABLE
 from pc2scan.core.presets import PRESETS
 from pc2scan.golden.case import KEYS
 from pc2scan.pipeline.parameters import PARAMETERS
 from support import ROOT
+from support.command import environment, run
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from core.consumer_rules import RULES
-from e2e.command import run
-from e2e.outputs import opened
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.verdicts import Scan, ScanTransforms
 from support import ROOT
+from support.command import run
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from rosbags.rosbag1 import Reader
 
-from e2e.command import run
-from e2e.outputs import opened
 from support import RECORDINGS, needs_shared
+from support.command import run
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from pathlib import Path

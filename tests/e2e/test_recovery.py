@@ -18,16 +18,16 @@ from mcap.reader import make_reader
 from mcap.writer import Writer as McapLibraryWriter
 
 import pc2scan
-from bags.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing
-from builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
-from e2e.command import run
-from e2e.outputs import opened
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions
 from pc2scan.pipeline.run import run as repaired
 from support import RECORDINGS, needs_shared
+from support.builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
+from support.command import run
+from support.outputs import opened
+from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -257,7 +257,7 @@ def test_nothing_left_is_said_so(recording: Recording, tmp_path: Path) -> None:
 
 def test_messages_that_are_only_declared_are_told(tmp_path: Path) -> None:
     """Nothing else is wrong with it: only its statistics say that there was more."""
-    from bags.mcap_files import altered_index, write
+    from support.mcap_files import altered_index, write
 
     source = write(tmp_path / "drive.mcap", [(0, number, b"\0\1\0\0") for number in range(9)], topics=1)
 

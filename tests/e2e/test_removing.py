@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pytest
 
-from labelled_worlds import labelled
-from mounted_worlds import write_clouds
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.in_process import run_command
 from pc2scan.cli.spelling import as_typed
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
 from pc2scan.messages.laserscan import decode_laserscan
-from veiled_worlds import LIDARS, PLANS, Kind, Scan, Veiled, scan_of, veiled
+from support.worlds.labelled import labelled
+from support.worlds.mounted import write_clouds
+from support.worlds.veiled import LIDARS, PLANS, Kind, Scan, Veiled, scan_of, veiled
 
 if TYPE_CHECKING:
     from pathlib import Path

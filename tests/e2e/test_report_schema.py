@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from e2e.command import run
 from support import ROOT
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from builders import CONTENT, POINTS, SECOND, SOURCES, T0, Mcap, Recording, cloud, item, points_of, write_mcap
-from e2e.command import environment
 from e2e.test_containers import ATTACHMENTS, KINDS, METADATA
+from support.builders import CONTENT, POINTS, SECOND, SOURCES, T0, Mcap, Recording, cloud, item, points_of, write_mcap
+from support.command import environment
 
 if TYPE_CHECKING:
     from pathlib import Path

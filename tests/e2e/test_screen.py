@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from builders import write_mcap
-from e2e.command import COMMAND, environment, run
 from pc2scan.compare.diff import diff
 from pc2scan.inspect.check import check
-from scan_recordings import recording, scans
 from support import ROOT
+from support.builders import write_mcap
+from support.command import COMMAND, environment, run
+from support.scan_recordings import recording, scans
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import pc2scan
-from e2e.command import run
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.terrain import on_ground
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from support import ROOT
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,13 +10,13 @@ import pytest
 from mcap.writer import IndexType
 from mcap.writer import Writer as McapLibraryWriter
 
-from builders import CONTENT, SECOND, SOURCES, T0, write_rosbag1
-from e2e.command import run
+from support.builders import CONTENT, SECOND, SOURCES, T0, write_rosbag1
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from e2e.command import Finished
+    from support.command import Finished
 
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 STEP = SECOND // 10

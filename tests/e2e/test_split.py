@@ -14,12 +14,12 @@ from rosbags.rosbag2 import Reader as Rosbag2Reader
 from ruamel.yaml import YAML
 
 import pc2scan
-from e2e.command import run
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files import staged_parts
 from pc2scan.files.staging import rename_file
 from support import ROOT
+from support.command import run
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

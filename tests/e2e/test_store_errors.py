@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pc2scan
-from e2e.command import run
 from pc2scan.errors import MissingError, OutputError, Pc2ScanError, RecordingError
 from pc2scan.remote import pace, store
 from support import ROOT
+from support.command import run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from e2e.command import run
-from e2e.outputs import opened
 from support import ROOT
+from support.command import run
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from e2e.command import COMMAND
 from e2e.system_calls import Job, Traced, no_tracer, trace
 from hostile.recordings import make_hostile
 from pc2scan.cli.app import COMMANDS
 from support import ROOT, sampled
+from support.command import COMMAND
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from e2e.command import COMMAND, Finished, environment, run
 from support import ROOT
+from support.command import COMMAND, Finished, environment, run
 
 HALL = ROOT / "fixtures" / "hall.bag"
 

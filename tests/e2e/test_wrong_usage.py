@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pc2scan
-from e2e.command import environment, run
 from support import ROOT
+from support.command import environment, run
 
 if TYPE_CHECKING:
     from pathlib import Path

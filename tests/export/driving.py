@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from builders import SCAN, SECOND, TF, Item, Recording, Stream, header, item, serialized, transforms, typestore
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
+from support.builders import SCAN, SECOND, TF, Item, Recording, Stream, header, item, serialized, transforms, typestore
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import pc2scan
-from builders import write_mcap
 from export.carmen_log import read_log
 from export.driving import MOUNT, PATTERN, POSED, STAMPS, by_odometry, by_tf, drive
 from pc2scan.errors import UsageError, stamp_text
+from support.builders import write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path

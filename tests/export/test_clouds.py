@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 import pc2scan
-from builders import (
+from pc2scan.errors import DecodeError, DestinationError, ResultError, UsageError
+from pc2scan.messages.pointcloud2 import PointCloud2, PointField
+from support import ROOT
+from support.builders import (
     CLOUD,
     SECOND,
     TF,
@@ -25,11 +28,8 @@ from builders import (
     typestore,
     write_mcap,
 )
-from builders import cloud as plain_cloud
-from e2e.command import run
-from pc2scan.errors import DecodeError, DestinationError, ResultError, UsageError
-from pc2scan.messages.pointcloud2 import PointCloud2, PointField
-from support import ROOT
+from support.builders import cloud as plain_cloud
+from support.command import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import pc2scan
-from builders import write_mcap, write_rosbag1
-from e2e.command import run
 from export.driving import MOUNT, PATTERN, POSED, STAMPS, by_odometry, by_tf, drive
 from pc2scan.errors import DestinationError, ResultError, TransformError, UsageError, stamp_text
 from support import ROOT
+from support.builders import write_mcap, write_rosbag1
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path

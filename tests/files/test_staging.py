@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags.rosbag2_files import compress_file, write_metadata
 from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.staging import staged as staged_anywhere
+from support.rosbag2_files import compress_file, write_metadata
 
 if TYPE_CHECKING:
     from collections.abc import Callable

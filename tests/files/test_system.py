@@ -13,12 +13,12 @@ from typing import NoReturn
 
 import pytest
 
-from e2e.command import environment
 from pc2scan.errors import DestinationError
 from pc2scan.files import run_lock, system
 from pc2scan.files.places import check_place
 from pc2scan.files.staging import staged
 from support import ROOT
+from support.command import environment
 
 #: Takes away what Windows and macOS do not have, and what some network file systems cannot do; then runs the command.
 POOR = """

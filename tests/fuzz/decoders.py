@@ -26,12 +26,12 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 import pc2scan
-from bags import mcap_files
 from fuzz.clouds import project_cloud, project_moving
 from fuzz.rays import draw_rays
 from pc2scan.bags.rosbag1.records import Damaged, parsed_connection, parsed_fields
 from pc2scan.errors import Pc2ScanError
 from pc2scan.model import ChunkRule, Connection, Definition, RawMessage, StoredChunk
+from support import mcap_files
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -12,13 +12,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from e2e.command import COMMAND, environment
 from fuzz import others
 from fuzz.contradictions.recording import contradictions
 from fuzz.mutants.mutate import Mutant, mutant, rearranged
 from fuzz.mutants.seeds import Seed, place
 from fuzz.watch import watched
-from hostile.bounded import size_of
 from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.damage import recovery_text
@@ -27,6 +25,8 @@ from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.run import OutputOptions, run
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.text_enum import TextEnum
+from support.bounded import size_of
+from support.command import COMMAND, environment
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,8 +17,19 @@ import lz4.frame
 import numpy as np
 import zstandard
 
-from bags import mcap_files, rosbag1_files
-from builders import (
+from fuzz import clouds, rays
+from fuzz.decoders import CORPUS
+from fuzz.mutants.database import wal_checksums
+from messages.test_imu import imu_message
+from pc2scan import ProjectionParams
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.compare.scan_text import render_messages
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.model import Connection, RawMessage
+from pc2scan.pipeline.params_file import render_params_file
+from support import mcap_files, rosbag1_files
+from support.builders import (
     BATTERY,
     CLOUD,
     CONTENT,
@@ -32,17 +43,6 @@ from builders import (
     scan,
     write_rosbag2,
 )
-from fuzz import clouds, rays
-from fuzz.decoders import CORPUS
-from fuzz.mutants.database import wal_checksums
-from messages.test_imu import imu_message
-from pc2scan import ProjectionParams
-from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.mcap.records import MAGIC
-from pc2scan.compare.scan_text import render_messages
-from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.model import Connection, RawMessage
-from pc2scan.pipeline.params_file import render_params_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -24,9 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import pc2scan
-from builders import CONTENT, SOURCES, Recording
 from fuzz.watch import watched
-from hostile.bounded import size_of
 from pc2scan.bags.opening import open_recording
 from pc2scan.inspect.check import check
 from pc2scan.inspect.info import info
@@ -34,6 +32,8 @@ from pc2scan.inspect.tf import frame_tree
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions, run
 from pc2scan.tf.options import FrameOptions
+from support.bounded import size_of
+from support.builders import CONTENT, SOURCES, Recording
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from mcap.records import Channel, Schema
 from mcap.writer import Writer
 
-from bags import mcap_files
-from builders import CLOUD, CONTENT, write_db3, write_mcap, write_rosbag2
 from hostile.test_side_files import journal
+from support import mcap_files
+from support.builders import CLOUD, CONTENT, write_db3, write_mcap, write_rosbag2
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,12 +11,12 @@ import pytest
 import zstandard
 from mcap.records import Schema
 
-from bags import mcap_files, rosbag1_files
-from bags.rosbag2_files import write_storage
-from hostile.bounded import run_bounded
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag2.reader import Rosbag2Reader
 from pc2scan.errors import RecordingError
+from support import mcap_files, rosbag1_files
+from support.bounded import run_bounded
+from support.rosbag2_files import write_storage
 
 if TYPE_CHECKING:
     from collections.abc import Callable

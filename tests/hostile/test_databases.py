@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from builders import CONTENT, write_db3
-from hostile.bounded import run_bounded
+from support.bounded import run_bounded
+from support.builders import CONTENT, write_db3
 
 _NO_MESSAGES = "ALTER TABLE messages RENAME TO kept;"
 _ROWS = "id, topic_id, timestamp, data"

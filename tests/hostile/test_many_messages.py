@@ -8,8 +8,8 @@ import pytest
 import zstandard
 from mcap.records import Schema
 
-from bags import mcap_files, rosbag1_files
-from hostile.bounded import run_bounded
+from support import mcap_files, rosbag1_files
+from support.bounded import run_bounded
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

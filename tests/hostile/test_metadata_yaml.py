@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from builders import CONTENT, POINTS, Recording, write_mcap, write_rosbag2
-from hostile.bounded import run_bounded
 from pc2scan.bags import open_recording
+from support.bounded import run_bounded
+from support.builders import CONTENT, POINTS, Recording, write_mcap, write_rosbag2
 
 if TYPE_CHECKING:
     from pathlib import Path

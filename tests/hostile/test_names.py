@@ -11,10 +11,22 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags import rosbag1_files
-from builders import CHATTER, POINTS, T0, Recording, Stream, cloud, item, points_of, string, transforms, write_mcap
-from e2e.command import COMMAND, environment
-from hostile.bounded import run_bounded
+from support import rosbag1_files
+from support.bounded import run_bounded
+from support.builders import (
+    CHATTER,
+    POINTS,
+    T0,
+    Recording,
+    Stream,
+    cloud,
+    item,
+    points_of,
+    string,
+    transforms,
+    write_mcap,
+)
+from support.command import COMMAND, environment
 
 if TYPE_CHECKING:
     from pathlib import Path

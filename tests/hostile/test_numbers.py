@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from builders import (
+from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
+from support.bounded import run_bounded
+from support.builders import (
     MOUNT,
     POINTS,
     T0,
@@ -25,9 +27,7 @@ from builders import (
     write_mcap,
     write_rosbag1,
 )
-from e2e.outputs import opened
-from hostile.bounded import run_bounded
-from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
+from support.outputs import opened
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

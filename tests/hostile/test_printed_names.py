@@ -17,7 +17,9 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import pc2scan
-from builders import (
+from pc2scan.cli.app import application
+from pc2scan.errors import leading, visible
+from support.builders import (
     CHATTER,
     CLOUD,
     SCAN,
@@ -32,8 +34,6 @@ from builders import (
     transforms,
     write_mcap,
 )
-from pc2scan.cli.app import application
-from pc2scan.errors import leading, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -18,11 +18,11 @@ import pytest
 import zstandard
 from mcap.records import Schema
 
-from bags import mcap_files, rosbag1_files
-from builders import CHATTER, CLOUD, CONTENT, POINTS, T0, Item, Recording, cloud, item, points_of, write_rosbag2
-from hostile.bounded import run_bounded
 from pc2scan.bags.mcap.records import MAGIC
 from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
+from support import mcap_files, rosbag1_files
+from support.bounded import run_bounded
+from support.builders import CHATTER, CLOUD, CONTENT, POINTS, T0, Item, Recording, cloud, item, points_of, write_rosbag2
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -167,11 +167,11 @@ def test_every_number_of_a_cloud_may_be_the_largest_there_is(ros_version: int, t
     items = [Item(POINTS, T0 + step, {ros_version: data}) for step, data in enumerate(payloads)]
     recording = Recording((POINTS,), tuple(items))
     if ros_version == 1:
-        from builders import write_rosbag1
+        from support.builders import write_rosbag1
 
         source = write_rosbag1(tmp_path / "a.bag", recording)
     else:
-        from builders import write_mcap
+        from support.builders import write_mcap
 
         source = write_mcap(tmp_path / "a.mcap", recording)
     for command in (("info", "--samples", "400"), ("convert", "--min-height", "-9")):
@@ -199,7 +199,7 @@ def test_more_tiny_points_than_can_be(tmp_path: Path) -> None:
 
 def test_fields_without_number(tmp_path: Path) -> None:
     """As many fields as fit into 20 MB, and all of them there."""
-    from builders import write_mcap
+    from support.builders import write_mcap
 
     base = cloud(points_of(0), 2)
     # Frame "lidar": the number of fields follows height and width.
@@ -271,7 +271,7 @@ def test_many_chunks_that_overlap_in_time(tmp_path: Path) -> None:
 
 def test_strings_that_go_on_for_ever(tmp_path: Path) -> None:
     """A name of a megabyte is cut on the screen, or each line of its table would be as long."""
-    from builders import Stream, write_mcap
+    from support.builders import Stream, write_mcap
 
     long = Stream("/" + "a" * 1_000_000, POINTS.msgtype)
     others = [Stream(f"/b{number}", CHATTER.msgtype) for number in range(100)]

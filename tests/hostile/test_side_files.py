@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from builders import CONTENT, write_db3
-from hostile.bounded import run_bounded
+from support.bounded import run_bounded
+from support.builders import CONTENT, write_db3
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from builders import CONTENT, write_rosbag1, write_rosbag2
-from e2e.command import Finished, run
+from support.builders import CONTENT, write_rosbag1, write_rosbag2
+from support.command import Finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 from mcap.records import Channel, Header, Message, Schema
 
-from bags import mcap_files
-from hostile.bounded import run_bounded
+from support import mcap_files
+from support.bounded import run_bounded
 
 if TYPE_CHECKING:
     from pathlib import Path

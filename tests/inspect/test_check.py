@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import pc2scan
-from builders import IMU, Recording, Stream, imu, item, write_mcap, write_rosbag1, write_rosbag2
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.errors import RecordingError, TopicError, UsageError
 from pc2scan.inspect.check import Check, TopicCheck, check
 from pc2scan.tf.options import FrameOptions, StaticTransform
-from scan_recordings import GOOD, START, STEP, recording, scans, write
 from support import ROOT
+from support.builders import IMU, Recording, Stream, imu, item, write_mcap, write_rosbag1, write_rosbag2
+from support.scan_recordings import GOOD, START, STEP, recording, scans, write
 
 if TYPE_CHECKING:
     from collections.abc import Callable

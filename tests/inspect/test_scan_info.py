@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from builders import write_mcap
-from e2e.command import run
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.inspect.info import info
-from scan_recordings import GOOD, START, recording, scans, write
+from support.builders import write_mcap
+from support.command import run
+from support.scan_recordings import GOOD, START, recording, scans, write
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.inspect.scan_stamps import ScanStamps
-from scan_recordings import START
+from support.scan_recordings import START
 
 SECOND = 1_000_000_000
 

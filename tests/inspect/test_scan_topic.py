@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pc2scan.inspect.scan_topic import ScanTopic
-from scan_recordings import GOOD, START, STEP, scans
+from support.scan_recordings import GOOD, START, STEP, scans
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import pc2scan
-from builders import SCAN, TF, Item, Recording, Stream, write_mcap
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.tfmessage import encode_transforms
-from scan_recordings import GOOD, START, STEP, scans
+from support.builders import SCAN, TF, Item, Recording, Stream, write_mcap
+from support.scan_recordings import GOOD, START, STEP, scans
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

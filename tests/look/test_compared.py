@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import write_mcap
-from e2e.command import run
 from look.browser import needs_chromium
 from look.test_view import description
-from scan_recordings import GOOD, recording, scans
 from support import ROOT
+from support.builders import write_mcap
+from support.command import run
+from support.scan_recordings import GOOD, recording, scans
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,11 +13,20 @@ import pytest
 from ruamel.yaml import YAML
 
 import pc2scan
-from builders import T0, Item, Recording, write_mcap
-from drives import ROOMS, cast, distance_to_wall, drive, drive_recording, is_inside, scan_message, transform_message
-from e2e.command import run
 from pc2scan.errors import ResultError, UsageError
 from support import ROOT
+from support.builders import T0, Item, Recording, write_mcap
+from support.command import run
+from support.worlds.drives import (
+    ROOMS,
+    cast,
+    distance_to_wall,
+    drive,
+    drive_recording,
+    is_inside,
+    scan_message,
+    transform_message,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path

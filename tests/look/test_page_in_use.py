@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
-from e2e.command import run
 from look.browser import needs_chromium
 from look.test_page_projects_alike import read_scans
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
-from scan_recordings import GOOD, recording, scans
 from support import ROOT
+from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
+from support.command import run
+from support.scan_recordings import GOOD, recording, scans
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
-from e2e.command import run
 from pc2scan.errors import UsageError
 from pc2scan.look.plot import plot
 from pc2scan.pipeline.options import ConvertOptions
 from support import ROOT
+from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path

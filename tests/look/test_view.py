@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
-from e2e.command import run
 from look.test_page_projects_alike import read_scans
-from scan_recordings import recording, scans
 from support import ROOT
+from support.builders import CLOUD, T0, Item, Recording, Stream, cloud, write_mcap
+from support.command import run
+from support.scan_recordings import recording, scans
 
 if TYPE_CHECKING:
     from pathlib import Path

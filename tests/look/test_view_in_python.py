@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 import pc2scan
-from e2e.command import run
 from support import ROOT
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from pc2scan.messages.consumed import consumed_scan
-from scan_recordings import GOOD
+from support.scan_recordings import GOOD
 
 
 def test_a_scan_as_the_rules_see_it() -> None:

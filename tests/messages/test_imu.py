@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from builders import IMU, header, serialized, typestore
 from pc2scan.errors import DecodeError
 from pc2scan.messages.imu import decode_imu
+from support.builders import IMU, header, serialized, typestore
 
 STAMP = 1_700_000_000_123_456_789
 

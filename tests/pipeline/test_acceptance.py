@@ -6,7 +6,7 @@ import pytest
 
 from pc2scan.messages.laserscan import encode_laserscan
 from pc2scan.pipeline.acceptance import refusal
-from scan_recordings import GOOD
+from support.scan_recordings import GOOD
 
 
 @pytest.mark.parametrize("serialization", ["ros1", "cdr"])

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from moving_world import BEGIN_NS, Lidar, write_world
 from pc2scan.bags.opening import open_recording
 from pc2scan.pipeline.clocks import are_doubtful, doubtful_clocks
 from pc2scan.pipeline.stream import Span
+from support.worlds.moving import BEGIN_NS, Lidar, write_world
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,9 +15,6 @@ from mcap.records import Channel, Schema
 from mcap.writer import Writer as LibraryWriter
 
 import pc2scan
-from bags.mcap_files import encoded, streamed
-from bags.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
-from e2e.outputs import opened, physical_order
 from pc2scan.bags.chunked import segments
 from pc2scan.bags.mcap import chunks as mcap_chunks
 from pc2scan.bags.mcap import reader as mcap_reader
@@ -34,6 +31,9 @@ from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, Definition
 from pc2scan.threads import Threads
+from support.mcap_files import encoded, streamed
+from support.outputs import opened, physical_order
+from support.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
 
 if TYPE_CHECKING:
     from collections.abc import Callable

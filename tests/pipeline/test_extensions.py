@@ -13,7 +13,6 @@ import pytest
 from typer.testing import CliRunner
 
 import pc2scan
-from builders import T0
 from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.app import application
@@ -28,6 +27,7 @@ from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions, run
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.filters import Frame
+from support.builders import T0
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from builders import (
+from pc2scan.bags.lasting import Newest
+from pc2scan.bags.opening import open_recording
+from pc2scan.messages.tfmessage import decode_transforms
+from support.builders import (
     BODY,
     MOUNT,
     SECOND,
@@ -26,10 +29,7 @@ from builders import (
     write_rosbag1,
     write_rosbag2,
 )
-from builders import CLOUD as CLOUD_TYPE
-from pc2scan.bags.lasting import Newest
-from pc2scan.bags.opening import open_recording
-from pc2scan.messages.tfmessage import decode_transforms
+from support.builders import CLOUD as CLOUD_TYPE
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
@@ -17,6 +16,7 @@ from pc2scan.pipeline.measure import measure
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
+from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import pc2scan
-from builders import transforms
 from pc2scan.bags import units
 from pc2scan.bags.mcap import reader as mcap_reader
 from pc2scan.bags.mcap.reader import McapReader
@@ -30,6 +29,7 @@ from pc2scan.pipeline.conversion import Converted
 from pc2scan.pipeline.routes import OpenRoute
 from pc2scan.pipeline.scheduler import Later
 from pc2scan.pipeline.topic_report import TopicReport
+from support.builders import transforms
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -2,7 +2,7 @@
 
 By hand; the first command records which tests run which lines, the second plants the faults in a copy of the project::
 
-    python -m pytest -q --cov --cov-context=test --cov-report=
+    python -m pytest -q -m "not benchmark" --cov --cov-context=test --cov-report=
     PYTHONPATH=tests python tests/planted/campaign.py --count 200 --seed 1 --lines .coverage --json planted.json
 
 Of each fault the tests that run its line are run, those that run the fewest lines first, until one fails. A fault that
@@ -110,7 +110,7 @@ def _caught(copy: Path, fault: Fault, tests: list[str], timeout: float, workers:
     try:
         if path.suffix == ".c" and _build(copy).returncode:
             return "the compiler"
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-p", "no:cacheprovider", f"@{ids}"]
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-m", "not benchmark", f"@{ids}"]
         done = subprocess.run(command, cwd=copy, env=env, capture_output=True, text=True, timeout=timeout, check=False)
     except subprocess.TimeoutExpired:
         return "a test that does not end"

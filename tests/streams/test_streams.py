@@ -21,7 +21,6 @@ import pytest
 
 import pc2scan
 from benchmarks.clouds import FORMS, write_recording
-from builders import SCAN, Item, Recording, Stream, write_mcap
 from pc2scan.errors import (
     DamageError,
     DecodeError,
@@ -32,8 +31,9 @@ from pc2scan.errors import (
     UsageError,
 )
 from pc2scan.messages.laserscan import encode_laserscan
-from scan_recordings import START, STEP, scans
 from support import ROOT
+from support.builders import SCAN, Item, Recording, Stream, write_mcap
+from support.scan_recordings import START, STEP, scans
 
 FIXTURES = ROOT / "fixtures"
 HALL = FIXTURES / "hall.bag"

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags import rosbag1_files as bag
-from bags.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 from pc2scan.bags.chunked.entries import EntryForm, entries_astray
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError
+from support import rosbag1_files as bag
+from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

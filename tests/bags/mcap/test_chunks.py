@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame
 import pytest
 
-from bags.mcap_files import (
+from pc2scan.bags.mcap.reader import McapReader
+from support.mcap_files import (
     BODY,
     COMPRESSIONS,
     content,
@@ -23,7 +24,6 @@ from bags.mcap_files import (
     write,
     zstd,
 )
-from pc2scan.bags.mcap.reader import McapReader
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,13 +12,13 @@ import pytest
 import zstandard
 from mcap.records import MessageIndex
 
-from bags.mcap_files import encoded, raw_channel, raw_chunk, raw_file, raw_message, record, write
 from pc2scan.bags.chunked import segments
 from pc2scan.bags.mcap.copies import whole_by_content, whole_by_index
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import RecordFile
 from pc2scan.bags.units import in_time_order
 from pc2scan.model import ChunkRule, StoredChunk
+from support.mcap_files import encoded, raw_channel, raw_chunk, raw_file, raw_message, record, write
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,9 +9,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer as LibraryWriter
 
-from bags.mcap_files import connection
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.writer import McapWriter
+from support.mcap_files import connection
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunked.segments import Segment
-from bags.mcap_files import (
+from support.mcap_files import (
     LIBRARY_OPTIONS,
     SAMPLE,
     altered_index,

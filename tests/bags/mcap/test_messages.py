@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 from mcap.records import MessageIndex
 
-from bags.mcap_files import content, encoded, raw_channel, raw_chunk, raw_file, raw_message, record, write
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.errors import RecordingError
 from pc2scan.model import RawMessage
+from support.mcap_files import content, encoded, raw_channel, raw_chunk, raw_file, raw_message, record, write
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunked.segments import Segment
-from bags.mcap_files import (
+from support.mcap_files import (
     CLOUD,
     LIBRARY_OPTIONS,
     SAMPLE,

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags.mcap_files import BODY, failing, raw_channel, raw_chunk, raw_file, raw_message, read, record
 from pc2scan.bags.mcap.records import MAGIC
+from support.mcap_files import BODY, failing, raw_channel, raw_chunk, raw_file, raw_message, read, record
 
 if TYPE_CHECKING:
     from pathlib import Path

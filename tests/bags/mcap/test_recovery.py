@@ -12,7 +12,11 @@ import pytest
 from mcap.records import DataEnd, Footer, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 
-from bags.mcap_files import (
+from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.cli.in_process import run_command
+from pc2scan.errors import DamageError
+from support.mcap_files import (
     BODY,
     LIBRARY_OPTIONS,
     content,
@@ -26,10 +30,6 @@ from bags.mcap_files import (
     write,
     zstd,
 )
-from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.mcap.records import MAGIC
-from pc2scan.cli.in_process import run_command
-from pc2scan.errors import DamageError
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,10 +11,10 @@ import pytest
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Attachment, Channel, Message, MessageIndex, Metadata, Schema
 
-from bags.mcap_files import BODY, encoded, raw_channel, raw_chunk, raw_file, raw_message, record, zstd
 from bags.mcap_variants import CONTENTS, Variant, file_of, variants
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.cli.in_process import run_command
+from support.mcap_files import BODY, encoded, raw_channel, raw_chunk, raw_file, raw_message, record, zstd
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

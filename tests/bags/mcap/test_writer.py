@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
-from bags.mcap_files import (
+from support.mcap_files import (
     CLOUD,
     COMPRESSIONS,
     QOS,

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-from bags.rosbag1_files import (
+from support.rosbag1_files import (
     COMPRESSIONS,
     FIRST_CHUNK,
     chunk,

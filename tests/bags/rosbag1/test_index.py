@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from bags.rosbag1_files import (
+from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from support.rosbag1_files import (
     COMPRESSIONS,
     FIRST_CHUNK,
     SECOND,
@@ -26,7 +27,6 @@ from bags.rosbag1_files import (
     uint32,
     write,
 )
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
 
 if TYPE_CHECKING:
     from pathlib import Path

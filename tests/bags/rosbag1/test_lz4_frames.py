@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame
 import pytest
 
-from bags.rosbag1_files import ROS1, ros1, ros1_missing
 from pc2scan.bags.rosbag1.lz4_frames import packed, ros1_reads
+from support.rosbag1_files import ROS1, ros1, ros1_missing
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -21,7 +21,10 @@ from rosbags.rosbag1 import Reader as OtherReader
 from rosbags.rosbag1 import Writer as OtherWriter
 
 import pc2scan
-from bags.rosbag1_files import (
+from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.errors import RecordingError
+from support import RECORDINGS, needs_shared
+from support.rosbag1_files import (
     COMPRESSIONS,
     ROS1,
     SCRIPT,
@@ -36,9 +39,6 @@ from bags.rosbag1_files import (
     string,
     write,
 )
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
-from pc2scan.errors import RecordingError
-from support import RECORDINGS, needs_shared
 
 if TYPE_CHECKING:
     from pc2scan.model import RawMessage

@@ -5,9 +5,9 @@ from __future__ import annotations
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-from bags.rosbag1_files import connection_record, fails, header, message, record, simple_bag, uint32
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
 from pc2scan.model import Connection
+from support.rosbag1_files import connection_record, fails, header, message, record, simple_bag, uint32
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bags.rosbag1_files import (
+from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
+from pc2scan.bags.rosbag1 import reader as rosbag1_reader
+from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.errors import DamageError
+from support.rosbag1_files import (
     COMPRESSIONS,
     FIRST_CHUNK,
     Row,
@@ -27,10 +31,6 @@ from bags.rosbag1_files import (
     uint32,
     write,
 )
-from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
-from pc2scan.bags.rosbag1 import reader as rosbag1_reader
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
-from pc2scan.errors import DamageError
 
 if TYPE_CHECKING:
     from pathlib import Path

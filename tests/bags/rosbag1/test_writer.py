@@ -28,7 +28,7 @@ from support import RECORDINGS, needs_shared
 
 if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
-from bags.rosbag1_files import (
+from support.rosbag1_files import (
     COMPRESSIONS,
     ROSBAG,
     SECOND,

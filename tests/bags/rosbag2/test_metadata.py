@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from ruamel.yaml import YAML
 
-from bags.rosbag2_files import DEFINITION, QOS_NAMES, QOS_NUMBERS, read, write_metadata, write_storage
 from pc2scan.bags.rosbag2.metadata import storage_files
 from pc2scan.bags.rosbag2.reader import Rosbag2Reader
 from pc2scan.errors import RecordingError
+from support.rosbag2_files import DEFINITION, QOS_NAMES, QOS_NUMBERS, read, write_metadata, write_storage
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -21,7 +21,13 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as TheirWriter
 
-from bags.rosbag2_files import (
+from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.rosbag2.metadata import storage_files
+from pc2scan.bags.rosbag2.reader import Rosbag2Reader
+from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
+from pc2scan.errors import DamageError, RecordingError
+from pc2scan.model import Attachment, Metadata
+from support.rosbag2_files import (
     STORE,
     STRING,
     compress_file,
@@ -32,12 +38,6 @@ from bags.rosbag2_files import (
     write_metadata,
     write_storage,
 )
-from pc2scan.bags.mcap.writer import McapWriter
-from pc2scan.bags.rosbag2.metadata import storage_files
-from pc2scan.bags.rosbag2.reader import Rosbag2Reader
-from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
-from pc2scan.errors import DamageError, RecordingError
-from pc2scan.model import Attachment, Metadata
 
 
 def test_the_storage_is_right_where_they_disagree(bag: Path) -> None:

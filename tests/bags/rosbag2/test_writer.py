@@ -14,7 +14,6 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader as TheirReader
 from ruamel.yaml import YAML
 
-from bags.rosbag2_files import QOS_NAMES, QOS_NUMBERS, STORE, STRING, names, read, text, topic
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.qos import parsed_qos, respelled_qos
 from pc2scan.bags.rosbag2.reader import Rosbag2Reader
@@ -22,6 +21,7 @@ from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
 from pc2scan.bags.rosbag2.writer import Rosbag2Writer
 from pc2scan.errors import OutputError
 from pc2scan.model import Attachment, Metadata
+from support.rosbag2_files import QOS_NAMES, QOS_NUMBERS, STORE, STRING, names, read, text, topic
 
 if TYPE_CHECKING:
     from pathlib import Path

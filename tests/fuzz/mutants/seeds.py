@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from builders import (
+from support.builders import (
     CONTENT,
     POINTS,
     SECOND,

@@ -231,6 +231,24 @@ def test_four_wrong_first_stamps_are_no_other_clock(tmp_path: Path) -> None:
         assert any("the stamps of /rear jump back by 86,400 s" in each for each in done.report.warnings)
 
 
+@pytest.mark.parametrize("options", [{"every": 1}, {"every": 1, "accumulate": "10clouds"}], ids=["", "count"])
+def test_jitter_moves_no_cloud_into_another_interval(options: dict[str, Any], tmp_path: Path) -> None:
+    jittered = [at + (-0.02, 0.02)[number // 10 % 2] for number, at in enumerate(tenths(1, 9))]
+    source = recorded(tmp_path / "d.mcap", clouds("/front", [0.0, *tenths(0.1, 1), *jittered]))
+    done = made(source, topics="/front:=/scan", **options)
+    assert done.sizes == [10] * 9
+    assert done.stamps == [0.9, *(round(1.9 + number + (-0.02, 0.02)[number % 2], 2) for number in range(8))]
+
+
+def test_a_window_joins_topics_of_clocks_that_are_apart(tmp_path: Path) -> None:
+    rear = clouds("/rear", tenths(0, 20), lambda _: 5 * SECOND)
+    found = sorted([*clouds("/front", tenths(0, 20)), *rear], key=lambda each: each.at)
+    done = made(recorded(tmp_path / "d.mcap", found), **BOTH, window=5)
+    # Equal stamps, which there are after 5 s.
+    assert done.sizes == [1] * 50 + [2] * 150
+    assert not any("jump" in each for each in done.report.warnings)
+
+
 def test_another_clock_is_one_in_the_whole_recording(tmp_path: Path) -> None:
     rear = clouds("/rear", tenths(0, 10, 0.03), lambda _: DAY)
     source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 10)), *rear])

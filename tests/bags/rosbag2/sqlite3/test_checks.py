@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from builders import CONTENT, write_db3
 from fuzz.mutants.database import database_layout
 from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
 from pc2scan.errors import DamageError
+from support.builders import CONTENT, write_db3
 
 if TYPE_CHECKING:
     from pathlib import Path

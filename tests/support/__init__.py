@@ -10,7 +10,7 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SHARED = ROOT.parent / "shared"
 RECORDINGS = SHARED / "recordings"
 GOLDEN_EXACT = SHARED / "golden_exact" if (SHARED / "golden_exact").is_dir() else ROOT / "fixtures" / "golden_exact"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from builders import SCAN, SECOND, T0, TF, Item, Recording, Stream, header, serialized, typestore
+from support.builders import SCAN, SECOND, T0, TF, Item, Recording, Stream, header, serialized, typestore
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

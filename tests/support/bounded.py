@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from e2e.command import Finished, environment
+from support.command import Finished, environment
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from builders import SCAN, TF, Item, Recording, Stream, transforms, write_mcap
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
+from support.builders import SCAN, TF, Item, Recording, Stream, transforms, write_mcap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -16,7 +16,7 @@ from rosbags.rosbag1 import Reader as Rosbag1LibraryReader
 from rosbags.rosbag2 import Reader as Rosbag2LibraryReader
 from ruamel.yaml import YAML
 
-from builders import CLOUD, SCAN, deserialized
+from support.builders import CLOUD, SCAN, deserialized
 
 if TYPE_CHECKING:
     from pathlib import Path

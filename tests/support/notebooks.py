@@ -1,7 +1,7 @@
 """Runs the code cells of a notebook in this process, as Jupyter would, without a kernel.
 
-``python tests/notebooks.py docs/python.ipynb`` runs a notebook in a copy of its surroundings and writes its outputs
-into it; without differences the file stays the same, byte for byte.
+``python tests/support/notebooks.py docs/python.ipynb`` runs a notebook in a copy of its surroundings and writes its
+outputs into it; without differences the file stays the same, byte for byte.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def outputs_of(cells: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mounted_worlds import SENSORS, Rectangle, box, mounted, room
+from support.worlds.mounted import SENSORS, Rectangle, box, mounted, room
 
 if TYPE_CHECKING:
     from collections.abc import Callable
