@@ -25,6 +25,7 @@ __all__ = [
     "end_of_chunk",
     "end_of_declaration",
     "end_of_framed",
+    "is_message",
     "is_record",
     "next_message",
     "next_record",
@@ -194,6 +195,14 @@ def end_of_framed(data: memoryview, position: int) -> int | None:
     return stop
 
 
+def is_message(data: memoryview, position: int, known: Collection[int] | None, span: tuple[int, int] | None) -> bool:
+    """Whether a message begins here that is of a known channel and of a time in the span, whatever its length is."""
+    if position + MESSAGE.size > len(data) or data[position] != OP_MESSAGE:
+        return False
+    _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
+    return (known is None or channel_id in known) and (span is None or span[0] <= log_time_ns <= span[1])
+
+
 def next_message(
     data: memoryview, start: int, end: int, known: Collection[int] | None, span: tuple[int, int] | None
 ) -> int | None:
@@ -203,12 +212,7 @@ def next_message(
         if position >= end:
             return None
         stop = record_end(data, position)
-        if stop is None:
-            continue
-        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
-        if known is not None and channel_id not in known:
-            continue
-        if span is not None and not span[0] <= log_time_ns <= span[1]:
+        if stop is None or not is_message(data, position, known, span):
             continue
         if stop + RECORD.size > len(data) or record_end(data, stop) is not None or span is not None:
             return position
