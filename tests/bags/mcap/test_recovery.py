@@ -524,3 +524,15 @@ def test_a_summary_with_a_wrong_crc_still_places_chunks(tmp_path: Path) -> None:
     times, said = repaired(path)
     assert sorted(times) == sound
     assert "the summary's CRC" in said
+
+
+@pytest.mark.parametrize("whole", [False, True], ids=["by chance", "of a file"])
+def test_a_message_that_looks_like_records_is_kept(tmp_path: Path, whole: bool) -> None:
+    """What follows it is damaged. It holds what may begin a message index and a channel, or the records of a file."""
+    inner = raw_file(tmp_path / "inner.mcap", raw_channel(), raw_message(1, 1), raw_message(1, 2)).read_bytes()
+    chance = struct.pack("<BQHI", 7, 30, 1, 0) + bytes(24) + b"\x80" + bytes(8) + bytes(1000)
+    outer = raw_message(1, 5, b"\xff" * 8 + (inner[8:-8] if whole else chance))
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), outer, bytes(13), raw_message(1, 6), raw_message(1, 7))
+    times, said = repaired(path)
+    assert times == [5, 6, 7]
+    assert "has opcode 0" in said

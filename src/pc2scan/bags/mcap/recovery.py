@@ -41,6 +41,7 @@ from .search import (
     end_of_chunk,
     end_of_declaration,
     end_of_framed,
+    included_record,
     is_message,
     is_record,
     next_message,
@@ -185,8 +186,8 @@ def _walked(file: RecordFile, index: McapIndex, summarized: Collection[int], end
         # A record with a wrong length may include others.
         if previous:
             stop = payload_stop(file, previous, end)
-            again = next_record(file, stop or previous + 1, end, known, limit=failed)
-            if again < failed:
+            again = included_record(file, stop or previous + 1, failed, end, known)
+            if again is not None:
                 _forget(index, previous)
                 yield _Gap(stop or previous, again, error)
                 position = again

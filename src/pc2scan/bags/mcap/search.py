@@ -25,6 +25,7 @@ __all__ = [
     "end_of_chunk",
     "end_of_declaration",
     "end_of_framed",
+    "included_record",
     "is_message",
     "is_record",
     "next_message",
@@ -43,6 +44,9 @@ _RECORD_HEAD = re.compile(rb"(?=[\x03-\x07\x09\x0c][\s\S]{4}[\0-\x0f]\0\0\0)")
 #: Records that cannot be in a chunk.
 _OUTSIDE_CHUNKS = frozenset({OP_CHUNK, OP_MESSAGE_INDEX, int(Opcode.ATTACHMENT), int(Opcode.METADATA)})
 _ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
+
+#: Consecutive records that are not there by chance.
+_MANY = 8
 
 _DECLARATIONS: Mapping[int, type[records.Schema | records.Channel]] = {
     Opcode.SCHEMA: records.Schema,
@@ -90,6 +94,23 @@ def next_record(
             break
         start += len(window) - overlap
     return end
+
+
+def included_record(file: RecordFile, start: int, stop: int, end: int, known: Collection[int]) -> int | None:
+    """Search what is said to be one record, up to ``stop``, for the first of others that it includes.
+
+    They go on behind ``stop``, or are many. Otherwise they are the record's contents.
+    """
+    while (found := next_record(file, start, end, known, limit=stop)) < stop:
+        position: int | None = found
+        for _ in range(_MANY):
+            if position is None or position >= stop:
+                break
+            position = _stop_of(file, position, end)
+        if position is not None and position != stop:
+            return found
+        start = found + 1
+    return None
 
 
 def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, known: Collection[int]) -> bool:
