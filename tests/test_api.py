@@ -19,7 +19,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import ParameterError, Pc2ScanError, RecordingError, TransformError, UsageError
-from pc2scan.pipeline.options import TimeBound
+from pc2scan.options.moment import TimeBound
 from support import ROOT
 from support.command import run
 

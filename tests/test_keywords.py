@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import inspect
-from importlib import import_module
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from typer.core import TyperGroup
+from typer.main import get_command
 
 import pc2scan
-from pc2scan.batch.request import all_keywords
-from pc2scan.cli.app import COMMANDS
-from pc2scan.cli.groups import flat
+from pc2scan.cli.app import COMMANDS, application
 from pc2scan.errors import UsageError
-from pc2scan.requests import parameter_names
+from pc2scan.options.table import GROUPS, options_of
+from pc2scan.options.values import Object
 from support import ROOT
 from support.builders import SCAN, Recording, Stream, item, write_mcap
 from support.builders import scan as scan_message
@@ -24,70 +25,48 @@ if TYPE_CHECKING:
 
 HALL = ROOT / "fixtures" / "hall.bag"
 
-#: Names of options that differ, because an option can only be given, or has another meaning beside others.
-RENAMED = {"no_verify": "verify", "tf_topic": "tf_topics", "workers": "jobs"}
-
-#: Options that only commands have. What is printed:
-PRESENTATION = {"as_json", "quiet", "verbose"}
-#: and what a result does in Python, or a notation of the command line:
-ONLY_COMMANDS = {
-    "convert": {"each": "a loop over `convert`", "ros_args": "marks ROS's notation on the command line"},
-    "batch": {"ros_args": "marks ROS's notation on the command line"},
-    "export": {"ros_args": "marks ROS's notation on the command line"},
-    "plot": {"ros_args": "marks ROS's notation on the command line"},
-    "view": {
-        "destination": "`Page.save`",
-        "overwrite": "`Page.save`",
-        "open_page": "notebooks show the page",
-        "ros_args": "marks ROS's notation on the command line",
-    },
-    "map": {
-        "destination": "`Map.save`",
-        "overwrite": "`Map.save`",
-        "png": "`Map.png`",
-        "ros_args": "marks ROS's notation on the command line",
-    },
-    "check": {"junit": "the result, for a CI system", "overwrite": "of --junit"},
-    "diff": {"junit": "the result, for a CI system", "overwrite": "of --junit"},
-    "golden": {"junit": "the result, for a CI system", "overwrite": "of --junit"},
-    "tf": {"frames": "--lookup is `FrameTree.lookup`", "at": "`FrameTree.lookup`"},
-}
-
-#: Arguments that only functions have: objects of Python, and a function that is called.
-OBJECTS = {"params", "frames", "filters", "progress"}
+#: Arguments that a command types as options, and options that only the command has because they are results in Python.
+ARGUMENTS = {"sources", "source", "destination", "a", "b", "folder", "pattern"}
+ONLY_TYPED = {"tf": {"lookup", "at"}, "view": {"destination"}, "map": {"destination"}}
 
 
-def options_of(command: str) -> set[str]:
-    """The options and arguments of a command, by the names that they have in Python."""
-    function = flat(getattr(import_module(f"pc2scan.cli.{command}"), command))
-    return {RENAMED.get(name, name) for name in inspect.signature(function).parameters}
+def taken_by_command(command: str) -> set[str]:
+    """The names of what a command takes."""
+    group = get_command(application(command))
+    assert isinstance(group, TyperGroup)
+    return {str(parameter.name) for parameter in group.commands[command].params}
 
 
-def keywords_of(function: str) -> set[str]:
-    """The arguments of a function, with parameters of the projection by name."""
-    parameters = inspect.signature(getattr(pc2scan, function)).parameters
-    named = {name for name, each in parameters.items() if each.kind is not each.VAR_KEYWORD}
-    if function == "batch":
-        return named | all_keywords()
-    return named | (set(parameter_names()) if len(named) < len(parameters) else set())
+def taken_by_function(function: str) -> set[str]:
+    """The names of what a function takes."""
+    return set(inspect.signature(getattr(pc2scan, function)).parameters)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_function_takes_what_its_command_takes(command: str) -> None:
-    missing = options_of(command) - keywords_of(command) - PRESENTATION - ONLY_COMMANDS.get(command, {}).keys()
-    assert missing == set()
+    known = options_of(command)
+    only_typed = {name for name, option in known.items() if option.command_only} | ONLY_TYPED.get(command, set())
+    only_python = {name for name, option in known.items() if isinstance(option.value, Object)}
+    assert taken_by_command(command) - only_typed == taken_by_function(command) - only_python
+    assert taken_by_function(command) - ARGUMENTS == {n for n, option in known.items() if not option.command_only}
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_command_takes_what_its_function_takes(command: str) -> None:
-    assert keywords_of(command) - options_of(command) - OBJECTS == set()
+@pytest.mark.parametrize("function", GROUPS)
+def test_a_signature_has_names_types_and_defaults(function: str) -> None:
+    parameters = inspect.signature(getattr(pc2scan, function)).parameters
+    for name, option in options_of(function).items():
+        if not option.command_only:
+            assert parameters[name].default == option.default
+            assert parameters[name].annotation is not inspect.Parameter.empty
 
 
-@pytest.mark.parametrize("command", ONLY_COMMANDS)
-def test_exceptions_are_still_needed(command: str) -> None:
-    assert ONLY_COMMANDS[command].keys() <= options_of(command)
-    if command != "tf":
-        assert not ONLY_COMMANDS[command].keys() & keywords_of(command)
+@pytest.mark.parametrize("function", GROUPS)
+def test_a_docstring_lists_the_options_the_common_ones_first(function: str) -> None:
+    listed = re.findall(r"^([a-z_]+)\n    \S", inspect.getdoc(getattr(pc2scan, function)) or "", re.MULTILINE)
+    known = {name: option for name, option in options_of(function).items() if not option.command_only}
+    found = [name for name in listed if name in known]
+    assert sorted(found) == sorted(known)
+    assert [known[name].common for name in found] == sorted((known[name].common for name in found), reverse=True)
 
 
 #: Why a keyword of `convert` is none of `scans`, which writes no recording.
@@ -106,9 +85,27 @@ NOT_FOR_SCANS = {
 
 def test_scans_takes_what_convert_takes() -> None:
     others = set().union(*NOT_FOR_SCANS.values())
-    assert keywords_of("convert") - keywords_of("scans") == others
-    assert keywords_of("scans") - keywords_of("convert") == set()
-    assert keywords_of("clouds") == {"sources", "topics", "start", "end", "on_error", "verify", "strict"}
+    assert taken_by_function("convert") - taken_by_function("scans") == others
+    assert taken_by_function("scans") - taken_by_function("convert") == set()
+    assert taken_by_function("clouds") == {"sources", "topics", "start", "end", "on_error", "verify", "strict"}
+
+
+@pytest.mark.parametrize(
+    ("function", "keyword", "hint"),
+    [
+        ("view", "keep", "it is for recordings that are written; convert has it, view writes none"),
+        ("map", "fail_on", "it is for recordings that are written; convert has it, map writes none"),
+        ("scans", "only_scans", "it is for recordings that are written; convert has it, scans writes none"),
+        ("view", "overwrite", "`Page.save` has it"),
+        ("map", "destination", "`Map.save` writes the files"),
+        ("convert", "each", "pc2scan batch converts each recording on its own"),
+        ("diff", "explain", "for differences of libm, convert again with the other `angle_rounding`"),
+        ("info", "atol", "only diff has it"),
+    ],
+)
+def test_an_option_of_another_function_is_an_error_with_a_hint(function: str, keyword: str, hint: str) -> None:
+    with pytest.raises(TypeError, match=re.escape(f"{function}() has no argument {keyword!r}; {hint}")):
+        getattr(pc2scan, function)(HALL, **{keyword: True})
 
 
 @pytest.mark.parametrize("function", ["scans", "clouds"])
@@ -119,8 +116,9 @@ def test_old_names_are_errors_with_the_new_name(function: str, old: str, new: st
 
 
 def test_keywords_through_another_function_are_checked() -> None:
-    for call in (pc2scan.map, pc2scan.scans, pc2scan.view):
-        assert "remove: 'str | Iterable[str]' = ()" in str(inspect.signature(call))
+    calls: tuple[Any, ...] = (pc2scan.map, pc2scan.scans, pc2scan.view)
+    for call in calls:
+        assert "deskew: bool = False" in str(inspect.signature(call))
         with pytest.raises(TypeError, match="deskew is 'no' \\(str\\), it must be True or False"):
             call(HALL, deskew="no")
         with pytest.raises(TypeError, match="did you mean 'min_height'"):

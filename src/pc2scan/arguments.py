@@ -2,39 +2,25 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 from collections.abc import Iterable
-from functools import wraps
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING
 
 from .errors import UsageError
 from .names import nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Mapping
     from typing import TypeAlias
 
     PathText: TypeAlias = str | PathLike[str]
 
-__all__ = ["known_keywords", "local_path", "names_in", "path_of", "path_text", "paths_in", "refuse_unknown"]
-
-_Arguments = ParamSpec("_Arguments")
-_Result = TypeVar("_Result")
+__all__ = ["local_path", "names_in", "path_of", "path_text", "paths_in", "refuse_unknown", "shown"]
 
 #: Maximum number of characters of a value in an error message.
 _LONGEST = 80
-
-
-#: Checks for arguments, by annotation: a test, and what the argument must be, for the error.
-_CHECKS: Mapping[str, tuple[Callable[[object], bool], str]] = {
-    "bool": (lambda value: isinstance(value, bool), "True or False"),
-    "int": (lambda value: isinstance(value, int) and not isinstance(value, bool), "a whole number"),
-    "str | None": (lambda value: value is None or isinstance(value, str), "a str, or None"),
-    "Progress | None": (lambda value: value is None or callable(value), "a function, or None"),
-}
 
 
 def shown(value: object) -> str:
@@ -186,51 +172,3 @@ def refuse_unknown(
         synonym = (synonyms or {}).get(word)
         meant = synonym if synonym in candidates else nearest(word, candidates)
         raise TypeError(f"{function}() has no argument {name!r}{f'; did you mean {meant!r}?' if meant else ''}")
-
-
-def known_keywords(
-    *,
-    further: Callable[[], Iterable[str]] = tuple,
-    synonyms: Mapping[str, str] | None = None,
-    like: Callable[..., object] | None = None,
-    shared: Collection[str] = (),
-) -> Callable[[Callable[_Arguments, _Result]], Callable[_Arguments, _Result]]:
-    """Decorate a function so that a misspelt keyword or a wrong type raises a TypeError that suggests the right one.
-
-    Parameters
-    ----------
-    further
-        Returns the keywords that the function takes as ``**keywords``.
-    synonyms
-        Names that are not arguments, and the arguments that they mean.
-    like, shared
-        The function takes these arguments of another function, as ``**keywords``. Its signature and its help have them.
-    """
-
-    def decorated(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
-        signature = inspect.signature(function)
-        parameters = list(signature.parameters.values())
-        if like is not None:
-            own = signature.parameters
-            others = inspect.signature(like).parameters.values()
-            parameters[-1:-1] = added = [p for p in others if p.name in shared and p.name not in own]
-            names = ", ".join(p.name for p in added)
-            function.__doc__ = (function.__doc__ or "").replace("\n    **keywords\n", f"\n    {names}, **keywords\n")
-        named = {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
-        # Annotations are text. The check for bool keeps `overwrite="no"` from replacing a file.
-        checks = {p.name: _CHECKS[p.annotation] for p in parameters if p.annotation in _CHECKS}
-
-        @wraps(function)
-        def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
-            if not kwargs.keys() <= named:
-                refuse_unknown(function.__name__, kwargs, {*named, *further()}, synonyms)
-            for name in kwargs.keys() & checks.keys():
-                is_right, expected = checks[name]
-                if not is_right(kwargs[name]):
-                    raise TypeError(f"{name} is {shown(kwargs[name])}, it must be {expected}")
-            return function(*args, **kwargs)
-
-        checked.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-        return checked
-
-    return decorated

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from typer.testing import CliRunner
@@ -15,12 +15,11 @@ from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, and
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import Unit
-from pc2scan.batch.file_options import FILE_OPTIONS
 from pc2scan.batch.results import first_part, whole
 from pc2scan.cli.app import application
-from pc2scan.cli.options.output import Compression, Storage, To
 from pc2scan.errors import DestinationError, RecordingError
 from pc2scan.model import Connection, Definition, RawMessage, Summary
+from pc2scan.options.table import options_of
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -251,10 +250,10 @@ def test_the_table_is_consistent() -> None:
 
 def test_the_command_line_offers_what_the_table_has() -> None:
     known = {name for entry in FORMATS.values() for name in entry.compressions}
-    assert set(get_args(Compression)) == known
-    assert set(get_args(Storage)) == set(storages())
-    assert get_args(To) == tuple(destinations())
-    assert set(FILE_OPTIONS["compression"].choices) == known
+    words = {name: option.value.words for name, option in options_of("convert").items()}
+    assert set(words["compression"]) == known
+    assert set(words["storage"]) == set(storages())
+    assert words["to"] == tuple(destinations())
 
 
 @pytest.mark.parametrize(

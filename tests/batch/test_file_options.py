@@ -2,64 +2,52 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
-import typing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 import typer
-from typer.main import get_command
+from typer.testing import CliRunner
 
 import pc2scan
 from batch.datasets import HEIGHTS
-from pc2scan.batch import file_options
-from pc2scan.batch.file_options import FILE_OPTIONS, schema
-from pc2scan.batch.request import all_keywords, request_of
-from pc2scan.cli.app import application
-from pc2scan.cli.batch import ExportGroup
-from pc2scan.cli.options.conversion import ConversionGroup, typed_words
-from pc2scan.cli.options.output import OutputGroup
+from pc2scan.batch.request import request_of
+from pc2scan.cli.options import typed_command
 from pc2scan.errors import UsageError
 from pc2scan.export.formats import FORMATS
 from pc2scan.export.poses import PoseOptions
+from pc2scan.options.call import Options  # noqa: TC001  # typer's function is read with its types
+from pc2scan.options.moment import TimeBound
+from pc2scan.options.schemas import schema_text
+from pc2scan.options.table import dataset_options, options_of
 from support import ROOT
 from support.builders import CONTENT, write_rosbag1
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-#: What `pc2scan.convert` takes for one run.
-OF_ONE_RUN = {
-    *("sources", "destination", "report", "dry_run", "jobs", "progress", "parameters"),
-    # A batch has local paths.
-    *("scratch", "scratch_size"),
-}
 
-#: Objects, which only Python has; and what only decides whether something is replaced.
-NOT_IN_FILES = {"params", "filters", "frames", "overwrite"}
-
-
-def test_every_option_of_convert_is_in_dataset_files() -> None:
-    parameters = set(inspect.signature(pc2scan.convert).parameters)
-    assert parameters - OF_ONE_RUN <= all_keywords()
-    assert all_keywords() - NOT_IN_FILES == FILE_OPTIONS.keys()
-
-
-def test_the_schema_agrees_with_the_code() -> None:
+def test_the_schema_is_the_one_that_is_shipped() -> None:
     committed = (ROOT / "src" / "pc2scan" / "batch" / "dataset.schema.json").read_text("utf-8")
-    assert json.loads(committed) == schema()
-    assert inspect.getfile(file_options).rpartition("/")[0].endswith("pc2scan/batch")
+    assert committed == schema_text("dataset"), "python -m pc2scan.options.schemas dataset > dataset.schema.json"
+    properties = json.loads(committed)["properties"]["defaults"]["properties"]
+    assert properties.keys() == dataset_options().keys()
 
 
-def typed(*arguments: str) -> tuple[dict[str, Any], dict[str, str]]:
-    """The keywords that a command line of ``convert`` has."""
-    group = get_command(application("convert"))
-    command = group.commands["convert"]  # type: ignore[attr-defined]
-    context = command.make_context("convert", ["drive.bag", *arguments], parent=typer.Context(group))
-    return typed_words(*(kind.gathered(context.params) for kind in (ConversionGroup, OutputGroup)))
+def typed(*arguments: str) -> dict[str, Any]:
+    """The options that a command line of ``convert`` has."""
+    found: list[Options] = []
+
+    def command(sources: list[str], *, options: Options) -> None:
+        assert sources == ["drive.bag"]
+        found.append(options)
+
+    app = typer.Typer(rich_markup_mode=None)
+    app.command()(typed_command("convert", command))
+    assert CliRunner().invoke(app, ["drive.bag", *arguments]).exit_code == 0
+    return found[0].given
 
 
 #: Options as they are typed, and as keywords.
@@ -68,7 +56,7 @@ TYPED: dict[str, Any] = {
     "--keep /x --drop /y": {"keep": ("/x",), "drop": ("/y",)},
     "--keep-clouds": {"keep_clouds": True},
     "--only-scans": {"only_scans": True},
-    "--start 1 --end 2": {"start": "1", "end": "2"},
+    "--start 1 --end 2": {"start": TimeBound(10**9), "end": TimeBound(2 * 10**9)},
     "--min-height 10cm --use-inf": {"min_height": "10cm", "use_inf": True},
     "--beams 360 --no-return nan": {"beams": 360, "no_return": "nan"},
     "--param min_height:=0.5": {"param": ("min_height:=0.5",)},
@@ -97,8 +85,9 @@ TYPED: dict[str, Any] = {
 
 @pytest.mark.parametrize("text", TYPED)
 def test_typed_options_are_keywords(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    keywords, _ = typed(*text.split())
-    assert keywords == TYPED[text]
+    keywords = typed(*text.split())
+    assert {**keywords, **TYPED[text]} == keywords
+    assert keywords.keys() == TYPED[text].keys()
     # They mean the same to `convert` in Python, where it has them.
     called: list[Any] = []
 
@@ -119,13 +108,6 @@ def test_typed_options_are_keywords(text: str, tmp_path: Path, monkeypatch: pyte
 
 class _Done:
     warnings: list[str] = []  # noqa: RUF012
-
-
-def test_every_option_of_the_command_becomes_a_word() -> None:
-    names = {parameter.name for group in (ConversionGroup, OutputGroup) for parameter in group.parameters()}
-    renamed = {"tf_topic": "tf_topics", "no_verify": "verify"}
-    keywords = {renamed.get(name, name) for name in names}
-    assert keywords - {"ros_args", "jobs", "each", "dry_run"} <= all_keywords()
 
 
 @pytest.mark.parametrize(
@@ -181,7 +163,7 @@ def test_several_outputs_are_words(tmp_path: Path) -> None:
     assert (low.params.min_height, high.params.min_height, high.params.max_height) == (0.1, 1.0, 3.0)
     assert (low.params.range_min, low.origins["max_height"]) == (0.5, "--max-height")
     assert f"{file.name} (from `scans`)" in asked.files
-    assert str(typed("--scans", str(file))[0]["scans"]) == str(file)
+    assert str(typed("--scans", str(file))["scans"]) == str(file)
     # Another place of the same file makes no difference.
     (tmp_path / "moved").mkdir()
     moved = file.rename(tmp_path / "moved" / "scans.yaml")
@@ -208,8 +190,7 @@ def test_several_nodes_of_a_file_are_several_outputs(tmp_path: Path) -> None:
 
 
 def test_exports_are_those_of_the_command() -> None:
-    assert FILE_OPTIONS["export"].choices == tuple(FORMATS)
-    assert typing.get_args(typing.get_args(ExportGroup.__annotations__["export"])[0])[0].__args__ == tuple(FORMATS)
+    assert options_of("batch")["export"].value.words == options_of("export")["format"].value.words == tuple(FORMATS)
     asked = request_of({"export": "npz", "pose_frame": "odom", "min_height": 0})
     assert asked.export is not None
     assert (asked.export.converting, asked.export.poses.pose_frame) == (True, "odom")
@@ -223,7 +204,7 @@ def test_exports_are_those_of_the_command() -> None:
     )
     for keywords, message in (
         ({"pose_frame": "odom"}, "`pose_frame` goes with `export`"),
-        ({"export": "npy"}, "`export=npy` is not a format"),
+        ({"export": "npy"}, "`export` is 'npy', it must be npz"),
         ({"export": "tum"}, "`export=tum` needs poses"),
         ({"export": "npz", "to": "bag", "split": "1s"}, "`to`, `split` would have no effect"),
     ):

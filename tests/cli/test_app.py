@@ -80,7 +80,7 @@ def test_a_default_is_said_once(name: str) -> None:
 
 
 def test_defaults_are_for_people() -> None:
-    shown = " ".join(CliRunner().invoke(application("convert"), ["convert", "--help"]).stdout.split())
+    shown = " ".join(CliRunner().invoke(application("convert"), ["convert", "--help-all"]).stdout.split())
     for default in ("above 0 m", "no limit", "-pi rad", "pi rad", "pi/180 rad, 1 degree", "1/30 s"):
         assert f"[default: {default}]" in shown
     assert "e+308" not in shown

@@ -140,5 +140,5 @@ def test_no_arguments_show_the_help() -> None:
 def test_what_a_parameter_file_has_besides_is_reported(tmp_path: Path) -> None:
     file = tmp_path / "params.yaml"
     file.write_text("pointcloud_to_laserscan:\n  ros__parameters:\n    cloud_in: /points\n", "utf-8")
-    text = said("convert", HALL, "--params-file", str(file), "--start", "soon")
+    text = said("convert", HALL, "--params-file", str(file), "-o", HALL)
     assert text.startswith(f"warning: ignored, because it is not a parameter of the projection: {file}, line 3, ")

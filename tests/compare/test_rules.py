@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from pc2scan.compare.rules import IGNORABLE, Rules, parse_tolerance
+from pc2scan.compare.rules import IGNORABLE, Rules
 from pc2scan.errors import UsageError
+from pc2scan.options.values import Tolerances
 
 
 def test_the_default_is_exact() -> None:
@@ -13,7 +14,7 @@ def test_the_default_is_exact() -> None:
 
 
 def test_a_name_beats_the_number_for_all() -> None:
-    rules = Rules(atol=parse_tolerance(["0.5", "x=1e-6"], "--atol"), rtol={"y": 0.1})
+    rules = Rules(atol=Tolerances().read("atol", ["0.5", "x=1e-6"]), rtol={"y": 0.1})
     assert rules.tolerance("x").atol == 1e-6
     assert rules.tolerance("ranges").atol == 0.5
     assert (rules.tolerance("y").atol, rules.tolerance("y").rtol) == (0.5, 0.1)
@@ -21,13 +22,13 @@ def test_a_name_beats_the_number_for_all() -> None:
 
 @pytest.mark.parametrize("text", ["", "x=", "x=y", "0,5"])
 def test_what_is_no_tolerance(text: str) -> None:
-    with pytest.raises(UsageError, match="--atol"):
-        parse_tolerance([text], "--atol")
+    with pytest.raises(UsageError, match="`atol`"):
+        Tolerances().read("atol", [text])
 
 
 def test_a_tolerance_is_given_once() -> None:
     with pytest.raises(UsageError, match="twice for x"):
-        parse_tolerance(["x=1", "x=2"], "--rtol")
+        Tolerances().read("rtol", ["x=1", "x=2"])
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])

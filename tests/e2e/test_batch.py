@@ -427,7 +427,7 @@ def test_from_python(drives: Path, tmp_path: Path) -> None:
     assert seen[-1].bytes_done == seen[-1].bytes_total
     assert "3 converted" in str(report)
     with pytest.raises(TypeError, match="did you mean 'min_height'"):
-        pc2scan.batch(drives, tmp_path / "out", min_hight=-2)
+        pc2scan.batch(drives, tmp_path / "out", min_hight=-2)  # type: ignore[call-arg]
 
 
 def test_exports(drives: Path, tmp_path: Path) -> None:

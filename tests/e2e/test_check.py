@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from core.consumer_rules import mrpt_2_5, mrpt_ros_bridge_3_2
-from pc2scan.cli.check import Consumer
 from pc2scan.cli.spelling import as_typed
 from pc2scan.core.consumers import CONSUMERS
+from pc2scan.options.table import options_of
 from support import GOLDEN, ROOT
 from support.command import run
 from support.scan_recordings import GOOD, scans, write
@@ -27,7 +27,7 @@ HALF = ("--min-height", "-0.3", "--angle-min", "-1.57", "--angle-max", "1.57", "
 
 
 def test_the_choices_are_the_consumers() -> None:
-    assert [consumer.value for consumer in Consumer] == list(CONSUMERS)
+    assert options_of("check")["consumers"].value.words == tuple(CONSUMERS)
 
 
 def test_good_scans(tmp_path: Path) -> None:

@@ -110,12 +110,6 @@ def test_empty_scans_and_damage_are_foreseen(folder: Path) -> None:
     assert "damaged: cut.bag" in told
 
 
-def test_a_dry_run_of_each(folder: Path) -> None:
-    shown, _ = dry(folder, "--each", "drive.bag", "drive.mcap", "drive", "-o", "scans/", *HEIGHTS, "--report", "r.json")
-    assert "3 of 3 recordings would be converted" in shown
-    assert "scans/drive_scan.mcap" in shown
-
-
 @pytest.mark.parametrize(
     ("options", "told"),
     [

@@ -42,28 +42,30 @@ ALLOWED = {
     "files": set[str](),
     "remote": {"files"},
     "core": set[str](),
+    # The table of options: what a call may have, for every door.
+    "options": {"core", "tf.options"},
     "tf": {"core", "messages", "bags", "files"},
     # `remote.urls`: whether a path is a URL.
     "bags": {"files", "remote.urls"},
     "messages": {"core"},
-    "pipeline": {"core", "tf", "messages", "bags", "files", "remote"},
+    "pipeline": {"options", "core", "tf", "messages", "bags", "files", "remote"},
     "inspect": {"core", "tf", "messages", "bags", "remote"},
-    "compare": {"messages", "bags", "core", "files"},
-    "golden": {"pipeline", "compare", "messages", "bags", "files"},
-    "streams": {"pipeline", "core", "tf", "messages", "bags"},
-    "export": {"streams", "pipeline", "core", "tf", "messages", "bags", "files"},
-    "look": {"streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
-    "batch": {"requests", "export", "pipeline", "core", "bags", "files", "remote"},
+    "compare": {"options", "messages", "bags", "core", "files"},
+    "golden": {"options", "pipeline", "compare", "messages", "bags", "files"},
+    "streams": {"options", "pipeline", "core", "tf", "messages", "bags"},
+    "export": {"options", "streams", "pipeline", "core", "tf", "messages", "bags", "files"},
+    "look": {"options", "streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
+    "batch": {"options", "requests", "export", "pipeline", "core", "bags", "files", "remote"},
     # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
-    "requests": {"pipeline", "core", "streams", "tf"},
+    "requests": {"options", "pipeline", "core", "streams", "tf"},
     "api": {
-        *("batch", "requests", "pipeline", "inspect", "compare", "golden", "streams", "export", "look", "core", "tf"),
-        *("cli.in_process", "cli.command_line"),
+        *("batch", "requests", "options", "pipeline", "inspect", "compare", "golden", "streams", "export", "look"),
+        *("core", "tf", "cli.in_process", "cli.command_line"),
     },
     # `bags.formats`: what containers are called. `bags.damage`: results have its data classes.
     # `files.staging`: what is complete when a command is interrupted.
     "cli": {
-        *("batch", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
+        *("batch", "options", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
         *("bags.damage", "bags.formats", "files.staging", "files.junit", "remote.urls", "requests"),
     },
     "pytest_plugin": {"api", "cli", "golden"},
@@ -75,6 +77,7 @@ THIRD_PARTY = {
     "files": {"isal", "lz4", "zstandard", "ruamel"},
     "remote": {"fsspec", "aiohttp"},
     "core": {"numpy"},
+    "options": set(),
     "tf": {"numpy", "ruamel"},
     "messages": {"numpy", "rosbags"},
     "bags": {"numpy", "rosbags", "lz4", "ruamel"},
@@ -242,8 +245,8 @@ def test_starting_is_cheap(code: str) -> None:
 #: as some thousand points.
 LOADED_BY_CONVERT = {
     "pc2scan": (
-        "arguments bags callable_package cli core errors files json_types memory messages model names pipeline "
-        "remote requests shown text_enum tf threads version"
+        "arguments bags callable_package cli core errors files json_types memory messages model names options pipeline "
+        "remote requests shown tf threads version"
     ),
     "pc2scan.bags": (
         "chunked damage destinations formats lasting many mcap opening parts reader rosbag1 topics units zstd"
@@ -252,15 +255,15 @@ LOADED_BY_CONVERT = {
     "pc2scan.bags.mcap": "record_types records writer",
     "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
     "pc2scan.cli": (
-        "app completion convert damage fitting groups interrupts next_command options outcome progress "
+        "app completion convert damage fitting interrupts next_command options outcome progress "
         "render screen spelling usage"
     ),
-    "pc2scan.cli.options": "conversion frames moving output parameters selection",
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
     "pc2scan.files": (
         "borrowed compression crc32 limits ownership places run_lock same_file source staging system write_ahead"
     ),
     "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
+    "pc2scan.options": "call table values",
     "pc2scan.pipeline": (
         "acceptance beforehand cloud_checks cloud_to_scan combine conversion declarations demands first_clouds idle "
         "options param_sources parameters plan prepare report report_warnings ros_scalars routes run "

@@ -18,7 +18,7 @@ from pc2scan import pytest_plugin
 from pc2scan.compare.rules import GEOMETRY, IGNORABLE
 from pc2scan.core.presets import PRESETS
 from pc2scan.golden.case import KEYS
-from pc2scan.pipeline.parameters import PARAMETERS
+from pc2scan.options.table import PARAMETERS
 from support import ROOT
 from support.command import environment, run
 
@@ -38,15 +38,15 @@ ELSEWHERE = {
 
 
 @cache
-def help_of(command: str) -> str:
-    done = run(command, "--help")
+def help_of(command: str, how: str = "--help") -> str:
+    done = run(command, how if "--help-all" in run(command, "--help").stdout else "--help")
     assert done.status == 0, done.stderr
     return done.stdout
 
 
 @cache
 def options_of(command: str) -> frozenset[str]:
-    return frozenset(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", help_of(command)))
+    return frozenset(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", help_of(command, "--help-all")))
 
 
 def code_blocks(language: str, text: str = TEXT) -> list[str]:
@@ -98,7 +98,7 @@ def test_every_command_is_in_the_readme() -> None:
 def test_every_parameter_is_in_the_readmes_table() -> None:
     rows = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.*?) \|", TEXT, re.MULTILINE))))
     assert PARAMETERS.keys() <= rows
-    assert all(parameter.option in options_of("convert") for parameter in PARAMETERS.values())
+    assert all(parameter.spelling in options_of("convert") for parameter in PARAMETERS.values())
 
 
 def test_every_preset_is_in_the_readme_and_the_help() -> None:

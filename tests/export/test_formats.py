@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
-from pc2scan.cli.export import FORMATS as OFFERED
 from pc2scan.export.formats import FORMATS
 from pc2scan.export.names import file_names
+from pc2scan.options.table import options_of
 
 
 def test_the_command_offers_the_formats() -> None:
-    assert get_args(OFFERED) == tuple(FORMATS)
+    assert options_of("export")["format"].value.words == tuple(FORMATS)
 
 
 def test_every_format_names_its_writer() -> None:

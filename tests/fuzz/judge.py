@@ -20,7 +20,8 @@ from fuzz.watch import watched
 from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.damage import recovery_text
-from pc2scan.pipeline.options import ConvertOptions, TimeBound
+from pc2scan.options.moment import TimeBound
+from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.run import OutputOptions, run
 from pc2scan.pipeline.scan_spec import ScanSpec

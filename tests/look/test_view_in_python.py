@@ -46,7 +46,7 @@ def test_several_moments() -> None:
 
 def test_mistakes_are_told(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="did you mean"):
-        pc2scan.view(HALL, min_hight=1)
+        pc2scan.view(HALL, min_hight=1)  # type: ignore[call-arg]
     with pytest.raises(pc2scan.Pc2ScanError):
         pc2scan.view(HALL, clouds=0)
     (tmp_path / "mine.html").write_text("mine")

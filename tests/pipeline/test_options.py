@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 
 from pc2scan.errors import UsageError
-from pc2scan.pipeline.options import ConvertOptions, TimeBound
+from pc2scan.options.moment import TimeBound
+from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.scan_spec import TopicRequest
 
 

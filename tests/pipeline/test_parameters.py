@@ -14,8 +14,9 @@ import pytest
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError
+from pc2scan.options.table import PARAMETERS
 from pc2scan.pipeline.param_assignment import parse_param
-from pc2scan.pipeline.parameters import PARAMETERS, Setting, preset_settings, resolve
+from pc2scan.pipeline.parameters import Setting, preset_settings, resolve
 from pipeline.param_settings import Load, failure, ros2
 from support import ROOT
 
@@ -41,7 +42,7 @@ def test_each_parameter_says_what_the_help_needs(name: str) -> None:
     assert parameter.help.endswith(".")
     assert 20 < len(parameter.help) < 150
     assert parameter.upstreams == (list(PARAMETERS).index(name) < 13)
-    assert parameter.option == "--" + name.replace("_", "-")
+    assert parameter.spelling == "--" + name.replace("_", "-")
 
 
 def test_the_units_are_upstreams() -> None:
@@ -64,7 +65,7 @@ def test_the_help_of_min_height_warns_of_its_default() -> None:
 
 
 def test_the_reverse_node_has_three_parameters() -> None:
-    reverse = {name for name, p in PARAMETERS.items() if "laserscan_to_pointcloud" in p.directions}
+    reverse = {name for name, p in PARAMETERS.items() if p.is_shared}
     assert reverse == {"target_frame", "transform_tolerance", "queue_size"}
 
 
@@ -268,7 +269,7 @@ def test_nothing_set_is_upstreams_defaults() -> None:
     ],
 )
 def test_an_impossible_value_names_its_origin(given: dict[str, object], message: str) -> None:
-    settings_given = [Setting(name, value, PARAMETERS[name].option) for name, value in given.items()]
+    settings_given = [Setting(name, value, PARAMETERS[name].spelling) for name, value in given.items()]
     err = failure(lambda: resolve(settings_given))
     assert str(err) == message
     assert err.name in PARAMETERS

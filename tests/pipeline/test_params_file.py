@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
+from pc2scan.options.table import PARAMETERS
 from pc2scan.pipeline.param_assignment import parse_param
-from pc2scan.pipeline.parameters import PARAMETERS, Direction, Setting, resolve
+from pc2scan.pipeline.parameters import Direction, Setting, resolve
 from pc2scan.pipeline.params_file import ParamsFile, load_params_file, render_params_file
 from pipeline.param_settings import Load, failure, params_of, ros2, values, yaml_like
 from support import GOLDEN

@@ -11,14 +11,15 @@ import pytest
 
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
-from pc2scan.pipeline import scans_schema
+from pc2scan.options.call import Options
+from pc2scan.options.schemas import scans_schema, schema_text
+from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.pipeline.combine.asked import Combining
-from pc2scan.pipeline.parameters import PARAMETERS, Setting
+from pc2scan.pipeline.parameters import Setting
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
-from pc2scan.pipeline.scans_file import OUTPUT_KEYS, load_scans, refuse_beside
+from pc2scan.pipeline.scans_file import load_scans, refuse_beside
 from pc2scan.pipeline.stages.height_slope import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
-from pc2scan.requests import given_among
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -212,26 +213,30 @@ def test_what_only_the_file_may_have() -> None:
         "fixed_frame": "",
         "stamp": "header",
     }
-    refuse_beside(given_among(usual))
+    refuse_beside(list(Options("convert", usual).given))
     with pytest.raises(UsageError, match="`preset`, `where` cannot be combined with `scans`"):
-        refuse_beside(given_among(usual | {"preset": "gmapping", "where": ["x > 1"]}))
+        refuse_beside(list(Options("convert", usual | {"preset": "gmapping", "where": ["x > 1"]}).given))
+
+
+#: The keys of an output that are no parameters of the projection.
+KEYS = {"sources", *output_options()}
 
 
 def test_the_schema_is_the_one_that_is_shipped() -> None:
     from importlib.resources import files
 
     shipped = (files("pc2scan") / "pipeline" / "scans.schema.json").read_text()
-    assert shipped == scans_schema.schema_text(), "python -m pc2scan.pipeline.scans_schema > scans.schema.json"
+    assert shipped == schema_text("scans"), "python -m pc2scan.options.schemas scans > scans.schema.json"
     properties = json.loads(shipped)["$defs"]["output"]["properties"]
-    assert properties.keys() == OUTPUT_KEYS.keys() | PARAMETERS.keys()
+    assert properties.keys() == KEYS | PARAMETERS.keys()
 
 
 def test_the_file_has_whatever_an_output_has() -> None:
     """A choice that `ScanSpec` gets is an entry in the table."""
     elsewhere = {"name", "place", "topics", "origins", "params", "filters", "reverse", "channels", "output_type"}
     elsewhere |= {"combining"}
-    assert set(Combining._fields) - {"window_ns", "span_ns", "count", "every_ns"} <= OUTPUT_KEYS.keys()
-    assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= OUTPUT_KEYS.keys()
+    assert set(Combining._fields) - {"window_ns", "span_ns", "count", "every_ns"} <= KEYS
+    assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= KEYS
 
 
 def valid(value: Any, rule: dict[str, Any], root: dict[str, Any]) -> bool:
@@ -261,16 +266,16 @@ def valid(value: Any, rule: dict[str, Any], root: dict[str, Any]) -> bool:
     return not isinstance(value, list) or all(valid(each, rule["items"], root) for each in value)
 
 
-@pytest.mark.parametrize("name", [*OUTPUT_KEYS, *PARAMETERS])
+@pytest.mark.parametrize("name", [*sorted(KEYS), *PARAMETERS])
 def test_the_schema_and_the_code_agree_about_every_key(name: str) -> None:
-    root = scans_schema.schema()
+    root = scans_schema()
     tried: list[Any] = [True, 2, 0.5, "middle", "auto", ["x > 1"], {"x": 1}, "median", "centered", "nan", "correct"]
     for value in tried:
         try:
             load_scans({"/scan": {name: value}})
         except UsageError as err:
             # What is of the right kind may still be refused: a frame that is missing, a number out of range.
-            kind = r"expected|must be (text|true|a number|one of|a single)"
+            kind = r"expected|must be (text|true|a path|a number|one of|a single)"
             wrong = re.search(kind, err.message) is not None and "`where`" not in err.message
         else:
             wrong = False

@@ -108,7 +108,7 @@ def several_recordings(folder: Path, held: Sequence[Path], why: str = "") -> Usa
     return UsageError(
         f"holds {len(held)} recordings, not one: {', '.join(names[:_MAX_NAMED])}{more}{f' ({why})' if why else ''}",
         path=folder,
-        hint=f"name one of them: {one}; pc2scan convert `each=True` {all_of_them} -o DIR/ converts each by itself",
+        hint=f"name one of them: {one}; pc2scan batch {all_of_them} -o DIR/ converts each by itself",
     )
 
 
@@ -225,7 +225,7 @@ def overlap_warnings(readers: Sequence[Reader]) -> list[str]:
         return []
     warning = (
         f"{_some(list(found))} overlap in time, by up to {_seconds_text(longest_ns)}, on {_some(list(topics))}: their "
-        "messages are mixed into one recording; `each=True` converts each by itself"
+        "messages are mixed into one recording; pc2scan batch converts each by itself"
     )
     return [warning]
 

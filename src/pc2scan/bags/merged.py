@@ -354,5 +354,5 @@ def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
     if len(found) > 1:
         raise UsageError(
             f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot be merged",
-            hint="convert them one by one, by themselves or with `each=True`",
+            hint="convert them one by one, or with pc2scan batch",
         )

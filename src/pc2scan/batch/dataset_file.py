@@ -14,15 +14,17 @@ from pc2scan.errors import ParameterError, UsageError
 from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.names import did_you_mean
+from pc2scan.options.table import dataset_options
+from pc2scan.options.values import Flag, PathName, Texts
 from pc2scan.pipeline.parameters import RIVALS
 from pc2scan.pipeline.ros_scalars import plain_scalar
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
 from pc2scan.remote.urls import is_url
 
-from .file_options import FILE_OPTIONS, FileOption
-
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+
+    from pc2scan.options.values import Value
 
 __all__ = ["DatasetFile", "Entry", "load_dataset_file"]
 
@@ -30,16 +32,6 @@ __all__ = ["DatasetFile", "Entry", "load_dataset_file"]
 _MAX_BYTES = 1_000_000
 
 _SECTIONS = ("defaults", "recordings")
-
-_KINDS = {
-    "flag": "true or false",
-    "number": "a number",
-    "value": "a number or a text",
-    "text": "a text",
-    "path": "a path",
-    "texts": "a text or a list of texts",
-    "paths": "a path or a list of paths",
-}
 
 
 @dataclass(frozen=True)
@@ -151,18 +143,19 @@ class _Reader:
 
     def _entry(self, node: Any, where: str) -> Entry:
         is_default = where == "defaults"
-        known = (*(() if is_default else ("match", "skip")), *FILE_OPTIONS)
+        options = dataset_options()
+        known = (*(() if is_default else ("match", "skip")), *options)
         keywords: dict[str, Any] = {}
         lines: dict[str, int] = {}
         patterns: tuple[str, ...] = ()
         skip = None
         for name, value in self._pairs(node, where, known):
             if name == "match":
-                patterns = self._texts(value, name)
+                patterns = self._value(value, name, Texts())
             elif name == "skip":
-                skip = self._flag(value, name)
+                skip = self._value(value, name, Flag())
             else:
-                keywords[name] = self._value(value, name, FILE_OPTIONS[name])
+                keywords[name] = self._value(value, name, options[name].value)
                 lines[name] = _line(value)
         if not patterns and not is_default:
             raise self._error(node, "an entry of recordings has no match", "write 'match: robot1/**' in it")
@@ -184,54 +177,36 @@ class _Reader:
             seen[name] = self._key_line = _line(key)
             yield name, value
 
-    def _value(self, node: Any, name: str, option: FileOption) -> Any:
-        if option.kind == "flag":
-            return self._flag(node, name)
-        if option.kind in ("texts", "paths"):
-            texts = self._texts(node, name)
-            for text in texts:
-                self._check_choice(node, name, text, option)
-            return tuple(map(self._located, texts)) if option.kind == "paths" else texts
+    def _value(self, node: Any, name: str, kind: Value) -> Any:
+        """Return the value of an option, in the form of a keyword."""
+        if kind.repeats:
+            nodes = node.value if node.id == "sequence" else [node]
+            if not nodes or not all(is_scalar(each) and not is_empty(each) for each in nodes):
+                raise self._unexpected(node, name, kind)
+            values = tuple(self._scalar(each, name, kind) for each in nodes)
+            return tuple(map(self._located, values)) if isinstance(kind, PathName) else values
         if not is_scalar(node) or is_empty(node):
-            raise self._unexpected(node, name, option.kind)
-        value = node.value if node.style else plain_scalar(node.value)
-        if option.kind == "number":
-            if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-                raise self._unexpected(node, name, option.kind)
-            return value
-        if option.kind == "value":
-            if isinstance(value, bool):
-                raise self._unexpected(node, name, option.kind)
-            return value
-        text = str(node.value)
-        self._check_choice(node, name, text, option)
-        return self._located(text) if option.kind == "path" else text
+            raise self._unexpected(node, name, kind)
+        value = self._scalar(node, name, kind)
+        return self._located(value) if isinstance(kind, PathName) else value
 
-    def _flag(self, node: Any, name: str) -> bool:
-        value = plain_scalar(node.value) if is_scalar(node) and not node.style else None
-        if not isinstance(value, bool):
-            raise self._unexpected(node, name, "flag")
+    def _scalar(self, node: Any, name: str, kind: Value) -> Any:
+        value = str(node.value) if kind.is_text or node.style else plain_scalar(node.value)
+        if isinstance(value, float) and not math.isfinite(value) and not kind.unit:
+            raise self._unexpected(node, name, kind)
+        if not kind.admits(value):
+            raise self._unexpected(node, name, kind)
         return value
-
-    def _texts(self, node: Any, name: str) -> tuple[str, ...]:
-        nodes = node.value if node.id == "sequence" else [node]
-        if not nodes or not all(is_scalar(each) and not is_empty(each) for each in nodes):
-            raise self._unexpected(node, name, "texts")
-        return tuple(str(each.value) for each in nodes)
-
-    def _check_choice(self, node: Any, name: str, text: str, option: FileOption) -> None:
-        if option.choices and text not in option.choices:
-            near = did_you_mean(text, option.choices) or None
-            raise self._error(node, f"{name} is {text!r}, it must be one of {', '.join(option.choices)}", near)
 
     def _located(self, text: str) -> str:
         """Resolve a path that is relative to the dataset file."""
         text = local_path(text)
         return text if is_url(Path(text)) else str(self._path.parent / Path(text).expanduser())
 
-    def _unexpected(self, node: Any, name: str, kind: str) -> UsageError:
+    def _unexpected(self, node: Any, name: str, kind: Value) -> UsageError:
         found = {"mapping": "a mapping", "sequence": "a list"}.get(node.id) or repr(str(node.value)[:80])
-        return self._error(node, f"{name} is {found}, it must be {_KINDS[kind]}")
+        near = did_you_mean(str(node.value), kind.words) if is_scalar(node) and kind.words else ""
+        return self._error(node, f"{name} is {found}, it must be {kind.expected}", near or None)
 
     def _error(self, node: Any, message: str, hint: str | None = None) -> UsageError:
         line = self._key_line if is_empty(node) else _line(node)

@@ -14,6 +14,8 @@ from .summary import BEGINNINGS
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from pc2scan.options.call import Options
+
 __all__ = ["BatchOptions"]
 
 
@@ -61,6 +63,11 @@ class BatchOptions:
     report: Path | None = None
     scratch: Path | None = None
     scratch_size: int | None = None
+
+    @classmethod
+    def of(cls, options: Options) -> BatchOptions:
+        """Return how a batch runs, by the options of a call."""
+        return cls(**{name: options.given[name] for name in cls.__dataclass_fields__ if name in options.given})
 
     def __post_init__(self) -> None:
         if not 0 <= self.jobs <= MAX_JOBS:

@@ -1,4 +1,4 @@
-"""Reads what a conversion is requested to do from the keywords of `pc2scan.convert`, and computes a digest of it."""
+"""Reads the options of a conversion in a batch, from the call and a dataset file, and computes a digest of them."""
 
 from __future__ import annotations
 
@@ -12,24 +12,19 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.json_types import json_value
-from pc2scan.names import did_you_mean
-from pc2scan.pipeline.run import OutputOptions
+from pc2scan.options.call import Options
+from pc2scan.options.table import Container, conversion_options, options_of
 from pc2scan.remote.urls import is_url
-from pc2scan.requests import KEYWORDS, conversion_of, parameter_names
+from pc2scan.requests import conversion_of, output_of
 
 from .identity import Identity, identity_of
 
 if TYPE_CHECKING:
-    from pc2scan.bags.splitting import Cut
     from pc2scan.export.run import ExportOptions
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.run_files import OutputOptions
 
-__all__ = ["Request", "all_keywords", "request_of"]
-
-#: Keywords of the destination, of splitting, and of exports.
-_OUTPUT = ("storage", "compression", "profile", "metadata_version", "to", "overwrite")
-_SPLIT = ("split", "repeat_latched")
-_EXPORT = ("export", "pose_frame", "base_frame", "odom_topic")
+__all__ = ["Request", "request_of"]
 
 #: Attributes that do not affect the output: where options come from.
 _PLACES = frozenset({"origins", "place"})
@@ -91,79 +86,59 @@ def _source_identity(path: Path) -> Identity:
     )
 
 
-def all_keywords() -> frozenset[str]:
-    """Return all keywords that `request_of` reads."""
-    # Not `jobs`: the batch decides the number of threads.
-    return (KEYWORDS - {"jobs"}).union(_OUTPUT, _SPLIT, _EXPORT, parameter_names())
-
-
 def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
-    """Read the keywords of `pc2scan.convert`, except those of a single run: sources, destination, report, jobs.
+    """Read the options of a conversion.
 
     Parameters
     ----------
     keywords
-        Keywords of `pc2scan.convert`, and those that only the command line has: ``param``, ``launch_args``, ``remap``.
+        Options by name: those of `pc2scan.options.table.conversion_options`.
     origins
-        Where keywords come from, for errors and reports.
+        Where options come from, for errors and reports.
 
     Raises
     ------
     UsageError
-        If a keyword is unknown, has a wrong value, or contradicts another one.
+        If an option is unknown, has a wrong value, or contradicts another one.
     """
-    if unknown := keywords.keys() - all_keywords():
+    known = conversion_options()
+    if unknown := keywords.keys() - known.keys():
         raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
-    given = dict(keywords)
-
-    def take(names: tuple[str, ...]) -> dict[str, Any]:
-        return {name: given.pop(name) for name in names if name in given}
-
-    export = _export(take(_EXPORT), given)
-    cut = _read_cut(take(_SPLIT))
-    output = OutputOptions(**take(_OUTPUT), like_source=True, cut=cut)
+    options = Options("batch", keywords, origins, known=known)
     notes: list[str] = []
-    asked = conversion_of(given, origins, notes.append)
+    _check_export(options)
+    output = output_of(options, like_source=True)
+    conversion = conversion_of(options, notes.append)
+    export = None
+    if options.export is not None:
+        from pc2scan.export.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
+
+        export = ExportOptions.of(options, conversion.options, options.export)
     # Absolute: another process may have another current folder.
-    frames = replace(asked.options.frames, tf_from=tuple(map(_absolute_path, asked.options.frames.tf_from)))
-    files = {name: _absolute_path(path) for name, path in asked.files.items()}
-    return Request(replace(asked.options, frames=frames), output, files, tuple(notes), export)
+    frames = conversion.options.frames
+    frames = replace(frames, tf_from=tuple(map(_absolute_path, frames.tf_from)))
+    files = {name: _absolute_path(path) for name, path in conversion.files.items()}
+    return Request(replace(conversion.options, frames=frames), output, files, tuple(notes), export)
 
 
-def _export(asked: Mapping[str, Any], others: Mapping[str, Any]) -> ExportOptions | None:
-    """Read how messages are exported; ``others`` are all other keywords."""
-    if not asked:
-        return None
-    name = asked.get("export")
+def _check_export(options: Options) -> None:
+    """Raise if an option of exports is given without ``export``, or one of recordings besides it."""
+    name, given = options.export, options.given
+    poses = given.keys() & {"pose_frame", "base_frame", "odom_topic"}
     if name is None:
-        raise UsageError(f"`{min(asked)}` goes with `export`", hint="such as `export=npz`")
-    if idle := [f"`{word}`" for word in (*_OUTPUT, *_SPLIT) if word != "overwrite" and others.get(word) is not None]:
+        if poses:
+            raise UsageError(f"`{min(poses)}` goes with `export`", hint="such as `export=npz`")
+        return
+    if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in Container.__annotations__]:
         raise UsageError(f"{', '.join(idle)} would have no effect: `export` writes no recordings")
     from pc2scan.export.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
-    from pc2scan.export.poses import PoseOptions  # noqa: PLC0415
-    from pc2scan.export.run import ExportOptions  # noqa: PLC0415
 
-    if name not in FORMATS:
-        hint = did_you_mean(name, FORMATS) or None
-        raise UsageError(f"`export={name}` is not a format; the formats are {', '.join(FORMATS)}", hint=hint)
-    poses = PoseOptions(**{word: value for word, value in asked.items() if word != "export"})
-    if FORMATS[name].needs_poses and not poses.wanted:
+    if FORMATS[name].needs_poses and not poses & {"pose_frame", "odom_topic"}:
         raise UsageError(f"`export={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
-    making = others.keys() & {*parameter_names(), "params", "preset", "params_file", "param"}
-    return ExportOptions(format=name, poses=poses, converting=bool(making))
 
 
 def _absolute_path(path: Path) -> Path:
     return path if is_url(path) else Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
-
-
-def _read_cut(asked: Mapping[str, Any]) -> Cut | None:
-    """Read where outputs are split."""
-    if not asked:
-        return None
-    from pc2scan.pipeline.parts import cut_of  # noqa: PLC0415  # most outputs are one file
-
-    return cut_of(asked.get("split"), repeat_latched=asked.get("repeat_latched", False))
 
 
 def _canonical(value: Any) -> Any:

@@ -8,12 +8,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from pc2scan.errors import Pc2ScanError, UsageError, name_list
+from pc2scan.options.table import options_of
 
-from .groups import flat
 from .interrupts import interruptible
+from .options import described, typed_command
 from .render import say
 from .usage import NoArgsIsHelpError, TyperUsageError, in_our_words
 
@@ -81,10 +82,29 @@ class _Command(TyperCommand):
             formatter.write("".join(beside))
         super().format_help_text(ctx, formatter)
 
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, with ``--help-all`` if ``--help`` does not show all of them."""
+        found = super().get_params(ctx)
+        if not _has_more(str(self.name)):
+            return found
+        text = "Show all options, and exit."
+        every = TyperOption(
+            param_decls=["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=_show_all, help=text
+        )
+        return [*found, every]
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options of each section, in the order in which the sections first occur."""
         sections: dict[str, list[tuple[str, str]]] = {}
+        known = options_of(str(self.name))
+        short = _has_more(str(self.name)) and not ctx.meta.get(_ALL)
         for parameter in self.get_params(ctx):
+            option = known.get(parameter.name)
+            if option is not None:
+                if short and not option.common:
+                    continue
+                # Not made until it is shown.
+                parameter.help = described(option)
             record = parameter.get_help_record(ctx)
             if record is not None:
                 title = getattr(parameter, "rich_help_panel", None)
@@ -93,6 +113,30 @@ class _Command(TyperCommand):
         for title, records in sections.items():
             with formatter.section(title):
                 formatter.write_dl(records)
+        if short:
+            formatter.write_paragraph()
+            formatter.write_text(f"pc2scan {self.name} --help-all shows all options.")
+
+
+#: Where a context has whether all options are shown.
+_ALL = "pc2scan.all_options"
+
+
+def _has_more(command: str) -> bool:
+    """Whether ``--help`` shows only the common options of a command: those with few have no others."""
+    return len(options_of(command)) > _FEW
+
+
+#: A command with more options than these shows the common ones.
+_FEW = 30
+
+
+def _show_all(ctx: Any, _parameter: Any, value: bool) -> None:
+    if value and not ctx.resilient_parsing:
+        ctx.meta[_ALL] = True
+        for line in ctx.get_help().split("\n"):
+            say(line)
+        ctx.exit()
 
 
 def _without_logging(args: Sequence[str]) -> list[str]:
@@ -206,5 +250,6 @@ def application(command: str | None = None) -> typer.Typer:
     )
     app.callback()(root)
     for name in (command,) if command in COMMANDS else COMMANDS:
-        app.command(name, cls=_Command)(flat(getattr(import_module(f".{name}", __package__), name)))
+        command_function = getattr(import_module(f".{name}", __package__), name)
+        app.command(name, cls=_Command)(typed_command(name, command_function))
     return app

@@ -1,27 +1,22 @@
-"""``pc2scan batch``.
+"""``pc2scan batch``."""
 
-No ``from __future__ import annotations`` here: see `pc2scan.cli.groups.Group`.
-"""
+from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from inspect import Parameter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pc2scan.options.call import Options
 from pc2scan.shown import counted
 
-from .groups import Group
-from .options.conversion import ConversionGroup, typed_words
-from .options.output import OutputGroup, ScratchGroup
 from .render import say, show_parts, size, warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from collections.abc import Iterator
 
     from pc2scan.batch.manifest import Record
     from pc2scan.batch.plan import Plan
@@ -29,159 +24,6 @@ if TYPE_CHECKING:
     from pc2scan.batch.watch import BatchProgress
 
 __all__ = ["batch"]
-
-_BATCH = "Batch"
-_EXPORT = "Export"
-
-
-class BatchGroup(Group):
-    """Options of the batch itself."""
-
-    dataset: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="A YAML file with options for the recordings that match a pattern. Options typed here override it.",
-            rich_help_panel=_BATCH,
-        ),
-    ] = None
-    workers: Annotated[
-        int,
-        typer.Option(
-            "--jobs",
-            "-j",
-            min=0,
-            metavar="N",
-            help="Number of recordings at a time, up to 1,024, each in its own process; the output does not depend on "
-            "it.  [default: number of cores, as memory allows]",
-            show_default=False,
-            rich_help_panel=_BATCH,
-        ),
-    ] = 0
-    retries: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="How often a recording is tried again if its process was killed, for instance for lack of memory; up "
-            "to 100 times.",
-            rich_help_panel=_BATCH,
-        ),
-    ] = 1
-    dask: Annotated[
-        str,
-        typer.Option(
-            metavar="[ADDRESS]",
-            help="Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786. Without an address, a "
-            "cluster is started on this machine. Needs pc2scan[dask].",
-            show_default=False,
-            rich_help_panel=_BATCH,
-        ),
-    ] = ""
-    force: Annotated[
-        bool, typer.Option("--force", help="Convert again what earlier runs have converted.", rich_help_panel=_BATCH)
-    ] = False
-    checksum: Annotated[
-        bool,
-        typer.Option(
-            "--checksum",
-            help="Recognise unchanged recordings by SHA-256 instead of their modification time. Reads every byte.",
-            rich_help_panel=_BATCH,
-        ),
-    ] = False
-    fail_fast: Annotated[
-        bool, typer.Option("--fail-fast", help="Stop at the first recording that fails.", rich_help_panel=_BATCH)
-    ] = False
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Write the summary of all recordings: *.json, *.csv or *.md.",
-            rich_help_panel=_BATCH,
-        ),
-    ] = None
-    quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Show warnings and errors only.", rich_help_panel=_BATCH)
-    ] = False
-    verbose: Annotated[
-        bool,
-        typer.Option(
-            "--verbose",
-            "-v",
-            help="Show the tables of each conversion, and every recording in the summary.",
-            rich_help_panel=_BATCH,
-        ),
-    ] = False
-
-
-class ExportGroup(Group):
-    """Options of results that are not recordings."""
-
-    export: Annotated[
-        Literal["npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti"] | None,
-        typer.Option(
-            help="Write the files of pc2scan export instead of recordings, in a folder for each recording.",
-            rich_help_panel=_EXPORT,
-        ),
-    ] = None
-    pose_frame: Annotated[
-        str,
-        typer.Option(
-            metavar="FRAME",
-            help="With --export: the robot's pose in this frame at each stamp.",
-            show_default=False,
-            rich_help_panel=_EXPORT,
-        ),
-    ] = ""
-    base_frame: Annotated[
-        str,
-        typer.Option(
-            metavar="FRAME",
-            help="With --export: the robot's frame, whose pose is written.",
-            show_default=False,
-            rich_help_panel=_EXPORT,
-        ),
-    ] = ""
-    odom_topic: Annotated[
-        str,
-        typer.Option(
-            metavar="TOPIC",
-            help="With --export: take the poses from this nav_msgs/Odometry topic.",
-            show_default=False,
-            rich_help_panel=_EXPORT,
-        ),
-    ] = ""
-
-
-class _Without(Group):
-    """A group without some of its options, which keep their defaults."""
-
-    whole: type[Group]
-    left_out: Mapping[str, Any]
-
-    @classmethod
-    def parameters(cls) -> Iterable[Parameter]:
-        """Return the remaining options."""
-        return [each for each in cls.whole.parameters() if each.name not in cls.left_out]
-
-    @classmethod
-    def gathered(cls, values: Mapping[str, Any]) -> "Self":
-        """Make the whole group."""
-        return cls.whole.gathered({**values, **cls.left_out})  # type: ignore[return-value]
-
-
-class _Conversion(_Without):
-    """The options of a conversion, except the number of its threads."""
-
-    whole = ConversionGroup
-    left_out = {"jobs": 0}  # noqa: RUF012
-
-
-class _Output(_Without):
-    """The options of the destination, except ``--each``: batch converts each recording on its own anyway."""
-
-    whole = OutputGroup
-    left_out = {"each": False}  # noqa: RUF012
 
 
 def batch(
@@ -203,11 +45,7 @@ def batch(
         ),
     ],
     *,
-    running: BatchGroup,
-    exporting: ExportGroup,
-    conversion: _Conversion,
-    output: _Output,
-    scratch: ScratchGroup,
+    options: Options,
 ) -> None:
     """Convert every recording of a dataset, each on its own, in several processes.
 
@@ -217,42 +55,28 @@ def batch(
     from pc2scan.batch.options import BatchOptions
     from pc2scan.batch.run import run_batch
     from pc2scan.batch.watch import Watch
-    from pc2scan.pipeline.run import scratch_bytes
 
-    words, origins = typed_words(exporting, conversion, output)
-    dry_run = bool(words.pop("dry_run", False))
-    options = BatchOptions(
-        dataset=running.dataset,
-        jobs=running.workers,
-        retries=running.retries,
-        checksum=running.checksum,
-        force=running.force,
-        fail_fast=running.fail_fast,
-        dry_run=dry_run,
-        dask=True if running.dask == "local" else running.dask or False,
-        report=running.report,
-        scratch=scratch.scratch,
-        scratch_size=scratch_bytes(scratch.scratch_size),
-    )
-    with _progress_bar(enabled=not running.quiet) as progress:
+    quiet, verbose = options.quiet, options.verbose
+    how = BatchOptions.of(options)
+    with _progress_bar(enabled=not quiet) as progress:
         watch = Watch(
-            planned=lambda plan: _show_plan(plan, quiet=running.quiet),
+            planned=lambda plan: _show_plan(plan, quiet=quiet),
             progress=progress,
-            done=lambda record: _show_record(record, quiet=running.quiet, dry_run=dry_run),
-            shown=_show_text if running.verbose and not running.quiet else None,
+            done=lambda record: _show_record(record, quiet=quiet, dry_run=how.dry_run),
+            shown=_show_text if verbose and not quiet else None,
             warn=warn,
-            inform=lambda text: None if running.quiet else say(as_typed(text), err=True),
+            inform=lambda text: None if quiet else say(as_typed(text), err=True),
         )
         try:
-            report = run_batch(sources, destination, words, options, origins=origins, watch=watch)
+            report = run_batch(sources, destination, options.of_conversions, how, origins=options.origins, watch=watch)
         except KeyboardInterrupt:
             say("hint: run the same command again to continue it", err=True)
             raise
-    _show_report(report, quiet=running.quiet, verbose=running.verbose)
+    _show_report(report, quiet=quiet, verbose=verbose)
     raise typer.Exit(report.exit_status)
 
 
-def _show_plan(plan: "Plan", *, quiet: bool) -> None:
+def _show_plan(plan: Plan, *, quiet: bool) -> None:
     """Show what will be done, in one line."""
     if quiet:
         return
@@ -272,7 +96,7 @@ def _show_plan(plan: "Plan", *, quiet: bool) -> None:
     say(": ".join((parts[0], ", ".join(parts[1:]))), err=True)
 
 
-def _show_record(record: "Record", *, quiet: bool, dry_run: bool) -> None:
+def _show_record(record: Record, *, quiet: bool, dry_run: bool) -> None:
     """Show a line for a recording that is finished."""
     if record.error is not None:
         hint = f" (hint: {record.error['hint']})" if record.error.get("hint") else ""
@@ -302,7 +126,7 @@ def _show_text(text: str) -> None:
         say(as_typed(line), err=True)
 
 
-def _show_report(report: "BatchReport", *, quiet: bool, verbose: bool) -> None:
+def _show_report(report: BatchReport, *, quiet: bool, verbose: bool) -> None:
     for warning in report.warnings:
         warn(warning)
     if not quiet:
@@ -312,7 +136,7 @@ def _show_report(report: "BatchReport", *, quiet: bool, verbose: bool) -> None:
 
 
 @contextmanager
-def _progress_bar(*, enabled: bool) -> "Iterator[Any]":
+def _progress_bar(*, enabled: bool) -> Iterator[Any]:
     """Show bytes and recordings done, and the time left; yields the function to report to."""
     if not enabled or not sys.stderr.isatty():
         yield lambda _progress: None
@@ -334,7 +158,7 @@ def _progress_bar(*, enabled: bool) -> "Iterator[Any]":
     ) as bar:
         task = bar.add_task("batch", total=None, done=0, all=0)
 
-        def update(progress: "BatchProgress") -> None:
+        def update(progress: BatchProgress) -> None:
             bar.update(
                 task,
                 completed=progress.bytes_done,

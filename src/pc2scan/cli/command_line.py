@@ -1,17 +1,18 @@
-"""Converts options of the library to the command line: the inverse of `pc2scan.cli.options.conversion`."""
+"""Converts options of the library to the command line: the inverse of `pc2scan.cli.options`."""
 
 from __future__ import annotations
 
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
-from .spelling import OPTIONS
+from pc2scan.options.table import spelling_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from pc2scan.pipeline.options import ConvertOptions, TimeBound
+    from pc2scan.options.moment import TimeBound
+    from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.stages.filters import Filter
 
 __all__ = ["convert_words"]
@@ -83,4 +84,5 @@ def _time(bound: TimeBound) -> str:
 def _filter_words(chosen: Filter) -> list[str]:
     """Return the option that asks for a filter; filters that are made in Python have none."""
     text = getattr(chosen, "text", None)
-    return [OPTIONS[chosen.name], text] if text is not None and chosen.name in OPTIONS else []
+    spelling = spelling_of(chosen.name)
+    return [spelling, text] if text is not None and spelling else []

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import DestinationError, Pc2ScanError
+from pc2scan.errors import Pc2ScanError
+from pc2scan.options.call import Options
 
-from .options.conversion import ConversionGroup
-from .options.output import Destination, OutputGroup, ReportGroup, ScratchGroup
-from .options.parameters import ros_arguments
-from .outcome import conclude, show, show_each, show_next, show_outcome
+from .options import Destination
+from .outcome import conclude, show, show_next
 from .progress import progress_bar
 from .render import warn
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.run import OutputOptions
+    from collections.abc import Iterable, Mapping
 
 __all__ = ["convert"]
 
@@ -36,36 +31,27 @@ def convert(
     ],
     destination: Destination = None,
     *,
-    conversion: ConversionGroup,
-    output: OutputGroup,
-    scratch: ScratchGroup,
-    reporting: ReportGroup,
+    options: Options,
 ) -> None:
     """Convert recorded clouds to laser scans, or back.
 
     PointCloud2 becomes LaserScan, with the results of ROS's pointcloud_to_laserscan. All other topics are copied.
     Messages that cannot be converted are counted, listed, and reflected in the exit status.
     """
-    sources, remaps, parameters = ros_arguments(sources)
-    conversion.projection.remap += remaps
-    conversion.projection.param += parameters
-    from pc2scan.pipeline.options import destination_and_folder
+    from pc2scan.requests import conversion_of, destination_of, named_files, output_of
 
-    named, folder = destination_and_folder(destination)
-    form = scratch.on(output.options(folder=folder, report=reporting.report))
-    also_read = conversion.read_files()
+    sources, options = _with_ros_arguments(sources, options)
+    named, folder = destination_of(destination)
+    form = output_of(options, folder=folder)
+    files: Mapping[str, Path] = named_files(options)
     try:
-        options = conversion.options(ros_distro=output.ros_distro)
-        # Only after `options`, because a launch file may name further files.
-        also_read = conversion.read_files()
-        if output.each:
-            raise _convert_each(sources, named, options, form, reporting, also_read)
+        conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
         from pc2scan.pipeline.report import Failure
         from pc2scan.pipeline.run import report_failure
         from pc2scan.remote.urls import shown_path
 
-        report_failure(Failure(err, [shown_path(source) for source in sources], destination), sources, form, also_read)
+        report_failure(Failure(err, [shown_path(source) for source in sources], destination), sources, form, files)
         raise
 
     from pc2scan.pipeline.run import run
@@ -76,40 +62,28 @@ def convert(
         shown.append(text)
         warn(text)
 
-    with progress_bar(enabled=not reporting.quiet) as progress:
-        result = run(sources, named, options, form, also_read=also_read, progress=progress, warn=warned)
-    if not reporting.quiet:
-        show(result, verbose=reporting.verbose)
-    end = conclude(result, verbose=reporting.verbose, shown=shown)
-    if not reporting.quiet and not result.dry_run:
+    with progress_bar(enabled=not options.quiet) as progress:
+        result = run(
+            sources, named, conversion.options, form, also_read=conversion.files, progress=progress, warn=warned
+        )
+    if not options.quiet:
+        show(result, verbose=options.verbose)
+    end = conclude(result, verbose=options.verbose, shown=shown)
+    if not options.quiet and not result.dry_run:
         show_next(result)
     raise end
 
 
-def _convert_each(
-    sources: Sequence[Path],
-    named: Path | None,
-    options: ConvertOptions,
-    form: OutputOptions,
-    reporting: ReportGroup,
-    also_read: Mapping[str, Path],
-) -> typer.Exit:
-    """Convert each recording on its own; return the exception that ends the command."""
-    from pc2scan.pipeline.each import run_each
-
-    if named is not None:
-        raise DestinationError(
-            "`each` needs a folder as destination", path=named, hint=f"did you mean `destination={named}/`?"
-        )
-    with progress_bar(enabled=not reporting.quiet) as progress:
-        results = run_each(
-            sources,
-            options,
-            form,
-            also_read=also_read,
-            progress=progress,
-            done=partial(show_outcome, verbose=reporting.verbose and not reporting.quiet),
-        )
-    if not reporting.quiet:
-        show_each(results)
-    return typer.Exit(results.exit_status)
+def _with_ros_arguments(words: Iterable[Path], options: Options) -> tuple[list[Path], Options]:
+    """Split the positional arguments into recordings, and remappings and parameters as ``rosrun`` reads them."""
+    sources, remaps, parameters = [], [], []
+    for word in words:
+        text = str(word)
+        if ":=" not in text:
+            sources.append(word)
+        elif not text.startswith("_"):
+            remaps.append(text)
+        elif not text.startswith("__"):
+            parameters.append(text)
+    further = {"remap": (*(options.remap or ()), *remaps), "param": (*(options.param or ()), *parameters)}
+    return sources, Options("convert", options.given | further, options.origins) if remaps or parameters else options

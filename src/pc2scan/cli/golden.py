@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pc2scan.errors import UsageError
+from pc2scan.options.call import Options
 from pc2scan.shown import counted
 
-from . import completion
-from .options.junit import JUnitGroup
-from .options.single import Json
 from .render import print_json, say, warn
 from .spelling import as_typed
 
@@ -20,8 +18,6 @@ if TYPE_CHECKING:
     from pc2scan.golden.result import CaseResult, GoldenReport
 
 __all__ = ["golden"]
-
-_INIT = "A new case"
 
 
 def golden(
@@ -36,41 +32,7 @@ def golden(
         ),
     ] = "",
     *,
-    update: Annotated[
-        bool,
-        typer.Option(
-            "--update", help="Write the expected output of cases that differ or have none; review the changes."
-        ),
-    ] = False,
-    init: Annotated[
-        Path | None,
-        typer.Option("--init", metavar="SRC", help="Make a new case of this recording, in DIR.", rich_help_panel=_INIT),
-    ] = None,
-    start: Annotated[
-        str | None,
-        typer.Option(metavar="TIME", help="With --init: where the input begins, as in convert.", rich_help_panel=_INIT),
-    ] = None,
-    end: Annotated[
-        str | None, typer.Option(metavar="TIME", help="With --init: where it ends.", rich_help_panel=_INIT)
-    ] = None,
-    topics: Annotated[
-        list[str],
-        typer.Option(
-            "--topic",
-            "-t",
-            metavar="TOPIC",
-            help="With --init: a topic of clouds or scans to keep, or a glob. Repeatable. Default: all.",
-            autocompletion=completion.topics("/PointCloud2", "/LaserScan"),
-            rich_help_panel=_INIT,
-        ),
-    ] = [],  # noqa: B006 - typer reads the default and never hands it out
-    params_file: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="With --init: the case's parameter file.", rich_help_panel=_INIT),
-    ] = None,
-    junit: JUnitGroup,
-    as_json: Json = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Do not show cases that passed.")] = False,
+    options: Options,
 ) -> None:
     """Check conversions against their expected output.
 
@@ -80,58 +42,48 @@ def golden(
 
     Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.
     """
-    if init is not None:
-        if update or pattern or junit.junit is not None or as_json:
+    if options.init is not None:
+        if pattern or options.given.keys() & {"update", "junit", "as_json"}:
             raise UsageError("--init makes one case, and cannot be combined with -k, --update, --junit or --json")
-        _init(folder, init, start, end, topics, params_file, quiet=quiet)
+        _init(folder, options)
         return
-    if start or end or topics or params_file is not None:
+    if options.given.keys() & {"start", "end", "topics", "params_file"}:
         raise UsageError("--start, --end, --topic and --params-file need --init", hint="a case has its own")
     from pc2scan.golden.case import case_folders
     from pc2scan.golden.check import check_case, refuse_output_over_cases
     from pc2scan.golden.result import GoldenReport
 
     from .in_process import run_command
-    from .junit_cases import of_golden
+    from .junit_cases import junit_output, of_golden
 
     report = GoldenReport(str(folder))
     cases = case_folders(folder, pattern)
-    if junit.junit is not None:
-        refuse_output_over_cases(junit.junit, "--junit", [case for _, case in cases])
-    with junit.writing("golden") as write_junit:
+    if options.junit is not None:
+        refuse_output_over_cases(options.junit, "--junit", [case for _, case in cases])
+    with junit_output(options, "golden") as write_junit:
         for name, case in cases:
-            result = check_case(name, case, run_command, update=update)
+            result = check_case(name, case, run_command, update=options.update)
             report.cases.append(result)
-            if not as_json:
-                _show(result, quiet=quiet)
-        _conclude(report, as_json=as_json)
+            if not options.as_json:
+                _show(result, quiet=options.quiet)
+        _conclude(report, as_json=options.as_json)
         write_junit(of_golden(report))
     raise typer.Exit(report.exit_status)
 
 
-def _init(
-    folder: Path,
-    source: Path,
-    start: str | None,
-    end: str | None,
-    topics: list[str],
-    params: Path | None,
-    *,
-    quiet: bool,
-) -> None:
+def _init(folder: Path, options: Options) -> None:
     """Make a case, and list its files."""
     from pc2scan.golden.init import make_case
 
     from .in_process import run_command
     from .progress import progress_bar
 
-    with progress_bar(enabled=not quiet) as progress:
-        made = make_case(
-            folder, source, run_command, start=start, end=end, topics=topics, params=params, progress=progress
-        )
+    part = {"start": options.start, "end": options.end, "topics": options.topics or (), "params": options.params_file}
+    with progress_bar(enabled=not options.quiet) as progress:
+        made = make_case(folder, options.init, run_command, progress=progress, **part)
     for warning in made.warnings:
         warn(warning)
-    if quiet:
+    if options.quiet:
         return
     for name, size in made.files:
         say(f"{made.folder / name}  {counted(size, 'byte')}")

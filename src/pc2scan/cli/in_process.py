@@ -14,6 +14,7 @@ from typer.main import get_command
 
 from pc2scan.errors import UsageError
 from pc2scan.golden.check import Ended
+from pc2scan.options.table import CALL_ONLY, options_of
 
 from .render import say
 from .usage import TyperUsageError, in_our_words
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 __all__ = ["run_command"]
 
 
-#: Further options of ``convert``, besides those of `ConversionGroup`, that decide what is written, but not where.
-_FORM = ("storage", "compression", "profile", "metadata_version", "ros_distro")
+#: Options of ``convert`` that decide where the output is written: a case has none of them.
+_PLACE = {"to", "split", "repeat_latched"}
 
 
 def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
@@ -62,7 +63,6 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:
     """Raise if any of these options decides something else than what is converted."""
     from .app import application
-    from .options.conversion import ConversionGroup
 
     group = get_command(application(name))
     assert isinstance(group, TyperGroup)
@@ -73,7 +73,8 @@ def _refuse_others(name: str, chosen: Sequence[str]) -> None:
     except TyperUsageError as err:
         raise in_our_words(err, [name, *chosen]) from err
     arguments = {str(parameter.name) for parameter in given if parameter.param_type_name == "argument"}
-    allowed = {*_FORM, *arguments, *(parameter.name for parameter in ConversionGroup.parameters())}
+    conversion = {key for key, option in options_of(name).items() if option.scope != CALL_ONLY} - _PLACE
+    allowed = {*arguments, *conversion, "jobs"}
     # Named by the longest spelling, because those of --help come in any order.
     others = dict.fromkeys(max(parameter.opts, key=len) for parameter in given if parameter.name not in allowed)
     if others:

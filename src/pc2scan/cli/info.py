@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pc2scan.errors import leading
+from pc2scan.options.call import Options
 
 from .damage import show_damage
-from .options.frames import StaticTf, TfSources
-from .options.single import Json
 from .render import print_json, say, show_parts, warn
 
 if TYPE_CHECKING:
@@ -29,23 +28,8 @@ def info(
         list[Path],
         typer.Argument(metavar="SRC...", help="Recordings; several are merged in time order."),
     ],
-    samples: Annotated[
-        int, typer.Option(min=1, help="Number of clouds and scans to read of each topic, spread over the recording.")
-    ] = 10,
-    target_frame: Annotated[
-        str,
-        typer.Option(
-            metavar="FRAME", help="Show heights in this frame, like convert --target-frame.", show_default=False
-        ),
-    ] = "",
-    static_tf: StaticTf = [],  # noqa: B006 - typer reads the default and never hands it out
     *,
-    transforms: TfSources,
-    source_frame: Annotated[
-        str,
-        typer.Option(metavar="FRAME", help="Frame of the clouds, if their own is wrong.", show_default=False),
-    ] = "",
-    as_json: Json = False,
+    options: Options,
 ) -> None:
     """Describe a recording, its clouds and its scans.
 
@@ -55,22 +39,17 @@ def info(
     whether the clouds are tilted, upside down or in a camera's optical frame, and a convert command for them.
     """
     from pc2scan.inspect.info import info as look
-    from pc2scan.tf.options import FrameOptions, StaticTransform
+    from pc2scan.requests import frames_of
 
-    frames = FrameOptions(
-        tf_topics=tuple(transforms.tf_topic),
-        tf_from=tuple(transforms.tf_from),
-        static=tuple(StaticTransform.parse(text) for text in static_tf),
-        source_frame=source_frame,
-    )
-    result = look(sources, samples=samples, target_frame=target_frame, frames=frames)
+    target_frame, frames = options.target_frame, frames_of(options)
+    result = look(sources, samples=options.samples, target_frame=target_frame, frames=frames)
     given = [
-        *(word for topic in transforms.tf_topic for word in ("--tf-topic", topic)),
-        *(word for path in transforms.tf_from for word in ("--tf-from", str(path))),
-        *(word for text in static_tf for word in ("--static-tf", text)),
-        *(("--source-frame", source_frame) if source_frame else ()),
+        *(word for topic in frames.tf_topics for word in ("--tf-topic", topic)),
+        *(word for path in frames.tf_from for word in ("--tf-from", str(path))),
+        *(word for text in options.static_tf or () for word in ("--static-tf", text)),
+        *(("--source-frame", frames.source_frame) if frames.source_frame else ()),
     ]
-    if as_json:
+    if options.as_json:
         print_json(result.as_dict())
     else:
         show_parts(result.overview())

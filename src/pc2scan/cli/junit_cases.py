@@ -4,23 +4,36 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.files.junit import JUnitCase
+from pc2scan.errors import UsageError
+from pc2scan.files.junit import JUnitCase, junit_file
 
 from .spelling import as_typed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+    from contextlib import AbstractContextManager
+    from pathlib import Path
 
     from pc2scan.compare.result import Difference
     from pc2scan.files.junit import Outcome
     from pc2scan.golden.result import GoldenReport
     from pc2scan.inspect.check import Check
+    from pc2scan.options.call import Options
 
-__all__ = ["of_check", "of_diff", "of_golden"]
+__all__ = ["junit_output", "of_check", "of_diff", "of_golden"]
 
 
 #: Outcomes of golden cases, and those of JUnit XML; updated cases pass.
 _OUTCOMES: dict[str, Outcome] = {"passed": "passed", "updated": "passed", "failed": "failure", "error": "error"}
+
+
+def junit_output(
+    options: Options, command: str, inputs: Iterable[Path] = ()
+) -> AbstractContextManager[Callable[[Iterable[JUnitCase]], None]]:
+    """Check that the file of ``--junit`` can be written; the context is the function that writes it."""
+    if options.overwrite and options.junit is None:
+        raise UsageError("--overwrite has no effect without --junit")
+    return junit_file(options.junit, command, inputs, overwrite=options.overwrite, option="--junit")
 
 
 def of_golden(report: GoldenReport) -> Iterator[JUnitCase]:

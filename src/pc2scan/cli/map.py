@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
+from pc2scan.options.call import Options
+
 from .damage import show_damage
-from .options.conversion import ConversionGroup, length
-from .options.frames import frame_option
-from .options.single import Json
 from .progress import progress_bar
 from .render import print_json, say, warn
 from .spelling import as_typed
@@ -39,39 +38,8 @@ def map(  # noqa: A001  # the function of a command has its name
             help="The map for map_server, NAME.yaml and NAME.pgm, and the picture NAME.png.",
         ),
     ] = None,
-    png: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The picture. Without -o, only this is written.")
-    ] = None,
-    resolution: Annotated[str, typer.Option(metavar="M", help="Side of a cell: 0.05, or 5cm.")] = "0.05",
-    max_range: Annotated[
-        str | None,
-        typer.Option(
-            metavar="M",
-            help="Returns beyond this range mark no cell as occupied; the cells up to it are cleared.  [default: no "
-            "limit]",
-            show_default=False,
-        ),
-    ] = None,
-    clear_to: Annotated[
-        str,
-        typer.Option(
-            metavar="M",
-            help="Up to which range beams without a return clear cells. 0: not at all, like in gmapping and "
-            "slam_toolbox.",
-        ),
-    ] = "0",
-    odom_frame: Annotated[
-        str,
-        frame_option("The frame of the map, in which the robot moves.", show_default=True),
-    ] = "odom",
-    base_frame: Annotated[
-        str,
-        frame_option("The robot's frame, whose path is drawn.  [default: base_link, or base_footprint]"),
-    ] = "",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files of these names.")] = False,
-    as_json: Json = False,
     *,
-    conversion: ConversionGroup,
+    options: Options,
 ) -> None:
     """Draw the scans of a recording into a map, placed by the recorded odometry: a preview, not SLAM.
 
@@ -81,32 +49,26 @@ def map(  # noqa: A001  # the function of a command has its name
 
     Exit status: 0 done, 1 failed, 2 wrong usage, 3 written, but with scans skipped or from a damaged source.
     """
-    options = conversion.first_output("drawn")
+    from pc2scan.requests import conversion_of, first_output
 
-    import math
+    asked = conversion_of(options, warn)
+    conversion = first_output(asked.options, "drawn", warn)
 
     from pc2scan.look.map import write_map
     from pc2scan.look.map_options import MapOptions
 
-    asked = MapOptions(
-        odom_frame=odom_frame,
-        base_frame=base_frame,
-        resolution=length("--resolution", resolution),
-        max_range=math.inf if max_range is None else length("--max-range", max_range),
-        clear_to=length("--clear-to", clear_to),
-    )
-    with progress_bar(enabled=not as_json) as progress:
+    with progress_bar(enabled=not options.as_json) as progress:
         made = write_map(
             sources,
             destination,
-            png,
-            options,
-            asked,
-            overwrite=overwrite,
-            also_read=conversion.read_files(),
+            options.png,
+            conversion,
+            MapOptions.of(options),
+            overwrite=options.overwrite,
+            also_read=asked.files,
             progress=progress,
         )
-    if as_json:
+    if options.as_json:
         print_json(made.as_dict())
     else:
         for line in made.lines():

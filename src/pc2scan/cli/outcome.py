@@ -8,22 +8,22 @@ import typer
 
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import leading
-from pc2scan.pipeline.parameters import PARAMETERS, in_words
-from pc2scan.shown import Table, counted
+from pc2scan.options.table import PARAMETERS
+from pc2scan.options.values import in_words
+from pc2scan.shown import Table
 
 from .damage import SHOWN, show_recovery
 from .next_command import next_command
-from .render import count, duration, say, show_error, show_parts, show_table, size, stamp, warn
+from .render import duration, say, show_parts, show_table, size, stamp, warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Container
 
-    from pc2scan.pipeline.each import Each, Outcome
     from pc2scan.pipeline.report import Report, Skipped
     from pc2scan.pipeline.scan_spec import ScanSpec
 
-__all__ = ["conclude", "show", "show_each", "show_next", "show_outcome"]
+__all__ = ["conclude", "show", "show_next"]
 
 
 #: The text for the frame of scans without a target frame.
@@ -103,42 +103,3 @@ def conclude(report: Report, *, verbose: bool = False, shown: Container[str] = (
         if warning not in shown:
             warn(warning)
     return typer.Exit(report.exit_status)
-
-
-def show_outcome(outcome: Outcome, *, verbose: bool = False) -> None:
-    """Show the warnings and damage of one of several conversions, under the name of its source."""
-    if outcome.error is not None:
-        show_error(outcome.error)
-    elif (report := outcome.report) is not None:
-        if verbose:
-            show(report, verbose=True)
-        if report.exit_status or report.warnings:
-            say(f"{leading(str(outcome.source))}:", err=True)
-        conclude(report, verbose=verbose)
-
-
-def show_each(each: Each) -> None:
-    """Print the results of several recordings, one line for each."""
-    rows = []
-    for outcome in each.outcomes:
-        report = outcome.report
-        converted = [topic for topic in report.topics if topic.action == "converted"] if report else []
-        rows.append(
-            (
-                outcome.source.name or str(outcome.source),
-                report.destination if report else "-",
-                count(sum(topic.messages_out for topic in converted)),
-                count(sum(topic.empty_scans for topic in converted)),
-                count(report.skipped_count if report else 0),
-                f"{outcome.exit_status}",
-            )
-        )
-    show_table(Table(("source", "to", "converted", "empty", "skipped", "status"), rows, left=("source", "to")))
-    written = sum(outcome.report is not None for outcome in each.outcomes)
-    failed = len(each.outcomes) - written
-    dry_run = any(outcome.report is not None and outcome.report.dry_run for outcome in each.outcomes)
-    say()
-    say(
-        f"{written} of {counted(len(each.outcomes), 'recording')} {'would be ' if dry_run else ''}converted"
-        + (f", {failed} failed" if failed else "")
-    )

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
+from pc2scan.options.call import Options
+
 from .damage import DAMAGED, show_damage
 from .fonts import fonts_noted_elsewhere
-from .options.conversion import ConversionGroup
-from .options.single import Moments
 from .render import warn
 
 __all__ = ["plot"]
@@ -25,39 +25,29 @@ def plot(
         Path,
         typer.Option("--output", "-o", metavar="FIGURE", help="The figure: *.png, *.svg or *.pdf.", show_default=False),
     ],
-    clouds: Annotated[
-        int,
-        typer.Option(
-            "--clouds",
-            "--frames",
-            metavar="N",
-            min=1,
-            help="Number of clouds of each topic, side by side, spread over the recording.",
-        ),
-    ] = 1,
-    at: Moments = [],  # noqa: B006 - typer reads the default and never hands it out
-    overwrite: Annotated[bool, typer.Option(help="Replace a file of that name.")] = False,
     *,
-    conversion: ConversionGroup,
+    options: Options,
 ) -> None:
     """Draw clouds from above and from the side, with the height band and the scan, for reports.
 
     Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, use `pc2scan view`.
     """
-    options = conversion.first_output("shown")
+    from pc2scan.requests import conversion_of, first_output
+
+    asked = conversion_of(options, warn)
+    conversion = first_output(asked.options, "shown", warn)
 
     from pc2scan.look.plot import plot as draw
-    from pc2scan.pipeline.options import TimeBound
 
     with fonts_noted_elsewhere():
         drawn = draw(
             sources,
             destination,
-            options,
-            clouds=clouds,
-            at=[TimeBound.parse(time) for time in at],
-            overwrite=overwrite,
-            also_read=conversion.read_files(),
+            conversion,
+            clouds=options.clouds,
+            at=options.at or (),
+            overwrite=options.overwrite,
+            also_read=asked.files,
         )
     for note in drawn.notes:
         warn(note)

@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
-from .options.output import Compression, Destination, Storage
+from pc2scan.options.call import Options
+
+from .options import Destination
 from .outcome import conclude, show, show_next
 from .render import print_json
 
@@ -20,44 +22,28 @@ def repair(
     ],
     destination: Destination = None,
     *,
-    storage: Annotated[
-        Storage | None, typer.Option(help="Storage of a rosbag2 directory.  [default: SRC's]", show_default=False)
-    ] = None,
-    compression: Annotated[
-        Compression | None, typer.Option(help="Compression of DST.  [default: SRC's]", show_default=False)
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace DST, and the file of --report, if they exist.")
-    ] = False,
-    no_verify: Annotated[bool, typer.Option("--no-verify", help="Do not check the CRCs of an MCAP source.")] = False,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Write a report as JSON. An older report is replaced, any other file is not."
-        ),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Show damage, warnings and errors only.")] = False,
+    options: Options,
 ) -> None:
     """Write everything that can be recovered of a damaged recording, of any type, byte for byte.
 
     The exit status is 0 if nothing was damaged (DST is then a complete copy), 3 if something was. SRC is never changed.
     """
-    from pc2scan.pipeline.options import ConvertOptions, destination_and_folder
-    from pc2scan.pipeline.run import OutputOptions, run
+    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.run import run
+    from pc2scan.requests import destination_of, output_of
 
     from .progress import progress_bar
 
-    named, folder = destination_and_folder(destination)
-    form = OutputOptions(storage=storage, compression=compression, overwrite=overwrite, report=report, folder=folder)
-    options = ConvertOptions(repair=True, verify=not no_verify)
-    with progress_bar(enabled=not (quiet or as_json)) as progress:
-        result = run([source], named, options, form, progress=progress)
-    if as_json:
+    named, folder = destination_of(destination)
+    form = output_of(options, folder=folder)
+    silent = options.quiet or options.as_json
+    with progress_bar(enabled=not silent) as progress:
+        result = run([source], named, ConvertOptions(repair=True, verify=options.verify), form, progress=progress)
+    if options.as_json:
         print_json(result.as_dict())
-    elif not quiet:
+    elif not options.quiet:
         show(result)
     end = conclude(result)
-    if not (as_json or quiet):
+    if not silent:
         show_next(result)
     raise end

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pc2scan.errors import TransformError, UnconnectedError, UsageError, leading, stamp_text
+from pc2scan.options.call import Options
+from pc2scan.options.moment import TimeBound
 
 from . import completion
 from .damage import show_damage
-from .options.frames import StaticTf, TfTopics
-from .options.single import Json
 from .render import print_json, say, show_parts, warn
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _MAX_LINES = 500
 
 def tf(
     sources: Annotated[list[Path], typer.Argument(metavar="SRC...", help="Recordings; their transforms are merged.")],
-    frames: Annotated[
+    lookup: Annotated[
         tuple[str, str] | None,
         typer.Option(
             "--lookup",
@@ -42,13 +42,13 @@ def tf(
         str | None,
         typer.Option(
             metavar="TIME",
-            help="With --lookup: the stamp, in seconds (or nanoseconds) since 1970, or as a date and time.",
-            show_default="the latest time common to all frames between",
+            help="With --lookup: the stamp, in seconds (or nanoseconds) since 1970, or as a date and time.  "
+            "[default: the latest time common to all frames between]",
+            show_default=False,
         ),
     ] = None,
-    tf_topic: TfTopics = [],  # noqa: B006 - typer reads the default and never hands it out
-    static_tf: StaticTf = [],  # noqa: B006
-    as_json: Json = False,
+    *,
+    options: Options,
 ) -> None:
     """Show the frames of a recording.
 
@@ -56,17 +56,16 @@ def tf(
     separately.
     """
     from pc2scan.inspect.tf import frame_tree
-    from pc2scan.tf.options import FrameOptions, StaticTransform
+    from pc2scan.requests import frames_of
 
-    if at is not None and frames is None:
+    if at is not None and lookup is None:
         raise UsageError("--at needs --lookup", hint="--lookup base_link lidar --at 1604515190.25")
-    options = FrameOptions(tf_topics=tuple(tf_topic), static=tuple(StaticTransform.parse(text) for text in static_tf))
-    tree = frame_tree(sources, options)
+    tree = frame_tree(sources, frames_of(options))
     show_damage(tree.damage)
-    if frames is not None:
+    if lookup is not None:
         stamp_ns = 0 if at is None else _stamp(at)
         try:
-            rigid = tree.buffer.lookup(frames[0], frames[1], stamp_ns)
+            rigid = tree.buffer.lookup(lookup[0], lookup[1], stamp_ns)
         except TransformError as err:
             # 0 stands for the latest time, so it is not shown as a stamp.
             err.stamp_ns = err.stamp_ns or None
@@ -75,8 +74,8 @@ def tf(
                 meant = stamp_text(first_ns + stamp_ns)
                 err.hint = f"--at counts from 1970; {at} s after the first transform is --at {meant}"
             raise
-        _show_transform(frames[0], frames[1], stamp_ns, rigid, as_json=as_json)
-    elif as_json:
+        _show_transform(lookup[0], lookup[1], stamp_ns, rigid, as_json=options.as_json)
+    elif options.as_json:
         print_json(tree.as_dict())
     else:
         _show(tree)
@@ -87,8 +86,6 @@ _FIRST_DATE_NS = 100_000_000_000_000_000
 
 
 def _stamp(text: str) -> int:
-    from pc2scan.pipeline.options import TimeBound
-
     bound = TimeBound.parse(text)
     # Seconds are always absolute here, never from the recording's beginning: simulated time begins at 0.
     return bound.nanoseconds

@@ -13,6 +13,9 @@ from typer._click.exceptions import UsageError as TyperUsageError
 
 from pc2scan.errors import UsageError
 from pc2scan.names import did_you_mean
+from pc2scan.options.table import GROUPS, instead_of, options_of
+
+from .spelling import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +41,9 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     hint = f"{command} --help shows what it takes"
     if isinstance(err, NoSuchOption):
         near_options = _nearest_first(err.option_name, err.possibilities or ())
-        if near_options:
+        if instead := _instead(typed[0] if typed else "", err.option_name):
+            hint = instead
+        elif near_options:
             hint = f"did you mean {' or '.join(near_options)}?"
         elif err.option_name == "--json":
             hint = "--report report.json writes a report as JSON"
@@ -64,6 +69,13 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     if typed and f"No such command {typed[0]!r}" == text and os.path.lexists(typed[0]):
         hint = f"the command comes first: pc2scan info {shlex.quote(typed[0])}"
     return UsageError(text[:1].lower() + text[1:], hint=f"did you mean {near}" if near else hint)
+
+
+def _instead(command: str, typed: str) -> str:
+    """Return what to use instead of an option that only other commands have."""
+    names = [name for name in (typed.strip("-").replace("-", "_"),) if command in GROUPS]
+    names += [option.name for other in GROUPS for option in options_of(other).values() if option.spelling == typed]
+    return next((as_typed(text) for name in names if (text := instead_of(command, name))), "")
 
 
 def _nearest_first(typed: str, options: Sequence[str]) -> list[str]:

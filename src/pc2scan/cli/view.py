@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pc2scan.errors import leading
+from pc2scan.options.call import Options
 
 from .damage import DAMAGED, show_damage
-from .options.conversion import ConversionGroup
-from .options.single import Moments
 from .render import say, size, warn
 
 if TYPE_CHECKING:
@@ -34,21 +33,8 @@ def view(
             help="The page, an HTML file. Default: next to SRC, named after it, with _view.html at the end.",
         ),
     ] = None,
-    clouds: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.",
-        ),
-    ] = 10,
-    at: Moments = [],  # noqa: B006 - typer reads the default and never hands it out
-    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
-    overwrite: Annotated[
-        bool, typer.Option(help="Replace any file of that name; an older page is always replaced.")
-    ] = False,
     *,
-    conversion: ConversionGroup,
+    options: Options,
 ) -> None:
     """Write a page that shows clouds and the scans made of them, to tune the parameters by eye.
 
@@ -56,10 +42,12 @@ def view(
     parameters. It computes the same scans as `pc2scan convert`, to the bit, and shows the command line and parameter
     files for them. Of a recording without clouds, it shows the scans.
     """
-    options = conversion.first_output("shown")
+    from pc2scan.requests import conversion_of, first_output
+
+    asked = conversion_of(options, warn)
+    conversion = first_output(asked.options, "shown", warn)
 
     from pc2scan.look.view import view as write
-    from pc2scan.pipeline.options import TimeBound
 
     from .command_line import convert_words
 
@@ -67,18 +55,18 @@ def view(
     page = write(
         sources,
         path,
-        options,
-        clouds=clouds,
-        at=[TimeBound.parse(time) for time in at],
-        preset=conversion.projection.preset or "",
-        command=convert_words(sources, options, "scans.mcap"),
-        overwrite=overwrite,
-        also_read=conversion.read_files(),
+        conversion,
+        clouds=options.clouds,
+        at=options.at or (),
+        preset=options.preset or "",
+        command=convert_words(sources, conversion, "scans.mcap"),
+        overwrite=options.overwrite,
+        also_read=asked.files,
     )
     for note in page.notes:
         warn(note)
     say(f"{leading(str(path))}: {size(len(page.html))}")
-    if open_page:
+    if options.open_page:
         _open(path)
     show_damage(page.damage)
     raise typer.Exit(DAMAGED if page.damage else 0)

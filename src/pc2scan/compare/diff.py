@@ -8,20 +8,17 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import TopicError, UsageError, name_list
-from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.schema import canonical
 from pc2scan.names import did_you_mean
 
 from .held import held
-from .libm import CloudsByStamp, Explainer
 from .match import OpenRecording, TopicStream, header_stamp_ns, matched
 from .messages import DECODED, compare_messages
 from .others import compare_others
 from .progress import Counted
 from .result import Difference
 from .rules import Rules
-from .scan_text import ScanText, is_scan_text, open_scan_text
+from .scan_text import is_scan_text, open_scan_text
 from .topic_difference import MessageTimes, TopicDifference
 
 if TYPE_CHECKING:
@@ -30,7 +27,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection, RawMessage
 
-    from .libm import Lookup
 
 __all__ = ["TopicPair", "diff", "diff_sources", "open_source", "paired_streams"]
 
@@ -67,18 +63,12 @@ def diff(
     topics: Sequence[TopicPair] = (),
     all_topics: bool = False,
     rules: Rules | None = None,
-    transforms_of: Callable[[Path], Lookup] | None = None,
-    clouds: Path | None = None,
     progress: Callable[[int, int, int], None] | None = None,
 ) -> Difference:
     """Compare two recordings; see `pc2scan.diff`.
 
     Parameters
     ----------
-    transforms_of
-        Reads a recording's transforms. If given, differing beams are explained; see `pc2scan.compare.libm`.
-    clouds
-        A recording of the scans' clouds; None: ``a``, or if it has none, ``b``.
     progress
         Called regularly; see `pc2scan.compare.progress`.
     """
@@ -94,20 +84,8 @@ def diff(
             source = open_source(path)
             stack.callback(source.close)
             sources.append(source)
-        found = None
-        if transforms_of is not None:
-            holders = [source for source in sources if not isinstance(source, ScanText)]
-            if clouds is not None:
-                holders = [open_recording(clouds, strict=True)]
-                stack.callback(holders[0].close)
-            holders = [source for source in holders if any(c.ros_type == POINTCLOUD2 for c in source.connections)]
-            if clouds is not None and not holders:
-                raise TopicError("has no clouds: there is no PointCloud2 topic", path=clouds)
-            found = CloudsByStamp(holders, transforms_of)
         counted = Counted(progress, sources)
-        return diff_sources(
-            sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, clouds=found, counted=counted
-        )
+        return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, counted=counted)
 
 
 def open_source(path: Path) -> OpenRecording:
@@ -128,10 +106,9 @@ def diff_sources(
     topics: Sequence[TopicPair] = (),
     all_topics: bool = False,
     rules: Rules | None = None,
-    clouds: CloudsByStamp | None = None,
     counted: Counted | None = None,
 ) -> Difference:
-    """Compare open recordings; with ``clouds``, differing beams are explained.
+    """Compare open recordings.
 
     Raises
     ------
@@ -147,7 +124,7 @@ def diff_sources(
     counted = counted or Counted(None, ())
     for number, pair in enumerate(_held(asked) if len(asked) > _MANY_TOPICS else asked):
         counted.begin(number, len(asked))
-        _compare([pair], rules, result, counted, clouds)
+        _compare([pair], rules, result, counted)
     if all_topics:
         _compare(others, rules, result, counted)
     else:
@@ -231,7 +208,6 @@ def _compare(
     rules: Rules,
     result: Difference,
     counted: Counted,
-    clouds: CloudsByStamp | None = None,
 ) -> None:
     """Compare topics: scans and clouds topic by topic, all others in one pass."""
     others = []
@@ -242,10 +218,7 @@ def _compare(
         if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
             entry.change("type", MessageTimes(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
         elif entry.msgtype in DECODED:
-            explainer = Explainer(clouds, rules) if clouds is not None and entry.msgtype == LASERSCAN else None
-            _compare_decoded(one, other, entry, rules, explainer, counted)
-            if explainer is not None:
-                entry.libm = explainer.found
+            _compare_decoded(one, other, entry, rules, counted)
         else:
             others.append(((one, other), entry))
     if others:
@@ -263,7 +236,6 @@ def _compare_decoded(
     other: TopicStream,
     entry: TopicDifference,
     rules: Rules,
-    explainer: Explainer | None,
     counted: Counted,
 ) -> None:
     """Compare scans or clouds, pair by pair."""
@@ -275,7 +247,7 @@ def _compare_decoded(
             times = _times_of(pair.a)
             if pair.moved and "order" not in rules.ignore:
                 entry.moved.add(times)
-            entry.count_pair(times, compare_messages(pair.a, pair.b, rules, explainer))
+            entry.count_pair(times, compare_messages(pair.a, pair.b, rules))
         elif pair.a is not None:
             entry.missing.add(_times_of(pair.a))
         elif pair.b is not None:

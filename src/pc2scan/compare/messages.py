@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import RawMessage
 
-    from .libm import Explainer
     from .rules import Rules
 
 __all__ = ["DECODED", "compare_messages"]
@@ -26,9 +25,7 @@ __all__ = ["DECODED", "compare_messages"]
 DECODED = frozenset({LASERSCAN, POINTCLOUD2})
 
 
-def compare_messages(
-    a: RawMessage, b: RawMessage, rules: Rules, explainer: Explainer | None = None
-) -> MessageDifference:
+def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
     """Compare two messages of one type of `DECODED`.
 
     Parameters
@@ -37,8 +34,6 @@ def compare_messages(
         ``a`` is the reference of relative tolerances. The stamps are equal, because messages are matched by them.
     rules
         Tolerances and exceptions.
-    explainer
-        Gets pairs of scans whose ranges differ.
 
     Notes
     -----
@@ -46,7 +41,7 @@ def compare_messages(
     """
     times = [Change("log_time", str(a.log_time_ns), str(b.log_time_ns))] if a.log_time_ns != b.log_time_ns else []
     try:
-        difference = _decoded(a, b, rules, explainer)
+        difference = _decoded(a, b, rules)
     except DecodeError as err:
         alike = a.connection.serialization == b.connection.serialization and a.data == b.data
         unreadable = Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes; not decoded: {err.message}")
@@ -55,14 +50,12 @@ def compare_messages(
     return MessageDifference(difference.elements, changes, difference.values)
 
 
-def _decoded(a: RawMessage, b: RawMessage, rules: Rules, explainer: Explainer | None) -> MessageDifference:
+def _decoded(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
     numbered = a.connection.ros_version == b.connection.ros_version == 1
     if a.connection.ros_type == LASERSCAN:
         scan, other = (decode_laserscan(m.data, m.connection.serialization) for m in (a, b))
         changes = (*_header_changes(scan, other, numbered=numbered), *scan_changes(scan, other))
         values = tuple(scan_values(scan, other, rules))
-        if explainer is not None and any(value.name == "ranges" for value in values):
-            explainer.add(scan, other)
         return MessageDifference(len(scan.ranges), changes, values)
     cloud, second = (decode_pointcloud2(m.data, m.connection.serialization) for m in (a, b))
     changes = (*_header_changes(cloud, second, numbered=numbered), *cloud_changes(cloud, second))

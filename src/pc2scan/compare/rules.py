@@ -11,9 +11,11 @@ from pc2scan.errors import UsageError
 from pc2scan.names import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
-__all__ = ["GEOMETRY", "IGNORABLE", "Rules", "parse_tolerance"]
+    from pc2scan.options.call import Options
+
+__all__ = ["GEOMETRY", "IGNORABLE", "Rules"]
 
 #: The single numbers of a LaserScan; they are compared bit for bit.
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
@@ -59,6 +61,16 @@ class Rules:
     allow_beams: float = 0.0
     ignore: frozenset[str] = frozenset()
 
+    @classmethod
+    def of(cls, options: Options) -> Rules:
+        """Return the rules among the options of a call."""
+        return cls(
+            atol=options.atol or {},
+            rtol=options.rtol or {},
+            allow_beams=options.allow_beams,
+            ignore=frozenset(options.ignore or ()),
+        )
+
     def __post_init__(self) -> None:
         for name in {*self.atol, *self.rtol}:
             self.tolerance(name)
@@ -75,26 +87,3 @@ class Rules:
     def tolerance(self, name: str) -> Tolerance:
         """Return the tolerance of ``ranges``, ``intensities`` or a field."""
         return Tolerance(self.atol.get(name, self.atol.get("", 0.0)), self.rtol.get(name, self.rtol.get("", 0.0)))
-
-
-def parse_tolerance(texts: Iterable[str], option: str) -> dict[str, float]:
-    """Read tolerances in the command line's notation: ``0.001`` for all values, ``x=0.001`` for those of one name.
-
-    Raises
-    ------
-    UsageError
-        If a text is neither, or a name is given twice.
-    """
-    found: dict[str, float] = {}
-    for text in texts:
-        name, _, number = text.rpartition("=")
-        try:
-            value = float(number)
-        except ValueError:
-            raise UsageError(
-                f"{option}: {text!r} is not a tolerance", hint=f"write {option} 0.001 or {option} intensities=0.5"
-            ) from None
-        if name in found:
-            raise UsageError(f"{option} is given twice for {name or 'all values'}")
-        found[name] = value
-    return found

@@ -6,7 +6,6 @@ import math
 from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from pc2scan.core.rounding import CORRECT, GLIBC
 from pc2scan.errors import leading, stamp_text, visible
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -15,7 +14,6 @@ from pc2scan.shown import counted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from .libm import Explanation
     from .topic_difference import MessageTimes, TopicDifference, Unpaired, ValuesFound
 
 __all__ = ["summary"]
@@ -24,6 +22,8 @@ __all__ = ["summary"]
 _SHOWN = 3
 #: Longer values of changed fields are shortened.
 _LONGEST = 100
+#: The largest share of beams that the angles of another C library change.
+_FEW = 0.25
 #: The words for an element of a message, and for the message.
 _WORDS = {LASERSCAN: ("beam", "scan"), POINTCLOUD2: ("point", "cloud")}
 
@@ -79,8 +79,6 @@ def _lines(topic: TopicDifference, names: tuple[str, str]) -> Iterator[tuple[str
         yield found.name, _values(found, topic, element, message)
         if found.worst is not None:
             yield "", f"worst {_worst_text(found, element, names)}"
-    if topic.libm is not None:
-        yield from (("" if number else "libm", text) for number, text in enumerate(_libm(topic.libm, names)))
     if topic.worst is not None and topic.differing > 1:
         times, differing = topic.worst
         yield f"worst {message}", f"{_times_text(times)}: {counted(differing, element)}"
@@ -114,38 +112,6 @@ def _worst_text(found: ValuesFound, element: str, names: tuple[str, str]) -> str
     return f"{element} {worst.index}{angle}, {_times_text(worst.times)}: {values}"
 
 
-def _libm(found: Explanation, names: tuple[str, str]) -> Iterator[str]:
-    """Yield how many differing beams another libm explains, and by which evidence."""
-    if found.scans:
-        text = (
-            f"{found.explained:,} of {counted(found.beams, 'differing beam')} explained by the clouds on "
-            f"{', '.join(sorted(found.cloud_topics))} ({counted(found.scans, 'scan')})"
-        )
-        if found.glibc:
-            old, new = names if found.glibc == "a" else names[::-1]
-            text += f": angles of glibc 2.31 to 2.40 in {old}, correct ones in {new}"
-        yield text
-        if rest := found.beams - found.explained:
-            yield f"{rest:,} differ for another reason"
-        for name, returns, fits in zip(names, found.returns.tolist(), found.fitting.tolist(), strict=True):
-            yield (
-                f"{name}: of {counted(returns, 'return')} {fits[GLIBC]:,} fit the points with glibc's angles, "
-                f"{fits[CORRECT]:,} with correct ones"
-            )
-    if found.scans_alone:
-        possible = found.in_neighbour + found.hidden
-        rest = found.beams_alone - possible
-        yield (
-            f"at most {possible:,} of {counted(found.beams_alone, 'differing beam')} explained, by the scans alone: "
-            f"{found.in_neighbour:,} read what a neighbour reads in the other scan, {found.hidden:,} what it may hide"
-            + (f"; {rest:,} differ for another reason" if rest else "")
-        )
-    if found.beams_not_judged:
-        yield f"{counted(found.beams_not_judged, 'differing beam')} not judged: the beams have other angles"
-    for reason, scans in found.reasons.most_common(_SHOWN):
-        yield f"{counted(scans, 'scan')} not compared with clouds: {reason}"
-
-
 def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterator[str]:
     """Yield hints."""
     topic_a, topic_b = attrgetter("topic_a"), attrgetter("topic_b")
@@ -161,11 +127,22 @@ def _advice(topics: Sequence[TopicDifference], names: tuple[str, str]) -> Iterat
     )
     if any(topic.messages_a and topic.messages_b and not topic.matched for topic in topics):
         yield "hint: no stamp is on both sides; are these of one drive?"
-    if any(topic.libm is not None and topic.libm.explained > topic.libm.beams / 2 for topic in topics):
-        yield "hint: scans with the angles of glibc 2.31 to 2.40: pc2scan convert `angle_rounding=glibc-2.40`"
+    if any(map(_may_be_libm, topics)):
+        yield (
+            "hint: few beams differ; if the two were made with different C libraries, convert again with the other "
+            "`angle_rounding`"
+        )
     if only_changes and kinds and kinds <= {"log_time", "seq"}:
         ignored = " ".join(f"`ignore={name}`" for name in sorted(kinds))
         yield f"hint: nothing else differs between {names[0]} and {names[1]}: {ignored}"
+
+
+def _may_be_libm(topic: TopicDifference) -> bool:
+    """Return whether the differences can come of another atan2f: some beams of scans that are otherwise the same."""
+    ranges = topic.values.get("ranges") if topic.msgtype == LASERSCAN else None
+    if ranges is None or topic.changes.keys() - {"log_time", "seq"}:
+        return False
+    return ranges.differing <= _FEW * topic.elements
 
 
 def _unpaired_text(unpaired: Unpaired) -> str:

@@ -9,7 +9,6 @@ from pc2scan.json_types import json_value
 
 if TYPE_CHECKING:
     from .difference import MessageDifference
-    from .libm import Explanation
 
 __all__ = ["ChangeFound", "MessageTimes", "TopicDifference", "Unpaired", "ValuesFound", "WorstValue"]
 
@@ -119,8 +118,6 @@ class TopicDifference:
         Differences within pairs, by name.
     worst
         The pair with the most differing beams or points, and their number.
-    libm
-        The differing ranges that another libm explains; None if this was not requested.
     """
 
     topic_a: str | None
@@ -138,7 +135,6 @@ class TopicDifference:
     changes: dict[str, ChangeFound] = field(default_factory=dict)
     values: dict[str, ValuesFound] = field(default_factory=dict)
     worst: tuple[MessageTimes, int] | None = None
-    libm: Explanation | None = None
     _worst_rank: tuple[int, float] = (0, 0.0)
 
     @property
@@ -227,7 +223,6 @@ class TopicDifference:
                 for v in self.values.values()
             ],
             "worst": None if self.worst is None else {**asdict(self.worst[0]), "differing": self.worst[1]},
-            "libm": None if self.libm is None else self.libm.as_dict(),
         }
 
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.files.records import Record
+    from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run import Progress
 
@@ -69,6 +70,16 @@ class ExportOptions:
     converting: bool = False
     overwrite: bool = False
     owned: Record | None = None
+
+    @classmethod
+    def of(cls, options: Options, conversion: ConvertOptions, name: str | None) -> ExportOptions:
+        """Return the options of an export in the format ``name`` among those of a call."""
+        return cls(
+            format=name,
+            poses=PoseOptions(**{name: getattr(options, name) for name in PoseOptions.__dataclass_fields__}),
+            converting=options.makes_scans or conversion.scan.may_combine,
+            overwrite=options.overwrite,
+        )
 
 
 def run(

@@ -14,7 +14,8 @@ from pc2scan.files.places import made_folder
 from pc2scan.files.staging import staged
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.pipeline.options import ConvertOptions, bound_of
+from pc2scan.options.moment import bound_of
+from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions, run
 
 from .check import check_case
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.pipeline.options import Time
+    from pc2scan.options.moment import Time, TimeBound
 
     from .check import Command
 
@@ -50,8 +51,8 @@ def make_case(
     source: Path,
     command: Command,
     *,
-    start: Time | None = None,
-    end: Time | None = None,
+    start: Time | TimeBound | None = None,
+    end: Time | TimeBound | None = None,
     topics: Sequence[str] = (),
     params: Path | None = None,
     progress: Callable[[int, int, int], None] | None = None,

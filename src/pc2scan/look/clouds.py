@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import TransformError
-from pc2scan.pipeline.parameters import PARAMETERS
+from pc2scan.options.table import PARAMETERS
 
 from .packed import described, packed
 
@@ -90,7 +90,9 @@ def clouds_page(
         "defaults": _shown(ProjectionParams()),
         "presets": {name: {k: v for k, v in values.items() if k in _SHOWN} for name, values in PRESETS.items()},
         "preset": preset,
-        "parameters": {name: {"help": PARAMETERS[name].help, "choices": PARAMETERS[name].words} for name in _SHOWN},
+        "parameters": {
+            name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": PARAMETERS[name].words} for name in _SHOWN
+        },
         "command": list(command),
         "targetFrame": options.scan.params.target_frame,
         "topics": [{"topic": topic, "clouds": clouds} for topic, clouds in topics.items()],

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
+
+if TYPE_CHECKING:
+    from pc2scan.options.call import Options
 
 __all__ = ["MapOptions"]
 
@@ -42,6 +46,11 @@ class MapOptions:
     resolution: float = 0.05
     max_range: float = math.inf
     clear_to: float = 0.0
+
+    @classmethod
+    def of(cls, options: Options) -> MapOptions:
+        """Return the options of a map among those of a call."""
+        return cls(**{name: getattr(options, name) for name in cls.__dataclass_fields__})
 
     def __post_init__(self) -> None:
         if not _FINEST <= self.resolution <= _COARSEST:

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.pipeline.options import ConvertOptions, TimeBound
+    from pc2scan.options.moment import TimeBound
+    from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
 
 __all__ = ["Opened", "opened", "title_of"]

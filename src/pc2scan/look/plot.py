@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.core.params import ProjectionParams
-    from pc2scan.pipeline.options import ConvertOptions, TimeBound
+    from pc2scan.options.moment import TimeBound
+    from pc2scan.pipeline.options import ConvertOptions
 
     from .shots import Shot, Shots
 

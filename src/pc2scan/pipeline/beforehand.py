@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.errors import MessageError
     from pc2scan.model import Connection
-
-    from .options import TimeBound
+    from pc2scan.options.moment import TimeBound
 
 __all__ = ["Unconnected", "idle_cut", "refuse_no_messages", "refuse_outside"]
 

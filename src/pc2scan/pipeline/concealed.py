@@ -10,8 +10,9 @@ import re
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError, SeveralNodesError, UsageError
+from pc2scan.options.table import PARAMETERS
 
-from .parameters import PARAMETERS, expected
+from .parameters import expected
 
 if TYPE_CHECKING:
     from os import PathLike

@@ -1,4 +1,4 @@
-"""The table of the projection's parameters, and the choice between several settings of one parameter.
+"""The choice between several settings of one parameter of the projection.
 
 Every source (command line, ``--param name:=value``, parameter file) yields `Setting` values, which say where
 they were written. `resolve` takes the setting with the highest precedence, checks names, types and values, and builds
@@ -9,40 +9,36 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from contextlib import suppress
-from dataclasses import fields
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 from pc2scan.core.layout import FULL_TURN
-from pc2scan.core.params import CHOICES, MEASURED, ProjectionParams
+from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError
 from pc2scan.names import did_you_mean, nearest
+from pc2scan.options.call import CALL
+from pc2scan.options.table import PARAMETERS
 
 from .ros_scalars import plain_scalar
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from pc2scan.options.table import Parameter
+
 __all__ = [
     "ALIASES",
-    "CALL",
-    "PARAMETERS",
     "RIVALS",
     "SCALAR_PARAMETERS",
     "TOPICS",
     "Direction",
-    "Parameter",
     "ResolvedParams",
     "Setting",
-    "default_in_words",
     "expected",
     "expected_message",
     "from_option",
     "from_preset",
-    "in_words",
     "names_of",
     "preset_of",
     "preset_settings",
@@ -54,49 +50,6 @@ __all__ = [
 
 #: Upstream's two nodes; each direction has the name of its node.
 Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
-
-
-class Parameter(NamedTuple):
-    """A parameter of the projection, upstream's or pc2scan's own, as `PARAMETERS` lists it.
-
-    Attributes
-    ----------
-    name
-        The ROS name.
-    kind
-        ``float``, ``bool``, ``int`` or ``str``.
-    unit
-        ``m``, ``rad``, ``s`` or empty.
-    help
-        One or two sentences for ``--help``, without the unit and the default.
-    default
-        The default of `ProjectionParams`.
-    directions
-        The nodes that have it.
-    words
-        The choices of a text parameter, or the words that a number may be instead.
-    upstreams
-        Whether upstream's node has it.
-    """
-
-    name: str
-    kind: str
-    unit: str
-    help: str
-    default: float | bool | str
-    directions: frozenset[Direction]
-    words: tuple[str, ...] = ()
-    upstreams: bool = True
-
-    @property
-    def option(self) -> str:
-        """The command line's spelling: ``--range-min``."""
-        return f"--{self.name.replace('_', '-')}"
-
-    @property
-    def negation(self) -> str:
-        """The command line's spelling that sets a bool to false: ``--no-use-inf``."""
-        return f"--no-{self.name.replace('_', '-')}"
 
 
 class Setting(NamedTuple):
@@ -136,106 +89,6 @@ class ResolvedParams(NamedTuple):
     origin: Mapping[str, str]
 
 
-_SHARED: frozenset[str] = frozenset({"target_frame", "transform_tolerance", "queue_size"})
-
-_HELP: dict[str, tuple[str, str]] = {
-    "target_frame": (
-        "",
-        "Frame that the clouds are transformed into; the scans are in this frame. Empty: the cloud's own frame.",
-    ),
-    "transform_tolerance": ("s", "How far a stamp may be before the first or after the last recorded transform."),
-    "min_height": (
-        "m",
-        (
-            "Lowest z of the points used, in the target frame, inclusive. "
-            "The default, the smallest positive number, rejects z <= 0."
-        ),
-    ),
-    "max_height": ("m", "Highest z of the points used, in the target frame, inclusive."),
-    "angle_min": ("rad", "Angle at which the scan begins; 0 is straight ahead, positive is to the left."),
-    "angle_max": ("rad", "Angle at which the scan ends."),
-    "angle_increment": ("rad", "Angle from one beam to the next."),
-    "scan_time": ("s", "Time between scans, copied into the scan. auto: the median interval of the recorded stamps."),
-    "range_min": ("m", "Shortest horizontal distance of the points used, inclusive."),
-    "range_max": ("m", "Longest horizontal distance of the points used, inclusive."),
-    "use_inf": ("", "Whether beams without a return have the range inf; otherwise it is range_max + inf_epsilon."),
-    "inf_epsilon": ("m", "Added to range_max for beams without a return, if use_inf is off."),
-    "queue_size": (
-        "",
-        ("Maximum number of chunks of messages processed at a time; 0: as many as memory allows. Nothing is dropped."),
-    ),
-    "geometry": (
-        "",
-        (
-            "Angles of beam i. upstream: from angle i to angle i + 1; centered: around angle i; half-open, symmetric: "
-            "also centered, for gmapping and MRPT."
-        ),
-    ),
-    "beams": ("", "Number of beams in the sector, instead of angle_increment. auto: the lidar's own resolution."),
-    "no_return": ("", "Range of beams without a return. Default: set by use_inf."),
-    "reduce": (
-        "",
-        (
-            "What a beam's range is made of: its closest or farthest return, their mean or median, the kth closest, or "
-            "the closest surface."
-        ),
-    ),
-    "kth": (
-        "",
-        "Which return `reduce=kth` takes; 1 is the closest. Beams with fewer returns count as beams without a return.",
-    ),
-    "surface_depth": (
-        "m",
-        "For `reduce=surface`: returns at most this far behind the closest one are on the same surface.",
-    ),
-    "surface_slope": ("", "Added to `surface_depth`, as a multiple of the beam's width at the closest return."),
-    "min_points": ("", "Beams with fewer returns than this count as beams without a return."),
-    "intensity_field": (
-        "",
-        "Field of the cloud that becomes the scan's intensities, from the points that give the ranges.",
-    ),
-    "time_increment": (
-        "s",
-        "Time from beam to beam. auto: from the points' own times; the scan's stamp is then the first beam's.",
-    ),
-    "angle_rounding": (
-        "",
-        (
-            "Which atan2f is reproduced: the correct one of glibc 2.41 and later, or that of 2.31 to 2.40 "
-            "(Ubuntu 20.04 to 24.04)."
-        ),
-    ),
-}
-
-_UPSTREAMS = frozenset(list(_HELP)[: list(_HELP).index("geometry")])
-
-
-def _parameter_table() -> Mapping[str, Parameter]:
-    """Join the table above with the defaults of `ProjectionParams`, in the order of the latter."""
-    both: frozenset[Direction] = frozenset(get_args(Direction))
-    rows = {}
-    for spec in fields(ProjectionParams):
-        default: Any = spec.default
-        unit, text = _HELP[spec.name]
-        rows[spec.name] = Parameter(
-            name=spec.name,
-            kind=type(default).__name__,
-            unit=unit,
-            help=text,
-            default=default,
-            directions=both if spec.name in _SHARED else frozenset({"pointcloud_to_laserscan"}),
-            words=CHOICES.get(spec.name, ("auto",) if spec.name in MEASURED else ()),
-            upstreams=spec.name in _UPSTREAMS,
-        )
-    return MappingProxyType(rows)
-
-
-#: Every parameter by its ROS name: upstream's in upstream's order, then pc2scan's own.
-PARAMETERS: Mapping[str, Parameter] = _parameter_table()
-
-#: The origin of parameters that are given as keywords in Python.
-CALL = "the call"
-
 #: ROS 1's names for parameters that ROS 2 renamed.
 ALIASES = {"concurrency_level": "queue_size"}
 
@@ -258,7 +111,7 @@ RIVALS = {
 
 def names_of(direction: Direction | None) -> list[str]:
     """Return the names of a node's parameters; all names if the direction is not known."""
-    return [p.name for p in PARAMETERS.values() if direction is None or direction in p.directions]
+    return [p.name for p in PARAMETERS.values() if p.is_shared or direction != "laserscan_to_pointcloud"]
 
 
 def unknown_parameter(name: str, origin: str, direction: Direction | None) -> ParameterError:
@@ -472,34 +325,6 @@ def preset_settings(consumer: str) -> list[Setting]:
             f"there is no preset {shown(consumer)}{meant}", name="preset", hint=f"the presets are {', '.join(PRESETS)}"
         )
     return [Setting(name, value, f"--preset {consumer}", "preset") for name, value in PRESETS[consumer].items()]
-
-
-def in_words(value: float | bool | str) -> str:
-    """Return a parameter's value for users: ``no limit`` and ``above 0`` for the largest and the smallest number.
-
-    >>> in_words(1.7976931348623157e308), in_words(2.2250738585072014e-308), in_words(True), in_words(-0.3)
-    ('no limit', 'above 0', 'true', '-0.3')
-    """
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float) and value in (sys.float_info.max, math.inf):
-        return "no limit"
-    return "above 0" if value == sys.float_info.min else str(value)
-
-
-def default_in_words(parameter: Parameter) -> str:
-    """Return a parameter's default for users, with its unit; empty if there is none to show.
-
-    >>> default_in_words(PARAMETERS["angle_increment"]), default_in_words(PARAMETERS["range_max"])
-    ('pi/180 rad, 1 degree', 'no limit')
-    """
-    known = {-math.pi: "-pi", math.pi: "pi", math.pi / 180: "pi/180", 1 / 30: "1/30"}
-    value = parameter.default
-    text = known.get(value) if isinstance(value, float) else None
-    text = text or in_words(value)
-    if not text or text == "no limit":
-        return text
-    return f"{text} {parameter.unit}".rstrip() + (", 1 degree" if parameter.name == "angle_increment" else "")
 
 
 def from_preset(origin: str) -> bool:

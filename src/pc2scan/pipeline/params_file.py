@@ -11,12 +11,12 @@ from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
 from pc2scan.names import did_you_mean
+from pc2scan.options.table import PARAMETERS
 
 from .concealed import is_about, without_content
 from .launch_file import is_launch_xml, launch_node
 from .parameters import (
     ALIASES,
-    PARAMETERS,
     SCALAR_PARAMETERS,
     TOPICS,
     Direction,
@@ -499,7 +499,7 @@ def _merged_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsF
     applying = sorted((s for s in sections if _matches(s, target)), key=_vagueness, reverse=True)
     direction = _direction_of(target)
     if direction is None and any(
-        "laserscan_to_pointcloud" not in PARAMETERS[name].directions
+        not PARAMETERS[name].is_shared
         for section in applying
         for name in sections[section]
         if name in PARAMETERS and PARAMETERS[name].upstreams

@@ -55,7 +55,7 @@ from .routes import (
     static_connection,
     write_static,
 )
-from .run_files import OutputOptions, RunFiles, report_file, scratch_bytes
+from .run_files import OutputOptions, RunFiles, report_file
 from .scheduler import cores
 from .stream import Progress, Span, stream
 from .tally import conclude, tally_of
@@ -84,7 +84,6 @@ __all__ = [
     "robot_transforms",
     "run",
     "run_piece",
-    "scratch_bytes",
     "span_of",
 ]
 

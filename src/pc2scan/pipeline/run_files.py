@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import DestinationError, OutputError, UsageError
+from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.source import changed_while_read, state_of
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from .report import Failure, Report
 
-__all__ = ["OutputOptions", "RunFiles", "report_file", "scratch_bytes"]
+__all__ = ["OutputOptions", "RunFiles", "report_file"]
 
 
 class OutputOptions(NamedTuple):
@@ -75,24 +75,6 @@ class OutputOptions(NamedTuple):
     cut: Cut | None = None
     scratch: Path | None = None
     scratch_size: int | None = None
-
-
-def scratch_bytes(text: str | None) -> int | None:
-    """Read a size such as ``20GB``; None for None.
-
-    Raises
-    ------
-    UsageError
-        If the text is not a size.
-    """
-    if text is None:
-        return None
-    from pc2scan.core.quantities import byte_size  # noqa: PLC0415  # few conversions are of URLs
-
-    size = byte_size(text)
-    if not size:
-        raise UsageError(f"`scratch_size` is {text!r}, it must be a size above 0", hint="with its unit: 500MB, 20GB")
-    return size
 
 
 class RunFiles:

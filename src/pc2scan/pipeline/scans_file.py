@@ -6,64 +6,33 @@ from collections.abc import Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.names import did_you_mean
+from pc2scan.options.table import PARAMETERS, output_options
+from pc2scan.options.values import Texts
 
 from .combine.asked import Combining
 from .concealed import is_about, without_content
 from .param_sources import resolve_sources
-from .parameters import ALIASES, PARAMETERS, Setting, names_of, shown
+from .parameters import ALIASES, Setting, names_of, shown
 from .scan_spec import ScanSpec, TopicRequest
-from .stages.filter_options import FILTER_OPTIONS, filters_from
+from .stages.filter_options import filters_from
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-__all__ = ["OUTPUT_KEYS", "OutputKey", "ScansFile", "load_scans", "refuse_beside"]
+__all__ = ["ScansFile", "load_scans", "refuse_beside"]
 
 #: Maximum number of levels of nesting.
 _MAX_DEPTH = 20
 
 
-class OutputKey(NamedTuple):
-    """A key of an output that is not a parameter of the projection.
-
-    ``kind`` is ``text``, ``texts`` (one or a list), ``flag``, ``number`` or ``time`` (seconds, or text). ``words`` are
-    the allowed texts; if it is empty, any text is allowed. ``help`` is for the JSON schema.
-    """
-
-    kind: Literal["text", "texts", "flag", "number", "time"]
-    help: str
-    words: tuple[str, ...] = ()
-
-
-#: The keys. Those that are attributes of `ScanSpec` are copied; `filters_from` and `_spec` read the others.
-OUTPUT_KEYS: Mapping[str, OutputKey] = {
-    "sources": OutputKey("texts", "Topic, or topics, that become this output. Default: the only topic with clouds."),
-    "preset": OutputKey("text", "A consumer of the scans, for parameters that suit it."),
-    "params_file": OutputKey("text", "A ROS parameter file, relative to this file. It overrides the preset."),
-    "node": OutputKey("text", "The node whose parameters are read from the parameter file."),
-    **{name: OutputKey(option.kind, option.help, option.words) for name, option in FILTER_OPTIONS.items()},
-    "deskew": OutputKey("flag", "Transform each point with the pose at its own time, through fixed_frame."),
-    "fixed_frame": OutputKey("text", "A frame that does not move, such as odom."),
-    "point_time": OutputKey(
-        "text", "Field with the times of points, and its unit: t or t:ns; or azimuth, or azimuth:0.1:cw:end."
-    ),
-    "stamp": OutputKey("text", "The time of a deskewed scan.", ("header", "start", "middle", "end")),
-    "level": OutputKey("flag", "Make scans in a frame without the roll and pitch of the target frame."),
-    "lead": OutputKey("text", "With several sources: the one whose stamps the scans have. Default: the first."),
-    "window": OutputKey("time", "Maximum difference to stamps of other sources. Default: half the median period."),
-    "accumulate": OutputKey("time", "Each scan has all points of the last seconds, or of the last clouds: 10clouds."),
-    "every": OutputKey("time", "Make a scan once in this many seconds, instead of one for each cloud."),
-    "rebin": OutputKey("flag", "Sources are LaserScans instead of clouds."),
-    "remove": OutputKey("texts", "Remove beams that are shadows or speckles: shadows, speckles filter_window=3."),
-    "keep_used": OutputKey("text", "Topic for the points that the scan's beams read, with the index of the beam."),
-    "imu": OutputKey("text", "With level: the IMU that measures the direction of up, TOPIC or TOPIC:FRAME."),
-}
-
 _TOP = ("defaults", "scans")
+
+#: The keys of an output that are no parameters of the projection.
+_KEYS = {"sources": Texts(), **{name: option.value for name, option in output_options().items()}}
 
 #: Keys that are copied to attributes of `ScanSpec`.
 _OWN = ScanSpec.__dataclass_fields__.keys() - {"remove"}
@@ -252,15 +221,14 @@ def _spec(
             name = ALIASES.get(key, key)
             if name in PARAMETERS:
                 settings.append(Setting(name, _scalar(found, key), f"{found.place}, {key}", source))
-            elif key in OUTPUT_KEYS:
+            elif key in _KEYS:
                 chosen.setdefault(key, found)
             else:
-                known = (*names_of("pointcloud_to_laserscan"), *OUTPUT_KEYS)
+                known = (*names_of("pointcloud_to_laserscan"), *_KEYS)
                 near = did_you_mean(key, known)
                 raise UsageError(
                     f"{found.place}: unknown key {key!r}",
-                    hint=near
-                    or f"an output has {', '.join(OUTPUT_KEYS)}, and the parameters of pointcloud_to_laserscan",
+                    hint=near or f"an output has {', '.join(_KEYS)}, and the parameters of pointcloud_to_laserscan",
                 )
     values = {key: _checked_value(key, found) for key, found in chosen.items()}
     file = Path(base, values["params_file"]) if "params_file" in values else None
@@ -320,34 +288,16 @@ def _scalar(entry: _Entry, key: str) -> Any:
 
 
 def _checked_value(key: str, entry: _Entry) -> Any:
-    """Return the value of a key; raise if it is not of the key's kind."""
-    kind, _, words = OUTPUT_KEYS[key]
-    value = entry.value
-    if kind == "texts":
-        each = value if isinstance(value, list) else [entry]
-        if each and all(isinstance(one.value, str) for one in each):
-            return [one.value for one in each]
-        expected = "text, or a list of texts"
-    elif kind == "flag":
-        if isinstance(value, bool):
-            return value
-        expected = "true or false"
-    elif kind == "number":
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-        expected = "a number"
-    elif kind == "time":
-        if isinstance(value, str | int | float) and not isinstance(value, bool):
-            return value
-        expected = "a number of seconds, or text such as 500ms"
-    else:
-        if isinstance(value, str) and (value in words or not words):
-            return value
-        expected = f"one of {', '.join(words)}" if words else "text"
-    near = did_you_mean(value, words) if isinstance(value, str) else ""
-    if kind == "texts" and isinstance(value, list) and value:
+    """Return the value of a key; raise if it is not of the key's type."""
+    kind, value = _KEYS[key], entry.value
+    each = value if isinstance(value, list) and kind.repeats else [entry]
+    if each and all(kind.admits(one.value) for one in each):
+        found = [one.value for one in each]
+        return kind.read(key, found if kind.repeats else found[0])
+    near = did_you_mean(value, kind.words) if isinstance(value, str) else ""
+    if kind.repeats and isinstance(value, list) and value:
         near = 'in a list, a text with a comma needs quotes: ["ring in (6, 7, 8)", x > 0]'
-    raise UsageError(f"{entry.place}: {key} must be {expected}, got {_found(entry)}", hint=near or None)
+    raise UsageError(f"{entry.place}: {key} must be {kind.expected}, got {_found(entry)}", hint=near or None)
 
 
 def _found(entry: _Entry) -> str:

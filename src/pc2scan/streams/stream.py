@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
     from pc2scan.pipeline.conversion import Converted
-    from pc2scan.pipeline.options import TimeBound
     from pc2scan.pipeline.run import Progress
 
 __all__ = ["Account", "Read", "Selection", "Source", "Stream"]

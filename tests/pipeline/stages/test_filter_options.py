@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
-from pc2scan import requests
 from pc2scan.errors import UsageError
-from pc2scan.pipeline.stages.filter_options import FILTER_OPTIONS, filters_from
+from pc2scan.options.table import options_of
+from pc2scan.options.values import Number
+from pc2scan.pipeline.stages.filter_options import FILTERS, filters_from
 
 #: Values of each option.
 VALUES: dict[str, Any] = {
@@ -20,21 +21,19 @@ VALUES: dict[str, Any] = {
 }
 
 
-def test_python_takes_the_options_of_the_table() -> None:
-    assert set(requests._FILTERS) == {*FILTER_OPTIONS, "filters"}
-    texts = {name for name, option in FILTER_OPTIONS.items() if option.kind == "texts"}
-    assert set(requests._TEXTS_OF_FILTERS) == texts
+def test_every_filter_is_an_option() -> None:
+    assert FILTERS.keys() == VALUES.keys()
+    assert FILTERS.keys() <= options_of("convert").keys()
 
 
-@pytest.mark.parametrize("name", FILTER_OPTIONS)
+@pytest.mark.parametrize("name", FILTERS)
 def test_the_text_of_a_filter_asks_for_the_same_filter(name: str) -> None:
-    option = FILTER_OPTIONS[name]
-    made = tuple(option.filters(VALUES[name], -0.3))
+    kind = options_of("convert")[name].value
+    made = tuple(FILTERS[name](VALUES[name], -0.3))
     assert {each.name for each in made} == {name}
     texts: list[str] = [each.text for each in made]  # type: ignore[attr-defined]
-    (first, *_) = texts
-    again = {"texts": texts, "text": first, "number": first}[option.kind]
-    assert tuple(option.filters(float(first) if option.kind == "number" else again, -0.3)) == made
+    again = texts if kind.repeats else float(texts[0]) if isinstance(kind, Number) else texts[0]
+    assert tuple(FILTERS[name](again, -0.3)) == made
 
 
 def test_filters_are_applied_in_the_order_of_the_table() -> None:

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import re
-from datetime import timedelta
-from numbers import Real
-from typing import NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UsageError
+from pc2scan.options.values import nanoseconds_of
 
-__all__ = ["Combining", "Duration"]
+if TYPE_CHECKING:
+    from pc2scan.options.table import Period
 
-#: A time: seconds, text with or without a unit, or a timedelta.
-Duration: TypeAlias = "str | float | timedelta"
+__all__ = ["Combining"]
 
-#: The largest time in seconds, and the largest number of messages, that one scan may be made of.
-_LONGEST = 86_400.0
+#: The largest number of messages that one scan may be made of.
 _MOST = 100_000
 
 _CLOUDS = r"(\d+) ?(?:clouds?|scans?|messages?)"
@@ -53,9 +50,9 @@ class Combining(NamedTuple):
         cls,
         *,
         lead: str = "",
-        window: Duration | None = None,
-        accumulate: Duration | None = None,
-        every: Duration | None = None,
+        window: Period | None = None,
+        accumulate: Period | None = None,
+        every: Period | None = None,
         rebin: bool = False,
     ) -> Combining:
         """Parse the values that a user gives.
@@ -76,32 +73,12 @@ class Combining(NamedTuple):
             if not 1 <= count <= _MOST:
                 raise UsageError(f"`accumulate` is {accumulate!r}, it must be 1 to {_MOST:,} clouds")
         elif accumulate is not None:
-            span_ns = _nanoseconds("accumulate", accumulate, "; or a number of clouds (10clouds)")
-        every_ns = 0 if every is None else _nanoseconds("every", every)
-        window_ns = None if window is None else _nanoseconds("window", window)
+            span_ns = nanoseconds_of("accumulate", accumulate, "; or a number of clouds (10clouds)")
+        every_ns = 0 if every is None else nanoseconds_of("every", every)
+        window_ns = None if window is None else nanoseconds_of("window", window)
         return cls(lead, window_ns, span_ns, count, every_ns, rebin)
 
     @property
     def accumulates(self) -> bool:
         """Whether scans are made of several messages of each topic."""
         return bool(self.span_ns or self.count or self.every_ns)
-
-
-def _nanoseconds(name: str, value: Duration, more: str = "") -> int:
-    """Parse a time; ``more`` is added to the hint of the error."""
-    from pc2scan.core.quantities import EXAMPLES, quantity  # noqa: PLC0415  # most scans are made of one message
-
-    seconds: float | None
-    if isinstance(value, str):
-        seconds = quantity(value, "s")
-    elif isinstance(value, timedelta):
-        seconds = value.total_seconds()
-    elif isinstance(value, Real) and not isinstance(value, bool):
-        seconds = float(value)
-    else:
-        seconds = None
-    if seconds is None:
-        raise UsageError(f"`{name}` is {value!r}, which is not a time", hint=EXAMPLES["s"] + more)
-    if not (math.isfinite(seconds) and 1e-9 <= seconds <= _LONGEST):
-        raise UsageError(f"`{name}` is {value!r}, it must be more than 0 and at most {_LONGEST:g} s")
-    return round(seconds * 1e9)

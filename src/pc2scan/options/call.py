@@ -1,0 +1,113 @@
+"""The options of one call, whoever gives them: Python, the command line or a file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from .table import ONE_OUTPUT, PARAMETERS, SINGLE, Parameter, conversion_options, options_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from .table import Option
+
+__all__ = ["CALL", "Options"]
+
+#: The origin of parameters that are given as keywords in Python.
+CALL = "the call"
+
+
+class Options:
+    """The options of one call. An attribute is an option's value: the one that was given, or the default.
+
+    Parameters
+    ----------
+    command
+        The command or function whose options these are.
+    values
+        What was given, by name; None means nothing.
+    origins
+        Where parameters of the projection come from, for errors and reports; missing ones were given in Python.
+    known
+        The options that there are, if not those of the command.
+
+    Attributes
+    ----------
+    given
+        What was given, by name, as `pc2scan.options.values` reads it. Values that are defaults are not in it, except
+        those of the projection's parameters, which override those of files and presets.
+
+    Raises
+    ------
+    TypeError, UsageError
+        If a value has the wrong type, or means nothing.
+    """
+
+    __slots__ = ("_known", "command", "given", "origins")
+
+    def __init__(
+        self,
+        command: str,
+        values: Mapping[str, Any],
+        origins: Mapping[str, str] | None = None,
+        *,
+        known: Mapping[str, Option] | None = None,
+    ) -> None:
+        self.command = command
+        self.origins = origins or {}
+        self._known = options_of(command) if known is None else known
+        self.given: dict[str, Any] = {}
+        for name, value in values.items():
+            option = self._known[name]
+            if isinstance(option, Parameter):
+                self.given[name] = _python_value(value)
+            elif value is not None and not _is_default(read := option.value.read(name, value), option.default):
+                self.given[name] = read
+
+    def __getattr__(self, name: str) -> Any:
+        """Return the value of an option; one that this command does not have has the default of a conversion."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if name in self.given:
+            return self.given[name]
+        option = self._known.get(name) or options_of("convert").get(name)
+        if option is None:
+            raise AttributeError(f"{self.command} has no option {name!r}")
+        return option.default
+
+    def origin(self, name: str) -> str:
+        """Return where a parameter of the projection was given."""
+        return self.origins.get(name, CALL)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """The given parameters of the projection."""
+        return {name: value for name, value in self.given.items() if isinstance(self._known[name], Parameter)}
+
+    @property
+    def of_one_output(self) -> list[str]:
+        """The names of what was given and describes one output, except parameters of the projection."""
+        return [
+            name for name in self.given if name not in PARAMETERS and self._known[name].scope in (ONE_OUTPUT, SINGLE)
+        ]
+
+    @property
+    def of_conversions(self) -> dict[str, Any]:
+        """What was given of the options that a batch gives to each conversion."""
+        known = conversion_options()
+        return {name: value for name, value in self.given.items() if name in known}
+
+    @property
+    def makes_scans(self) -> bool:
+        """Whether any parameter of the projection is given: by name, by a preset or in a file."""
+        sources = ("params", "preset", "params_file", "param")
+        return bool(self.parameters) or any(self.given.get(name) for name in sources)
+
+
+def _is_default(value: object, default: object) -> bool:
+    return value is default or (type(value) is type(default) and value == default) or value == ()
+
+
+def _python_value(value: object) -> object:
+    """Return NumPy's scalars as Python's."""
+    return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value

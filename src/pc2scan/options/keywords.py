@@ -1,0 +1,106 @@
+"""The keywords of the public functions: misspelt ones, signatures, and the lists in docstrings."""
+
+from __future__ import annotations
+
+import inspect
+from functools import wraps
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+
+from pc2scan.arguments import refuse_unknown
+
+from .table import GROUPS, instead_of, options_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .table import Option
+
+__all__ = ["takes_options"]
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+#: Names that users of the command line or of ROS may try, and the arguments that they mean.
+_SYNONYMS = {
+    "topic": "topics",
+    "source": "sources",
+    "output": "destination",
+    "dst": "destination",
+    "channel": "channels",
+    "tf_topic": "tf_topics",
+    "static": "static_tf",
+    "no_verify": "verify",
+    "frame": "target_frame",
+    "frame_id": "target_frame",
+    "for": "consumers",
+    "consumer": "consumers",
+    "k": "pattern",
+    "dir": "folder",
+}
+
+#: Arguments that results have instead.
+_OF_RESULTS = {
+    "view": {"destination": "`Page.save` writes the page", "overwrite": "`Page.save` has it"},
+    "map": {
+        "destination": "`Map.save` writes the files",
+        "png": "`Map.save` writes it",
+        "overwrite": "`Map.save` has it",
+    },
+    "tf": {"lookup": "`FrameTree.lookup` returns a transform", "at": "`FrameTree.lookup` has it"},
+}
+
+#: The width of the lists in docstrings.
+_WIDTH = 112
+
+
+def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+    """Decorate a function that takes ``**options``, the options of the command with its name.
+
+    A misspelt keyword raises a TypeError that suggests the right one, or says which function has it. The function's
+    signature has the options; in its docstring, they stand at ``**options``.
+    """
+    name = function.__name__
+    own = list(inspect.signature(function).parameters.values())[:-1]
+    known = {key: option for key, option in options_of(name).items() if not option.command_only}
+    named = {*known, *(parameter.name for parameter in own)}
+
+    @wraps(function)
+    def checked(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
+        if not kwargs.keys() <= named:
+            for key in kwargs.keys() - named:
+                if hint := _OF_RESULTS.get(name, {}).get(key) or instead_of(name, key):
+                    raise TypeError(f"{name}() has no argument {key!r}; {hint}")
+            refuse_unknown(name, kwargs, named, _SYNONYMS)
+        return function(*args, **kwargs)
+
+    ordered = sorted(known.values(), key=lambda option: not option.common)
+    annotations = {key: each for group in GROUPS[name] for key, each in group.__annotations__.items()}
+    listed = [
+        inspect.Parameter(
+            option.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=option.default,
+            annotation=annotations[option.name].__origin__,
+        )
+        for option in ordered
+    ]
+    checked.__signature__ = inspect.signature(function).replace(parameters=[*own, *listed])  # type: ignore[attr-defined]
+    checked.__doc__ = (function.__doc__ or "").replace(_PLACE, "".join(map(_described, ordered)))
+    return checked
+
+
+#: Where a docstring lists the options.
+_PLACE = "    **options\n"
+
+
+def _described(option: Option) -> str:
+    """Return an option's entry in a docstring."""
+    words = f"{option.help} {option.value.note}".split()
+    if option.default_text:
+        words += f"Default: {option.default_text}.".split()
+    text, line = f"    {option.name}\n       ", 7
+    for word in words:
+        if line + len(word) >= _WIDTH:
+            text, line = f"{text}\n       ", 7
+        text, line = f"{text} {word}", line + len(word) + 1
+    return text + "\n"

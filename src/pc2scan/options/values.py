@@ -1,0 +1,477 @@
+"""The types of options' values: one parser for each meaning, for Python, the command line and files alike."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import timedelta
+from numbers import Integral, Real
+from os import PathLike
+from typing import TYPE_CHECKING
+
+from pc2scan.arguments import names_in, path_of, paths_in, shown
+from pc2scan.errors import UsageError
+from pc2scan.names import did_you_mean
+
+if TYPE_CHECKING:
+    from typing import Any
+
+__all__ = [
+    "Count",
+    "Duration",
+    "Flag",
+    "Moment",
+    "Moments",
+    "Number",
+    "Object",
+    "Outputs",
+    "PathName",
+    "PathNames",
+    "Share",
+    "Size",
+    "Switch",
+    "Text",
+    "Texts",
+    "Tolerances",
+    "Value",
+    "in_words",
+    "nanoseconds_of",
+]
+
+#: The longest time in seconds that a scan may be made of.
+_LONGEST = 86_400.0
+
+_TEXT = {"type": "string"}
+_NUMBER_OR_TEXT = {"anyOf": [{"type": "number"}, _TEXT]}
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+class Value:
+    """The type of an option's values.
+
+    Attributes
+    ----------
+    metavar
+        What stands for a value in the command's help.
+    kind
+        The type of a parameter of the projection: ``float``, ``bool``, ``int`` or ``str``.
+    unit
+        ``m``, ``rad``, ``s`` or empty.
+    words
+        The allowed texts; or the texts that a number may be instead. Empty: any text.
+    is_text
+        Whether a YAML scalar is read as it is written: ``010`` is the text 010.
+    repeats
+        Whether there may be several.
+    note
+        What Python takes besides, for the documentation.
+    """
+
+    kind = "str"
+    unit = ""
+    words: tuple[str, ...] = ()
+    is_text = False
+    repeats = False
+    note = ""
+
+    def __init__(self, metavar: str | None = None, words: Iterable[str] = ()) -> None:
+        self.metavar = metavar
+        self.words = tuple(words)
+
+    @property
+    def expected(self) -> str:
+        """What a file must have, for errors."""
+        return f"one of {', '.join(self.words)}" if self.words else "text"
+
+    def read(self, name: str, value: Any) -> Any:
+        """Read a value from Python or as it was typed; errors name the option.
+
+        Raises
+        ------
+        TypeError
+            If it has the wrong type.
+        UsageError
+            If it means nothing.
+        """
+        raise NotImplementedError
+
+    def admits(self, value: object) -> bool:
+        """Return whether a value of a YAML or JSON file has the right type."""
+        return isinstance(value, str) and (value in self.words or not self.words)
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema of values in files."""
+        return {"enum": list(self.words)} if self.words else dict(_TEXT)
+
+
+class Flag(Value):
+    """True or false."""
+
+    kind = "bool"
+    expected = "true or false"
+
+    def read(self, name: str, value: Any) -> bool:
+        """Return the value; text is refused, so that ``overwrite="no"`` replaces nothing."""
+        if not isinstance(value, bool):
+            raise TypeError(f"{name} is {shown(value)}, it must be True or False")
+        return value
+
+    def admits(self, value: object) -> bool:
+        """Return whether it is true or false."""
+        return isinstance(value, bool)
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return {"type": "boolean"}
+
+
+class Text(Value):
+    """A text, or one of a few words."""
+
+    is_text = True
+
+    def read(self, name: str, value: Any) -> str:
+        """Return the text."""
+        if not isinstance(value, str):
+            raise TypeError(f"{name} is {shown(value)}, it must be a str, or None")
+        if self.words and value and value not in self.words:
+            raise self._unknown(name, value)
+        return value
+
+    def _unknown(self, name: str, value: str) -> UsageError:
+        words = f"{', '.join(self.words[:-1])} or {self.words[-1]}"
+        return UsageError(
+            f"`{name}` is {value!r}, it must be {words}",
+            hint=did_you_mean(value, self.words) or None,
+        )
+
+
+class Switch(Text):
+    """True, or a text: an option whose value may be left out."""
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return the text, or whether the option is on."""
+        return value if isinstance(value, bool) else super().read(name, value)
+
+
+class Texts(Value):
+    """One text, or several.
+
+    Parameters
+    ----------
+    objects
+        The classes of Python that may stand for a text, by name.
+    """
+
+    expected = "text, or a list of texts"
+    is_text = True
+    repeats = True
+    note = "One or several."
+
+    def __init__(self, metavar: str | None = None, words: Iterable[str] = (), *, objects: Iterable[str] = ()) -> None:
+        super().__init__(metavar, words)
+        self._objects = frozenset(objects)
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return the texts as a tuple."""
+        if type(value).__name__ in self._objects:
+            return (value,) if name == "static_tf" else value
+        if self._objects and isinstance(value, Sequence) and not isinstance(value, str | bytes):
+            return tuple(value)
+        found = names_in(name, value)
+        for text in found:
+            if self.words and text not in self.words:
+                raise UsageError(
+                    f"`{name}` has {text!r}, its values must be among {', '.join(self.words)}",
+                    hint=did_you_mean(text, self.words) or None,
+                )
+        return found
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        item = super().schema()
+        return {"anyOf": [item, {"type": "array", "items": item, "minItems": 1}]}
+
+
+class PathName(Value):
+    """A path: `str` or `pathlib.Path`. In a file, it is relative to this file."""
+
+    expected = "a path"
+    is_text = True
+
+    def __init__(self, metavar: str | None = "FILE") -> None:
+        super().__init__(metavar)
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return the path."""
+        return path_of(name, value)
+
+
+class PathNames(PathName):
+    """One path, or several."""
+
+    expected = "a path or a list of paths"
+    repeats = True
+    note = "One or several."
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return the paths as a tuple."""
+        return tuple(paths_in(name, value))
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return {"anyOf": [_TEXT, {"type": "array", "items": _TEXT, "minItems": 1}]}
+
+
+class Outputs(PathName):
+    """A file with several outputs, or its content: mappings and lists."""
+
+    note = "Or the content of such a file: ``{'/scan': {'min_height': 0.1}, '/low': {'max_height': 0.1}}``."
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return the path, or the content."""
+        return path_of(name, value) if isinstance(value, str | PathLike) else value
+
+
+class Count(Value):
+    """A whole number from ``low`` to ``high``; for a parameter of the projection, also a word."""
+
+    kind = "int"
+    expected = "a whole number"
+
+    def __init__(self, low: int = 0, high: int | None = None, *, metavar: str = "N", words: Iterable[str] = ()) -> None:
+        super().__init__("|".join((metavar, *words)), words)
+        self.low, self.high = low, high
+
+    def read(self, name: str, value: Any) -> int:
+        """Return the number."""
+        if not isinstance(value, Integral) or isinstance(value, bool):
+            raise TypeError(f"{name} is {shown(value)}, it must be a whole number")
+        number = int(value)
+        if number < self.low or (self.high is not None and number > self.high):
+            limits = f"{self.low} or more" if self.high is None else f"from {self.low} to {self.high:,}"
+            raise UsageError(f"`{name}` is {number:,}, it must be {limits}")
+        return number
+
+    def admits(self, value: object) -> bool:
+        """Return whether it is a whole number, or one of the words."""
+        return (isinstance(value, int) and not isinstance(value, bool)) or (
+            isinstance(value, str) and value in self.words
+        )
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        number: dict[str, Any] = {"type": "integer"}
+        return {"anyOf": [number, {"enum": list(self.words)}]} if self.words else number
+
+
+class Number(Value):
+    """A number, which may have a unit: ``50cm``, ``90deg``, ``100ms``."""
+
+    kind = "float"
+    expected = "a number"
+
+    def __init__(self, unit: str = "", *, metavar: str | None = None, words: Iterable[str] = ()) -> None:
+        super().__init__("|".join((unit.upper() if metavar is None else metavar, *words)), words)
+        self.unit = unit
+
+    def read(self, name: str, value: Any) -> float:
+        """Return the number in metres, radians or seconds."""
+        if _is_number(value):
+            return float(value)
+        if not isinstance(value, str):
+            raise TypeError(f"{name} is {shown(value)}, it must be a number")
+        try:
+            return float(value)
+        except ValueError:
+            from pc2scan.core.quantities import EXAMPLES, quantity  # noqa: PLC0415  # most are plain numbers
+
+            number = quantity(value, self.unit) if self.unit else None
+        if number is None:
+            raise UsageError(f"`{name}`: {value!r} is not a number", hint=EXAMPLES.get(self.unit))
+        return number
+
+    def admits(self, value: object) -> bool:
+        """Return whether it is a number, a quantity as text, or one of the words."""
+        return _is_number(value) or (isinstance(value, str) and (bool(self.unit) or value in self.words))
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        if self.unit:
+            return dict(_NUMBER_OR_TEXT)
+        return {"anyOf": [{"type": "number"}, {"enum": list(self.words)}]} if self.words else {"type": "number"}
+
+
+class Share(Number):
+    """A share, 0 to 1, or in percent: ``0.05`` or ``5%``."""
+
+    def __init__(self) -> None:
+        super().__init__(metavar="SHARE")
+
+    def read(self, name: str, value: Any) -> float:
+        """Return the share."""
+        if not isinstance(value, str):
+            return super().read(name, value)
+        try:
+            return float(value.removesuffix("%")) / (100 if value.endswith("%") else 1)
+        except ValueError as err:
+            raise UsageError(f"`{name}`: {value!r} is not a share", hint="write 0.05 or 5%") from err
+
+    def admits(self, value: object) -> bool:
+        """Return whether it is a number or percent."""
+        return _is_number(value) or (isinstance(value, str) and value.endswith("%"))
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return dict(_NUMBER_OR_TEXT)
+
+
+class Duration(Value):
+    """A time: seconds, text such as ``500ms``, or a `datetime.timedelta`. `nanoseconds_of` reads it."""
+
+    expected = "a number of seconds, or text such as 500ms"
+    note = "Also a timedelta."
+
+    def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
+        """Return the value as it is: `pc2scan.pipeline.combine.asked.Combining` reads it."""
+        return value
+
+    def admits(self, value: object) -> bool:
+        """Return whether it is a number or text."""
+        return isinstance(value, str) or _is_number(value)
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return dict(_NUMBER_OR_TEXT)
+
+
+def nanoseconds_of(name: str, value: Any, more: str = "") -> int:
+    """Read a time in the forms of `Duration`; ``more`` is added to the hint of the error."""
+    from pc2scan.core.quantities import EXAMPLES, quantity  # noqa: PLC0415  # most scans are made of one message
+
+    seconds: float | None
+    if isinstance(value, str):
+        seconds = quantity(value, "s")
+    elif isinstance(value, timedelta):
+        seconds = value.total_seconds()
+    else:
+        seconds = float(value) if _is_number(value) else None
+    if seconds is None:
+        raise UsageError(f"`{name}` is {value!r}, which is not a time", hint=EXAMPLES["s"] + more)
+    if not (math.isfinite(seconds) and 1e-9 <= seconds <= _LONGEST):
+        raise UsageError(f"`{name}` is {value!r}, it must be more than 0 and at most {_LONGEST:g} s")
+    return round(seconds * 1e9)
+
+
+class Moment(Value):
+    """A time in a recording; see `pc2scan.options.moment.TimeBound`."""
+
+    expected = "a number or a text"
+    note = "Also a datetime with a time zone, a numpy.datetime64 (UTC), or a timedelta from the beginning."
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return it as a `pc2scan.options.moment.TimeBound`."""
+        from .moment import bound_of  # noqa: PLC0415  # most conversions have no cut
+
+        return bound_of(name, value)
+
+    def admits(self, value: object) -> bool:
+        """Return whether it is a number or text."""
+        return isinstance(value, str) or _is_number(value)
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return {"type": ["number", "string"]}
+
+
+class Moments(Moment):
+    """One time in a recording, or several."""
+
+    repeats = True
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return them as a list of `pc2scan.options.moment.TimeBound`."""
+        # A NumPy array without dimensions is one time; a `TimeBound` is a tuple.
+        several = isinstance(value, Iterable) and not isinstance(value, str) and not hasattr(value, "absolute")
+        if several and getattr(value, "shape", True) != ():
+            return [super(Moments, self).read(name, time) for time in value]
+        return [super().read(name, value)]
+
+
+class Size(Value):
+    """A number of bytes: ``500MB``, ``20GB``."""
+
+    is_text = True
+
+    def read(self, name: str, value: Any) -> int:
+        """Return the number of bytes."""
+        from pc2scan.core.quantities import byte_size  # noqa: PLC0415  # few conversions have one
+
+        size = byte_size(value) if isinstance(value, str) else None
+        if not size:
+            raise UsageError(f"`{name}` is {value!r}, it must be a size above 0", hint="with its unit: 500MB, 20GB")
+        return size
+
+
+class Tolerances(Value):
+    """A number for all values, or numbers by name: ``0.001``, ``x=0.001``, ``{"x": 0.001}``."""
+
+    repeats = True
+    note = "A number, or a dict of numbers by name."
+
+    def read(self, name: str, value: Any) -> Mapping[str, float]:
+        """Return the numbers by name; the empty name is for all others."""
+        if isinstance(value, list | tuple):
+            return self._typed(name, value)
+        found = value if isinstance(value, Mapping) else {"": value}
+        if not all(map(_is_number, found.values())):
+            raise TypeError(f"{name} is {value!r}, it must be a number, or a dict of numbers")
+        return found
+
+    def _typed(self, name: str, texts: Iterable[str]) -> dict[str, float]:
+        """Read tolerances as they are typed."""
+        found: dict[str, float] = {}
+        for text in texts:
+            field, _, number = text.rpartition("=")
+            try:
+                tolerance = float(number)
+            except ValueError:
+                raise UsageError(
+                    f"`{name}`: {text!r} is not a tolerance",
+                    hint=f"write `{name}=0.001` or `{name}=intensities=0.5`",
+                ) from None
+            if field in found:
+                raise UsageError(f"`{name}` is given twice for {field or 'all values'}")
+            found[field] = tolerance
+        return found
+
+
+class Object(Value):
+    """An object of Python, which only functions take."""
+
+    def __init__(self, *, called: bool = False) -> None:
+        super().__init__()
+        self._called = called
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return the object."""
+        if self._called and not callable(value):
+            raise TypeError(f"{name} is {shown(value)}, it must be a function, or None")
+        return value
+
+
+def in_words(value: float | bool | str) -> str:
+    """Return a parameter's value for users: ``no limit`` and ``above 0`` for the largest and the smallest number.
+
+    >>> in_words(1.7976931348623157e308), in_words(2.2250738585072014e-308), in_words(True), in_words(-0.3)
+    ('no limit', 'above 0', 'true', '-0.3')
+    """
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float) and value in (sys.float_info.max, math.inf):
+        return "no limit"
+    return "above 0" if value == sys.float_info.min else str(value)

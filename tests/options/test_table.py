@@ -1,0 +1,111 @@
+"""The table of options: one declaration each, and what the commands, the functions and the files take of it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import pytest
+from typer.testing import CliRunner
+
+from pc2scan.cli.app import application
+from pc2scan.core.params import ProjectionParams
+from pc2scan.options.call import Options
+from pc2scan.options.table import GROUPS, PARAMETERS, Option, instead_of, options_of, spelling_of
+from pc2scan.options.values import Object
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+#: The node's parameters and others that few people use; only ``--help-all`` has them.
+RARE = (
+    *("use_inf", "inf_epsilon", "queue_size", "metadata_version", "kth", "surface_depth", "surface_slope"),
+    *("ros_distro", "angle_rounding"),
+)
+
+
+def all_options() -> Iterator[tuple[str, Option]]:
+    for command in GROUPS:
+        for option in options_of(command).values():
+            yield command, option
+
+
+def test_every_parameter_of_the_projection_is_an_option() -> None:
+    assert list(PARAMETERS) == [field.name for field in fields(ProjectionParams)]
+    for command in ("convert", "batch", "export", "view", "plot", "map", "scans"):
+        assert PARAMETERS.keys() <= options_of(command).keys()
+
+
+def test_an_option_is_typed_in_the_same_way_everywhere() -> None:
+    found: dict[str, str] = {}
+    for command, option in all_options():
+        if option.spelling:
+            assert found.setdefault(option.name, option.spelling) == option.spelling, command
+
+
+def test_helps_name_options_that_there_are() -> None:
+    for _, option in all_options():
+        for name in re.findall(r"`([a-z_]+)", option.help):
+            assert spelling_of(name), option
+
+
+def test_defaults_have_the_right_type() -> None:
+    for command in GROUPS:
+        values = {name: option.default for name, option in options_of(command).items() if name not in PARAMETERS}
+        assert Options(command, values).given == {}
+
+
+def test_what_a_command_does_not_have_has_the_default_of_a_conversion() -> None:
+    options = Options("map", {"on_error": "fail", "resolution": "5cm"})
+    assert (options.on_error, options.resolution, options.reverse, options.keep) == ("fail", 0.05, False, None)
+    with pytest.raises(AttributeError, match="map has no option 'nothing'"):
+        options.nothing  # noqa: B018
+
+
+def shown(command: str, how: str) -> set[str]:
+    """The options in a command's help."""
+    done = CliRunner().invoke(application(command), [command, how], prog_name="pc2scan")
+    assert done.exit_code == 0
+    return set(re.findall(r"^  (?:-\w, )?(--[a-z][a-z-]*)", done.stdout, re.MULTILINE))
+
+
+def test_the_short_help_has_the_twenty_that_people_use() -> None:
+    short, long = shown("convert", "--help"), shown("convert", "--help-all")
+    common = {option.spelling for option in options_of("convert").values() if option.common}
+    assert len(common) == 20
+    assert short == {*common, "--help-all"} | (short & {"--output", "--help"})
+    assert {options_of("convert")[name].spelling for name in RARE} & short == set()
+    every = {option.spelling for option in options_of("convert").values() if option.name != "ros_args"}
+    assert every - {""} <= long
+
+
+@pytest.mark.parametrize("command", ["batch", "export", "view", "plot", "map"])
+def test_the_short_help_leads_to_the_long_one(command: str) -> None:
+    done = CliRunner().invoke(application(command), [command, "--help"], prog_name="pc2scan")
+    assert done.stdout.rstrip().endswith(f"pc2scan {command} --help-all shows all options.")
+    assert shown(command, "--help") < shown(command, "--help-all")
+
+
+@pytest.mark.parametrize("command", ["check", "info", "tf", "repair", "diff", "golden"])
+def test_a_short_help_that_has_all_options_needs_no_other(command: str) -> None:
+    known = {option.spelling for option in options_of(command).values()} - {""}
+    found = shown(command, "--help")
+    assert known <= found
+    assert "--help-all" not in found
+
+
+@pytest.mark.parametrize("command", ["export", "map", "plot", "scans", "view"])
+def test_only_recordings_that_are_written_have_options_about_them(command: str) -> None:
+    idle = {"keep", "drop", "keep_clouds", "only_scans", "keep_used", "write_static_tf", "fail_on", "min_used", "to"}
+    assert options_of(command).keys() & idle == set()
+    assert (
+        instead_of(command, "keep") == f"it is for recordings that are written; convert has it, {command} writes none"
+    )
+
+
+def test_what_only_python_has_is_no_option_of_a_command() -> None:
+    assert {option.name for _, option in all_options() if isinstance(option.value, Object)} == {
+        *("params", "filters", "frames", "progress")
+    }
+    assert all(not option.spelling for _, option in all_options() if isinstance(option.value, Object))
