@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from .streams.scans import Scan as Scan
     from .streams.scans import Scans as Scans
     from .tf.options import FrameOptions as FrameOptions
-    from .tf.options import StaticTransform as StaticTransform
+    from .tf.static import StaticTransform as StaticTransform
 
 #: Where each public name is defined.
 _HOMES = {
@@ -108,7 +108,7 @@ _HOMES = {
     "Report": "pipeline.report",
     "Scan": "streams.scans",
     "Scans": "streams.scans",
-    "StaticTransform": "tf.options",
+    "StaticTransform": "tf.static",
     "UnprojectParams": "core.unproject",
     "Where": "pipeline.stages.where",
     # Packages that are called like the functions of their names.

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 from .arguments import names_in, path_of, paths_in
 from .errors import UsageError
 from .options.call import Options
+from .options.frames import frames_of
 from .options.keywords import takes_options
 from .options.table import options_of
 from .pipeline.options import ConvertOptions
-from .requests import conversion_of, destination_of, first_output, frames_of, output_of, selection_of
+from .requests import conversion_of, destination_of, first_output, output_of, selection_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -11,13 +11,13 @@ from .arguments import path_of, path_text, paths_in, refuse_unknown, shown
 from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
 from .options.call import CALL, Options
+from .options.frames import frames_of
 from .options.table import PARAMETERS, POINTS, options_of
 from .pipeline.combine.asked import Combining
 from .pipeline.options import ConvertOptions, destination_and_folder
 from .pipeline.param_sources import ResolvedSources, resolve_sources
 from .pipeline.parameters import Setting, refuse_degrees
 from .pipeline.scan_spec import ScanSpec, TopicRequest
-from .tf.options import FrameOptions, StaticTransform
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from .pipeline.stages.beams import BeamFilter
     from .pipeline.stages.filters import Filter
     from .streams.stream import Selection
+    from .tf.options import FrameOptions
 
 __all__ = [
     "Conversion",
     "conversion_of",
     "destination_of",
     "first_output",
-    "frames_of",
     "named_files",
     "output_of",
     "params_from_file",
@@ -225,35 +225,6 @@ def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any
     if resolved.reverse:
         raise UsageError("its parameters are for laserscan_to_pointcloud", path=path)
     return resolved.params
-
-
-def frames_of(options: Options) -> FrameOptions:
-    """Return the options about frames and transforms as one object."""
-    names = ("static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
-    given = _among(options, names)
-    if options.frames is not None:
-        if given:
-            raise UsageError("give frames, or the arguments about frames one by one, not both")
-        if not isinstance(options.frames, FrameOptions):
-            raise TypeError(f"frames is {type(options.frames).__name__}, it must be FrameOptions")
-        return options.frames
-    static: list[StaticTransform] = []
-    if "static_tf_file" in given:
-        from .tf.static_file import load_static_transforms  # noqa: PLC0415
-
-        static += load_static_transforms(given["static_tf_file"])
-    transforms = given.get("static_tf", ())
-    for transform in transforms:
-        if not isinstance(transform, str | StaticTransform):
-            raise TypeError(f"static_tf has {transform!r}, it must be text, 'parent child x y z roll pitch yaw'")
-    static += (StaticTransform.parse(each) if isinstance(each, str) else each for each in transforms)
-    return FrameOptions(
-        tf_topics=given.get("tf_topics", ()),
-        tf_from=given.get("tf_from", ()),
-        static=tuple(static),
-        source_frame=options.source_frame,
-        write_static=options.write_static_tf,
-    )
 
 
 def output_of(options: Options, *, folder: Path | None = None, like_source: bool = False) -> OutputOptions:

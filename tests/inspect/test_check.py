@@ -12,7 +12,8 @@ import pc2scan
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.errors import RecordingError, TopicError, UsageError
 from pc2scan.inspect.check import Check, TopicCheck, check
-from pc2scan.tf.options import FrameOptions, StaticTransform
+from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.static import StaticTransform
 from support import ROOT
 from support.builders import IMU, Recording, Stream, imu, item, write_mcap, write_rosbag1, write_rosbag2
 from support.scan_recordings import GOOD, START, STEP, recording, scans, write

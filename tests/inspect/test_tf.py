@@ -7,7 +7,8 @@ import sys
 import pytest
 
 from pc2scan.inspect.tf import frame_tree
-from pc2scan.tf.options import FrameOptions, StaticTransform
+from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.static import StaticTransform
 from support import ROOT
 
 HALL = ROOT / "fixtures" / "hall.bag"

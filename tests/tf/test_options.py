@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from pc2scan.errors import UsageError
-from pc2scan.tf.options import FrameOptions, StaticTransform
+from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.static import StaticTransform
 
 
 def test_both_notations_of_a_static_transform() -> None:

@@ -38,7 +38,7 @@ def check(
     Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not all, 2 wrong usage.
     """
     from pc2scan.inspect.check import check as look
-    from pc2scan.requests import frames_of
+    from pc2scan.options.frames import frames_of
 
     from .junit_cases import junit_output, of_check
     from .progress import progress_bar

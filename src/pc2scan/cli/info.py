@@ -39,7 +39,7 @@ def info(
     whether the clouds are tilted, upside down or in a camera's optical frame, and a convert command for them.
     """
     from pc2scan.inspect.info import info as look
-    from pc2scan.requests import frames_of
+    from pc2scan.options.frames import frames_of
 
     target_frame, frames = options.target_frame, frames_of(options)
     result = look(sources, samples=options.samples, target_frame=target_frame, frames=frames)

@@ -56,7 +56,7 @@ def tf(
     separately.
     """
     from pc2scan.inspect.tf import frame_tree
-    from pc2scan.requests import frames_of
+    from pc2scan.options.frames import frames_of
 
     if at is not None and lookup is None:
         raise UsageError("--at needs --lookup", hint="--lookup base_link lidar --at 1604515190.25")

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from pc2scan.core.unproject import UnprojectParams
-    from pc2scan.tf.options import FrameOptions, StaticTransform
+    from pc2scan.tf.options import FrameOptions
+    from pc2scan.tf.static import StaticTransform
 
     Metres: TypeAlias = float | np.floating[Any] | np.integer[Any]
     Quantity: TypeAlias = str | float | np.floating[Any] | np.integer[Any]
@@ -100,7 +101,7 @@ class Option:
     default
         The value of a call that does not have it.
     panel
-        The section of the help.
+        The section of the help. Usually that of its group in `_SECTIONS`, like ``scope``.
     common
         Whether ``--help`` has it; ``--help-all`` has all.
     scope
@@ -123,11 +124,11 @@ class Option:
         value: Value,
         text: str,
         *,
-        panel: str = "",
+        panel: str | None = None,
         default: Any = None,
         default_text: str | None = None,
         common: bool = False,
-        scope: str = CALL_ONLY,
+        scope: str | None = None,
         typed: str | None = None,
         short: str = "",
         offers: tuple[str, ...] = (),
@@ -245,8 +246,7 @@ class Projection(TypedDict, total=False):
         ),
     ]
     max_height: Annotated[
-        Metres,
-        Parameter(Number("m"), "Highest z of the points used, in the target frame, inclusive.", common=True),
+        Metres, Parameter(Number("m"), "Highest z of the points used, in the target frame, inclusive.", common=True)
     ]
     angle_min: Annotated[
         Quantity,
@@ -380,22 +380,16 @@ class ParameterSources(TypedDict, total=False):
             PathName(),
             "The file that the robot was run with: a ROS 2 parameter file, a ROS 1 YAML file, or an XML launch file of "
             "either, whose remappings are used too.",
-            panel=PARAMS,
             common=True,
-            scope=ONE_OUTPUT,
         ),
     ]
     launch_args: Annotated[
-        Names | None,
-        Option(Texts("NAME:=VALUE"), "An argument of the launch file.", panel=PARAMS, typed="--arg", scope=SINGLE),
+        Names | None, Option(Texts("NAME:=VALUE"), "An argument of the launch file.", typed="--arg", scope=SINGLE)
     ]
     node: Annotated[
         str | None,
         Option(
-            Text("NAME"),
-            "The node whose parameters are read, if the parameter file or launch file has several nodes.",
-            panel=PARAMS,
-            scope=ONE_OUTPUT,
+            Text("NAME"), "The node whose parameters are read, if the parameter file or launch file has several nodes."
         ),
     ]
     param: Annotated[
@@ -403,7 +397,6 @@ class ParameterSources(TypedDict, total=False):
         Option(
             Texts("NAME:=VALUE"),
             "A parameter in ROS's notation. Overrides the file; the parameter's own option overrides it.",
-            panel=PARAMS,
             short="-p",
             scope=CONVERSION,
         ),
@@ -420,7 +413,7 @@ class ParameterSources(TypedDict, total=False):
     ]
     ros_args: Annotated[
         bool | None,
-        Option(Flag(), "ROS 2's marker in front of -r and -p; changes nothing.", panel=PARAMS, command_only=True),
+        Option(Flag(), "ROS 2's marker in front of -r and -p; changes nothing.", scope=CALL_ONLY, command_only=True),
     ]
     preset: Annotated[
         str | None,
@@ -430,7 +423,6 @@ class ParameterSources(TypedDict, total=False):
             "Parameters given here or in a file override them.",
             panel=SLAM,
             common=True,
-            scope=ONE_OUTPUT,
             offers=("presets",),
         ),
     ]
@@ -455,8 +447,6 @@ class SeveralOutputs(TypedDict, total=False):
             Outputs(),
             "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters given "
             "besides override those of all outputs.",
-            panel=TOPICS,
-            scope=CONVERSION,
         ),
     ]
 
@@ -470,11 +460,9 @@ class ConvertedTopics(TypedDict, total=False):
             Texts("IN[:=OUT]"),
             "PointCloud2 topic to convert, and the topic of its scans. Default: every PointCloud2 topic; the scans of "
             "a single topic are on /scan, of several on <topic>/scan.",
-            panel=TOPICS,
             typed="--topic",
             short="-t",
             common=True,
-            scope=SINGLE,
             offers=_topics("/PointCloud2", "/LaserScan"),
         ),
     ]
@@ -489,21 +477,10 @@ class Reading(TypedDict, total=False):
             Moment("TIME"),
             "Start time: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). Messages that "
             "are latched then, and static transforms, are written at the start.",
-            panel=TOPICS,
             common=True,
-            scope=CONVERSION,
         ),
     ]
-    end: Annotated[
-        Time | None,
-        Option(
-            Moment("TIME"),
-            "End time (exclusive), written like `start`.",
-            panel=TOPICS,
-            common=True,
-            scope=CONVERSION,
-        ),
-    ]
+    end: Annotated[Time | None, Option(Moment("TIME"), "End time (exclusive), written like `start`.", common=True)]
     verify: Annotated[
         bool,
         Option(
@@ -512,7 +489,6 @@ class Reading(TypedDict, total=False):
             panel=RUN,
             default=True,
             typed="--no-verify",
-            scope=CONVERSION,
         ),
     ]
     strict: Annotated[
@@ -523,7 +499,6 @@ class Reading(TypedDict, total=False):
             "and the exit status is 3.",
             panel=RUN,
             default=False,
-            scope=CONVERSION,
         ),
     ]
 
@@ -536,9 +511,7 @@ class BadMessages(TypedDict, total=False):
         Option(
             Text(words=("skip", "fail")),
             "What to do with messages that cannot be converted. skip: count and list them; fail: end the run.",
-            panel=RUN,
             default="skip",
-            scope=CONVERSION,
         ),
     ]
 
@@ -553,9 +526,7 @@ class Points(TypedDict, total=False):
             "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. Parameters of "
             "laser_filters may follow, and it is its filter then: 'shadows min_angle=5 neighbors=10', "
             "'speckles filter_window=3'.",
-            panel=POINTS,
             common=True,
-            scope=ONE_OUTPUT,
         ),
     ]
     where: Annotated[
@@ -564,18 +535,11 @@ class Points(TypedDict, total=False):
             Texts("CONDITION"),
             "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, "
             "numbers, < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
-            panel=POINTS,
-            scope=ONE_OUTPUT,
         ),
     ]
     exclude_box: Annotated[
         Names | None,
-        Option(
-            Texts("BOX"),
-            "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
-            panel=POINTS,
-            scope=ONE_OUTPUT,
-        ),
+        Option(Texts("BOX"), "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m)."),
     ]
     exclude_polygon: Annotated[
         Names | None,
@@ -583,8 +547,6 @@ class Points(TypedDict, total=False):
             Texts("POLYGON"),
             "Reject points in this polygon, at any height, such as the robot's footprint: "
             "'frame x0 y0 x1 y1 x2 y2 ...' (m).",
-            panel=POINTS,
-            scope=ONE_OUTPUT,
         ),
     ]
     ground: Annotated[
@@ -593,9 +555,7 @@ class Points(TypedDict, total=False):
             Text("keep|remove", words=("keep", "remove")),
             "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and "
             "have kerbs. Needs a frame of the robot whose z axis points up.",
-            panel=POINTS,
             default="keep",
-            scope=ONE_OUTPUT,
         ),
     ]
     min_height_slope: Annotated[
@@ -604,13 +564,10 @@ class Points(TypedDict, total=False):
             Number(metavar="M/M"),
             "Reject points below `min_height` + this * range, a limit that rises with the range, for ramps and rough "
             "ground. 0.05 is about 3 degrees.",
-            panel=POINTS,
-            scope=ONE_OUTPUT,
         ),
     ]
     filters: Annotated[
-        Any,
-        Option(Object(), "Further filters of points, as objects.", panel=PYTHON, typed="", scope=SINGLE),
+        Any, Option(Object(), "Further filters of points, as objects.", panel=PYTHON, typed="", scope=SINGLE)
     ]
 
 
@@ -622,9 +579,7 @@ class TransformTopics(TypedDict, total=False):
         Option(
             Texts("TOPIC"),
             "Topic of the transforms, if not /tf and /tf_static.",
-            panel=FRAMES,
             typed="--tf-topic",
-            scope=CONVERSION,
             offers=_topics("/TFMessage", "/tfMessage"),
         ),
     ]
@@ -639,9 +594,7 @@ class StaticTransforms(TypedDict, total=False):
             Texts("TRANSFORM", objects=("StaticTransform",)),
             "Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (m, rad; or "
             "20cm, 90deg). Replaces the recording's transform to this child.",
-            panel=FRAMES,
             common=True,
-            scope=CONVERSION,
         ),
     ]
 
@@ -649,19 +602,9 @@ class StaticTransforms(TypedDict, total=False):
 class TransformSources(TransformTopics, total=False):
     """Where transforms come from."""
 
-    tf_from: Annotated[
-        Paths | None,
-        Option(PathNames(), "Read the transforms of this recording too.", panel=FRAMES, scope=CONVERSION),
-    ]
+    tf_from: Annotated[Paths | None, Option(PathNames(), "Read the transforms of this recording too.")]
     frames: Annotated[
-        "FrameOptions | None",
-        Option(
-            Object(),
-            "All options about transforms in one object.",
-            panel=PYTHON,
-            typed="",
-            scope=CONVERSION,
-        ),
+        "FrameOptions | None", Option(Object(), "All options about transforms in one object.", panel=PYTHON, typed="")
     ]
 
 
@@ -673,9 +616,7 @@ class SourceFrame(TypedDict, total=False):
         Option(
             Text("FRAME"),
             "Frame of the messages to convert, if their frame_id is wrong or empty.",
-            panel=FRAMES,
             default="",
-            scope=CONVERSION,
             offers=_FRAME_NAMES,
         ),
     ]
@@ -684,10 +625,7 @@ class SourceFrame(TypedDict, total=False):
 class Frames(StaticTransforms, TransformSources, SourceFrame, total=False):
     """Frames and transforms of a conversion."""
 
-    static_tf_file: Annotated[
-        Path | None,
-        Option(PathName(), "A YAML list of transforms like those of `static_tf`.", panel=FRAMES, scope=CONVERSION),
-    ]
+    static_tf_file: Annotated[Path | None, Option(PathName(), "A YAML list of transforms like those of `static_tf`.")]
 
 
 class Motion(TypedDict, total=False):
@@ -699,10 +637,8 @@ class Motion(TypedDict, total=False):
             Flag(),
             "Transform each point of a cloud with the pose at its own time, through `fixed_frame`. With `reverse`, "
             "each beam of a scan; that needs a `target_frame` such as odom.",
-            panel=MOVING,
             default=False,
             common=True,
-            scope=ONE_OUTPUT,
         ),
     ]
     fixed_frame: Annotated[
@@ -711,10 +647,8 @@ class Motion(TypedDict, total=False):
             Text("FRAME"),
             "A frame that does not move, such as odom; the robot's motion in it is corrected. For `level`, its z axis "
             "points up.",
-            panel=MOVING,
             default="",
             common=True,
-            scope=ONE_OUTPUT,
             offers=_FRAME_NAMES,
         ),
     ]
@@ -725,10 +659,8 @@ class Motion(TypedDict, total=False):
             "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. For clouds without "
             "such a field: azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), "
             "then :cw or :ccw, and :start or :end if the stamp is that of the turn's start or end.",
-            panel=MOVING,
             default="",
             default_text="t, time, timestamp, time_stamp or offset_time",
-            scope=ONE_OUTPUT,
         ),
     ]
     stamp: Annotated[
@@ -736,9 +668,7 @@ class Motion(TypedDict, total=False):
         Option(
             Text(words=("header", "start", "middle", "end")),
             "The time of a deskewed scan: the cloud's stamp, or the start, middle or end of its points' times.",
-            panel=MOVING,
             default="header",
-            scope=ONE_OUTPUT,
         ),
     ]
     level: Annotated[
@@ -748,10 +678,8 @@ class Motion(TypedDict, total=False):
             "Make scans in a frame without the roll and pitch of the target frame, which come from `fixed_frame` or "
             "`imu`. This frame has the target frame's name with _stabilized appended; its transforms are written to "
             "/tf.",
-            panel=MOVING,
             default=False,
             common=True,
-            scope=ONE_OUTPUT,
         ),
     ]
     imu: Annotated[
@@ -760,9 +688,7 @@ class Motion(TypedDict, total=False):
             Text("TOPIC[:FRAME]"),
             "sensor_msgs/Imu topic from which `level` takes roll and pitch; and the IMU's frame, if its frame_id is "
             "wrong or empty.",
-            panel=MOVING,
             default="",
-            scope=ONE_OUTPUT,
             offers=_topics("/Imu"),
         ),
     ]
@@ -772,10 +698,8 @@ class Motion(TypedDict, total=False):
             Text("TOPIC"),
             "If several topics become one scan (`topics=/a:=/scan` `topics=/b:=/scan`), the topic whose stamps the "
             "scans have.",
-            panel=MOVING,
             default="",
             default_text="the first",
-            scope=ONE_OUTPUT,
             offers=_topics("/PointCloud2", "/LaserScan"),
         ),
     ]
@@ -784,9 +708,7 @@ class Motion(TypedDict, total=False):
         Option(
             Duration("S"),
             "How far the stamps of the other topics may be from those of `lead`.",
-            panel=MOVING,
             default_text="half the median period",
-            scope=ONE_OUTPUT,
         ),
     ]
     accumulate: Annotated[
@@ -794,27 +716,17 @@ class Motion(TypedDict, total=False):
         Option(
             Duration("S|Nclouds"),
             "Make each scan of all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds).",
-            panel=MOVING,
-            scope=ONE_OUTPUT,
         ),
     ]
     every: Annotated[
-        Period | None,
-        Option(
-            Duration("S"),
-            "Make one scan every S seconds, instead of one for each cloud.",
-            panel=MOVING,
-            scope=ONE_OUTPUT,
-        ),
+        Period | None, Option(Duration("S"), "Make one scan every S seconds, instead of one for each cloud.")
     ]
     rebin: Annotated[
         bool,
         Option(
             Flag(),
             "Convert LaserScan to LaserScan: with other beams, in another frame, or several into one.",
-            panel=MOVING,
             default=False,
-            scope=ONE_OUTPUT,
         ),
     ]
 
@@ -823,14 +735,7 @@ class Reversal(TypedDict, total=False):
     """Whether scans are converted to clouds."""
 
     reverse: Annotated[
-        bool,
-        Option(
-            Flag(),
-            "Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.",
-            panel=REVERSE,
-            default=False,
-            scope=SINGLE,
-        ),
+        bool, Option(Flag(), "Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.", default=False)
     ]
 
 
@@ -842,20 +747,11 @@ class ReverseOptions(Reversal, total=False):
         Option(
             Texts("NAME", words=("distances", "stamps", "viewpoint"), objects=("UnprojectParams",)),
             "Add these fields to the cloud: distances, stamps, viewpoint.",
-            panel=REVERSE,
             typed="--channel",
-            scope=SINGLE,
         ),
     ]
     range_cutoff: Annotated[
-        Metres | None,
-        Option(
-            Number("m"),
-            "Use only returns closer than this.",
-            panel=REVERSE,
-            default_text="the scan's range_max",
-            scope=SINGLE,
-        ),
+        Metres | None, Option(Number("m"), "Use only returns closer than this.", default_text="the scan's range_max")
     ]
 
 
@@ -867,26 +763,15 @@ class WrittenTopics(TypedDict, total=False):
         Option(
             Texts("TOPIC"),
             "Copy only these of the topics that are not converted (names or globs).",
-            panel=TOPICS,
             common=True,
-            scope=CONVERSION,
             offers=_topics(),
         ),
     ]
     drop: Annotated[
-        Names | None,
-        Option(
-            Texts("TOPIC"),
-            "Do not write these topics (names or globs).",
-            panel=TOPICS,
-            scope=CONVERSION,
-            offers=_topics(),
-        ),
+        Names | None, Option(Texts("TOPIC"), "Do not write these topics (names or globs).", offers=_topics())
     ]
-    keep_clouds: Annotated[
-        bool, Option(Flag(), "Write the converted clouds too.", panel=TOPICS, default=False, scope=CONVERSION)
-    ]
-    only_scans: Annotated[bool, Option(Flag(), "Write only the scans.", panel=TOPICS, default=False, scope=CONVERSION)]
+    keep_clouds: Annotated[bool, Option(Flag(), "Write the converted clouds too.", default=False)]
+    only_scans: Annotated[bool, Option(Flag(), "Write only the scans.", default=False)]
     keep_used: Annotated[
         str,
         Option(
@@ -899,14 +784,7 @@ class WrittenTopics(TypedDict, total=False):
         ),
     ]
     write_static_tf: Annotated[
-        bool,
-        Option(
-            Flag(),
-            "Write the added transforms to DST's /tf_static.",
-            panel=FRAMES,
-            default=False,
-            scope=CONVERSION,
-        ),
+        bool, Option(Flag(), "Write the added transforms to DST's /tf_static.", panel=FRAMES, default=False)
     ]
 
 
@@ -919,9 +797,7 @@ class Demands(TypedDict, total=False):
             Text(words=("empty", "warning")),
             "Fail and write nothing. empty: if a scan has no return; warning: if there is any warning, skipped message "
             "or damage.",
-            panel=RUN,
             default="",
-            scope=CONVERSION,
         ),
     ]
     min_used: Annotated[
@@ -929,9 +805,7 @@ class Demands(TypedDict, total=False):
         Option(
             Share(),
             "Fail and write nothing if less than this share of a topic's points is used in its scans: 0.05 or 5%.",
-            panel=RUN,
             default=0.0,
-            scope=CONVERSION,
         ),
     ]
 
@@ -942,22 +816,11 @@ class Container(TypedDict, total=False):
     to: Annotated[
         str | None,
         Option(
-            Text(words=("bag", "mcap", "rosbag2")),
-            "Format of DST, if its name does not say it.",
-            panel=OUTPUT,
-            default_text="SRC's",
-            scope=CONVERSION,
+            Text(words=("bag", "mcap", "rosbag2")), "Format of DST, if its name does not say it.", default_text="SRC's"
         ),
     ]
     storage: Annotated[
-        str | None,
-        Option(
-            Text(words=("mcap", "sqlite3")),
-            "Storage of a rosbag2 directory.",
-            panel=OUTPUT,
-            default_text="mcap",
-            scope=CONVERSION,
-        ),
+        str | None, Option(Text(words=("mcap", "sqlite3")), "Storage of a rosbag2 directory.", default_text="mcap")
     ]
     compression: Annotated[
         str | None,
@@ -965,28 +828,17 @@ class Container(TypedDict, total=False):
             Text(words=("none", "lz4", "zstd", "bz2")),
             "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Without "
             "this option, chunks that are copied whole keep their compression.",
-            panel=OUTPUT,
-            scope=CONVERSION,
         ),
     ]
     profile: Annotated[
-        str | None,
-        Option(
-            Text(words=("ros1", "ros2")),
-            "ROS version of an .mcap file.",
-            panel=OUTPUT,
-            default_text="the source's",
-            scope=CONVERSION,
-        ),
+        str | None, Option(Text(words=("ros1", "ros2")), "ROS version of an .mcap file.", default_text="the source's")
     ]
     metadata_version: Annotated[
         int,
         Option(
             Count(8, 9, metavar="8|9"),
             "Version of a rosbag2 directory's metadata.yaml; older readers do not accept 9.",
-            panel=OUTPUT,
             default=8,
-            scope=CONVERSION,
         ),
     ]
     ros_distro: Annotated[
@@ -994,10 +846,8 @@ class Container(TypedDict, total=False):
         Option(
             Text("NAME"),
             "ROS distribution whose message definitions are written if the recording has none.",
-            panel=OUTPUT,
             default="",
             default_text="noetic, jazzy",
-            scope=CONVERSION,
         ),
     ]
     split: Annotated[
@@ -1006,9 +856,7 @@ class Container(TypedDict, total=False):
             Text("TIME|SIZE"),
             "Write several files, DST_0, DST_1 and so on. Each covers this much log time (60s, 10min, 1h) or has this "
             "many bytes of messages before compression (500MB, 1GiB).",
-            panel=OUTPUT,
             common=True,
-            scope=CONVERSION,
         ),
     ]
     repeat_latched: Annotated[
@@ -1016,9 +864,7 @@ class Container(TypedDict, total=False):
         Option(
             Flag(),
             "With `split`: repeat latched messages and static transforms at the beginning of each file.",
-            panel=OUTPUT,
             default=False,
-            scope=CONVERSION,
         ),
     ]
 
@@ -1027,14 +873,7 @@ class Overwriting(TypedDict, total=False):
     """Whether a recording is replaced."""
 
     overwrite: Annotated[
-        bool,
-        Option(
-            Flag(),
-            "Replace DST, and the file of `report`, if they exist.",
-            panel=OUTPUT,
-            default=False,
-            common=True,
-        ),
+        bool, Option(Flag(), "Replace DST, and the file of `report`, if they exist.", default=False, common=True)
     ]
 
 
@@ -1043,14 +882,7 @@ class DryRun(TypedDict, total=False):
 
     dry_run: Annotated[
         bool,
-        Option(
-            Flag(),
-            "Write nothing; show what would be read and written.",
-            panel=OUTPUT,
-            default=False,
-            short="-n",
-            common=True,
-        ),
+        Option(Flag(), "Write nothing; show what would be read and written.", default=False, short="-n", common=True),
     ]
 
 
@@ -1062,18 +894,11 @@ class Scratch(TypedDict, total=False):
         Option(
             PathName("DIR"),
             "Folder for local copies of files at URLs.",
-            panel=OUTPUT,
             default_text="the system's folder for temporary files",
         ),
     ]
     scratch_size: Annotated[
-        str | None,
-        Option(
-            Size("SIZE"),
-            "Maximum size of the local copies (20GB).",
-            panel=OUTPUT,
-            default_text="the free space",
-        ),
+        str | None, Option(Size("SIZE"), "Maximum size of the local copies (20GB).", default_text="the free space")
     ]
 
 
@@ -1082,12 +907,7 @@ class RunReport(TypedDict, total=False):
 
     report: Annotated[
         Path | None,
-        Option(
-            PathName(),
-            "Write a report as JSON. An older report is replaced, any other file is not.",
-            panel=REPORT,
-            common=True,
-        ),
+        Option(PathName(), "Write a report as JSON. An older report is replaced, any other file is not.", common=True),
     ]
 
 
@@ -1099,7 +919,6 @@ class Threads(TypedDict, total=False):
         Option(
             Count(0, MAX_JOBS),
             f"Number of threads, up to {MAX_JOBS:,}; the output does not depend on it.",
-            panel=RUN,
             default=0,
             default_text="number of cores",
             short="-j",
@@ -1115,7 +934,6 @@ class Watched(TypedDict, total=False):
         Option(
             Object(called=True),
             "A function that is called from time to time with bytes read, bytes in total, and messages read.",
-            panel=PYTHON,
             typed="",
         ),
     ]
@@ -1125,18 +943,12 @@ class Screen(TypedDict, total=False):
     """What a run shows on the screen; only commands have it."""
 
     quiet: Annotated[
-        bool,
-        Option(Flag(), "Show warnings and errors only.", panel=REPORT, default=False, short="-q", command_only=True),
+        bool, Option(Flag(), "Show warnings and errors only.", default=False, short="-q", command_only=True)
     ]
     verbose: Annotated[
         bool,
         Option(
-            Flag(),
-            "Show every parameter and where its value comes from.",
-            panel=REPORT,
-            default=False,
-            short="-v",
-            command_only=True,
+            Flag(), "Show every parameter and where its value comes from.", default=False, short="-v", command_only=True
         ),
     ]
 
@@ -1223,39 +1035,17 @@ class BatchExport(TypedDict, total=False):
         Option(
             Text(words=("npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti")),
             "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
-            panel=EXPORT,
-            scope=CONVERSION,
         ),
     ]
     pose_frame: Annotated[
         str,
-        Option(
-            Text("FRAME"),
-            "With `export`: the robot's pose in this frame (odom, map) at each stamp.",
-            panel=EXPORT,
-            default="",
-            scope=CONVERSION,
-        ),
+        Option(Text("FRAME"), "With `export`: the robot's pose in this frame (odom, map) at each stamp.", default=""),
     ]
     base_frame: Annotated[
-        str,
-        Option(
-            Text("FRAME"),
-            "With `export`: the robot's frame, whose pose is written.",
-            panel=EXPORT,
-            default="",
-            scope=CONVERSION,
-        ),
+        str, Option(Text("FRAME"), "With `export`: the robot's frame, whose pose is written.", default="")
     ]
     odom_topic: Annotated[
-        str,
-        Option(
-            Text("TOPIC"),
-            "With `export`: take the poses from this nav_msgs/Odometry topic.",
-            panel=EXPORT,
-            default="",
-            scope=CONVERSION,
-        ),
+        str, Option(Text("TOPIC"), "With `export`: take the poses from this nav_msgs/Odometry topic.", default="")
     ]
 
 
@@ -1267,7 +1057,6 @@ class BatchRun(TypedDict, total=False):
         Option(
             PathName(),
             "A YAML file with options for the recordings that match a pattern. Options given here override it.",
-            panel=BATCH,
             common=True,
         ),
     ]
@@ -1277,7 +1066,6 @@ class BatchRun(TypedDict, total=False):
             Count(0, MAX_JOBS),
             f"Number of recordings at a time, up to {MAX_JOBS:,}, each in its own process; the output does not depend "
             "on it.",
-            panel=BATCH,
             default=0,
             default_text="number of cores, as memory allows",
             short="-j",
@@ -1290,7 +1078,6 @@ class BatchRun(TypedDict, total=False):
             Count(0, 100),
             "How often a recording is tried again if its process was killed, for instance for lack of memory; up to "
             "100 times.",
-            panel=BATCH,
             default=1,
         ),
     ]
@@ -1300,28 +1087,24 @@ class BatchRun(TypedDict, total=False):
             Switch("[ADDRESS]"),
             "Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786. Without an address (in "
             "Python: True), a cluster is started on this machine. Needs pc2scan[dask].",
-            panel=BATCH,
             default=False,
             common=True,
         ),
     ]
     force: Annotated[
-        bool,
-        Option(Flag(), "Convert again what earlier runs have converted.", panel=BATCH, default=False, common=True),
+        bool, Option(Flag(), "Convert again what earlier runs have converted.", default=False, common=True)
     ]
     checksum: Annotated[
         bool,
         Option(
             Flag(),
             "Recognise unchanged recordings by SHA-256 instead of their modification time. Reads every byte.",
-            panel=BATCH,
             default=False,
         ),
     ]
-    fail_fast: Annotated[bool, Option(Flag(), "Stop at the first recording that fails.", panel=BATCH, default=False)]
+    fail_fast: Annotated[bool, Option(Flag(), "Stop at the first recording that fails.", default=False)]
     report: Annotated[
-        Path | None,
-        Option(PathName(), "Write the summary of all recordings: *.json, *.csv or *.md.", panel=BATCH, common=True),
+        Path | None, Option(PathName(), "Write the summary of all recordings: *.json, *.csv or *.md.", common=True)
     ]
 
 
@@ -1329,15 +1112,13 @@ class BatchScreen(TypedDict, total=False):
     """What a batch shows on the screen; only the command has it."""
 
     quiet: Annotated[
-        bool,
-        Option(Flag(), "Show warnings and errors only.", panel=BATCH, default=False, short="-q", command_only=True),
+        bool, Option(Flag(), "Show warnings and errors only.", default=False, short="-q", command_only=True)
     ]
     verbose: Annotated[
         bool,
         Option(
             Flag(),
             "Show the tables of each conversion, and every recording in the summary.",
-            panel=BATCH,
             default=False,
             short="-v",
             command_only=True,
@@ -1359,11 +1140,7 @@ class ShownClouds(TypedDict, total=False):
     ]
     at: Annotated[
         Time | Iterable[Time] | None,
-        Option(
-            Moments("TIME"),
-            "Show the first cloud at or after this time, written like `start`.",
-            common=True,
-        ),
+        Option(Moments("TIME"), "Show the first cloud at or after this time, written like `start`.", common=True),
     ]
 
 
@@ -1401,11 +1178,7 @@ class DrawnClouds(TypedDict, total=False):
     ]
     at: Annotated[
         Time | Iterable[Time] | None,
-        Option(
-            Moments("TIME"),
-            "Show the first cloud at or after this time, written like `start`.",
-            common=True,
-        ),
+        Option(Moments("TIME"), "Show the first cloud at or after this time, written like `start`.", common=True),
     ]
     overwrite: Annotated[bool, Option(Flag(), "Replace a file of that name.", default=False, common=True)]
 
@@ -1413,10 +1186,7 @@ class DrawnClouds(TypedDict, total=False):
 class MapDrawing(TypedDict, total=False):
     """A map."""
 
-    resolution: Annotated[
-        Quantity,
-        Option(Number("m"), "Side of a cell: 0.05, or 5cm.", default=0.05, common=True),
-    ]
+    resolution: Annotated[Quantity, Option(Number("m"), "Side of a cell: 0.05, or 5cm.", default=0.05, common=True)]
     max_range: Annotated[
         Metres,
         Option(
@@ -1548,20 +1318,14 @@ class Repairing(TypedDict, total=False):
 
     storage: Annotated[
         str | None,
-        Option(
-            Text(words=("mcap", "sqlite3")),
-            "Storage of a rosbag2 directory.",
-            default_text="SRC's",
-            common=True,
-        ),
+        Option(Text(words=("mcap", "sqlite3")), "Storage of a rosbag2 directory.", default_text="SRC's", common=True),
     ]
     compression: Annotated[
         str | None,
         Option(Text(words=("none", "lz4", "zstd", "bz2")), "Compression of DST.", default_text="SRC's", common=True),
     ]
     verify: Annotated[
-        bool,
-        Option(Flag(), "Check the CRCs of an MCAP source.", default=True, typed="--no-verify", common=True),
+        bool, Option(Flag(), "Check the CRCs of an MCAP source.", default=True, typed="--no-verify", common=True)
     ]
 
 
@@ -1569,18 +1333,12 @@ class RepairScreen(TypedDict, total=False):
     """What a repair shows on the screen; only the command has it."""
 
     as_json: Annotated[
-        bool,
-        Option(Flag(), "Print the report as JSON.", default=False, typed="--json", common=True, command_only=True),
+        bool, Option(Flag(), "Print the report as JSON.", default=False, typed="--json", common=True, command_only=True)
     ]
     quiet: Annotated[
         bool,
         Option(
-            Flag(),
-            "Show damage, warnings and errors only.",
-            default=False,
-            short="-q",
-            common=True,
-            command_only=True,
+            Flag(), "Show damage, warnings and errors only.", default=False, short="-q", common=True, command_only=True
         ),
     ]
 
@@ -1595,6 +1353,7 @@ class Comparing(TypedDict, total=False):
             "Topic to compare, and its name in B if that differs. Default: every LaserScan and PointCloud2 topic.",
             typed="--topic",
             short="-t",
+            panel="",
             common=True,
             offers=_topics(),
         ),
@@ -1605,6 +1364,7 @@ class Comparing(TypedDict, total=False):
             Flag(),
             "Compare the other topics too: matched by log time, byte for byte.",
             default=False,
+            panel="",
             common=True,
         ),
     ]
@@ -1613,25 +1373,18 @@ class Comparing(TypedDict, total=False):
         Option(
             Tolerances("[NAME=]X"),
             "Absolute tolerance of all values, or of ranges, intensities or a field of the clouds.",
-            panel=RULES,
             common=True,
         ),
     ]
     rtol: Annotated[
         Tolerance | None,
-        Option(
-            Tolerances("[NAME=]X"),
-            "Tolerance relative to A's value; the two are added.",
-            panel=RULES,
-            common=True,
-        ),
+        Option(Tolerances("[NAME=]X"), "Tolerance relative to A's value; the two are added.", common=True),
     ]
     allow_beams: Annotated[
         float,
         Option(
             Number(metavar="SHARE"),
             "Share of a topic's beams (clouds: points) that may be beyond the tolerance: 0.001 is one in a thousand.",
-            panel=RULES,
             default=0.0,
             common=True,
         ),
@@ -1642,7 +1395,6 @@ class Comparing(TypedDict, total=False):
             Texts("NAME"),
             "Do not compare: log_time, seq, frame_id, order, intensities, ranges, angle_min and the other numbers of a "
             "scan, shape, layout, padding, is_dense.",
-            panel=RULES,
             common=True,
         ),
     ]
@@ -1651,6 +1403,7 @@ class Comparing(TypedDict, total=False):
         Option(
             PathName("PAGE"),
             "Also write an HTML page that shows the scans with most differing beams on top of each other.",
+            panel="",
             common=True,
         ),
     ]
@@ -1681,37 +1434,27 @@ class GoldenCases(TypedDict, total=False):
             Flag(),
             "Write the expected output of cases that differ or have none; review the changes.",
             default=False,
+            panel="",
             common=True,
         ),
     ]
-    init: Annotated[
-        Path | None, Option(PathName("SRC"), "Make a new case of this recording, in DIR.", panel=NEW_CASE, common=True)
-    ]
+    init: Annotated[Path | None, Option(PathName("SRC"), "Make a new case of this recording, in DIR.", common=True)]
     start: Annotated[
-        Time | None,
-        Option(
-            Moment("TIME"),
-            "With `init`: where the input begins, as in convert.",
-            panel=NEW_CASE,
-            common=True,
-        ),
+        Time | None, Option(Moment("TIME"), "With `init`: where the input begins, as in convert.", common=True)
     ]
-    end: Annotated[Time | None, Option(Moment("TIME"), "With `init`: where it ends.", panel=NEW_CASE, common=True)]
+    end: Annotated[Time | None, Option(Moment("TIME"), "With `init`: where it ends.", common=True)]
     topics: Annotated[
         Names | None,
         Option(
             Texts("TOPIC"),
             "With `init`: a topic of clouds or scans to keep, or a glob. Default: all.",
-            panel=NEW_CASE,
             typed="--topic",
             short="-t",
             common=True,
             offers=_topics("/PointCloud2", "/LaserScan"),
         ),
     ]
-    params_file: Annotated[
-        Path | None, Option(PathName(), "With `init`: the case's parameter file.", panel=NEW_CASE, common=True)
-    ]
+    params_file: Annotated[Path | None, Option(PathName(), "With `init`: the case's parameter file.", common=True)]
 
 
 class GoldenScreen(TypedDict, total=False):
@@ -1728,12 +1471,7 @@ class BatchWatched(TypedDict, total=False):
 
     progress: Annotated[
         Progress | None,
-        Option(
-            Object(called=True),
-            "A function that is called from time to time with the progress.",
-            panel=PYTHON,
-            typed="",
-        ),
+        Option(Object(called=True), "A function that is called from time to time with the progress.", typed=""),
     ]
 
 
@@ -1837,33 +1575,69 @@ GROUPS: Mapping[str, tuple[Any, ...]] = {
 }
 
 
-def options_of(name: str) -> Mapping[str, Option]:
+#: Where the options of a group stand in the help, and where they may stand, unless they say otherwise.
+_SECTIONS: Mapping[Any, tuple[str, str]] = {
+    Projection: (PARAMS, ONE_OUTPUT),
+    ParameterSources: (PARAMS, ONE_OUTPUT),
+    SeveralOutputs: (TOPICS, CONVERSION),
+    ConvertedTopics: (TOPICS, SINGLE),
+    Reading: (TOPICS, CONVERSION),
+    BadMessages: (RUN, CONVERSION),
+    Points: (POINTS, ONE_OUTPUT),
+    Frames: (FRAMES, CONVERSION),
+    SourceFrame: (FRAMES, CONVERSION),
+    Motion: (MOVING, ONE_OUTPUT),
+    ReverseOptions: (REVERSE, SINGLE),
+    WrittenTopics: (TOPICS, CONVERSION),
+    Demands: (RUN, CONVERSION),
+    Container: (OUTPUT, CONVERSION),
+    Overwriting: (OUTPUT, CALL_ONLY),
+    DryRun: (OUTPUT, CALL_ONLY),
+    Scratch: (OUTPUT, CALL_ONLY),
+    RunReport: (REPORT, CALL_ONLY),
+    Threads: (RUN, CALL_ONLY),
+    Watched: (PYTHON, CALL_ONLY),
+    Screen: (REPORT, CALL_ONLY),
+    BatchExport: (EXPORT, CONVERSION),
+    BatchRun: (BATCH, CALL_ONLY),
+    BatchScreen: (BATCH, CALL_ONLY),
+    BatchWatched: (PYTHON, CALL_ONLY),
+    Comparing: (RULES, CALL_ONLY),
+    GoldenCases: (NEW_CASE, CALL_ONLY),
+}
+
+
+def _place(option: Option, name: str, panel: str, scope: str) -> None:
+    """Give an option its name, and its place if it has none of its own."""
+    option.name = name
+    option.panel = panel if option.panel is None else option.panel
+    option.scope = scope if option.scope is None else option.scope
+    if isinstance(option, Parameter):
+        option.default = ProjectionParams.__dataclass_fields__[name].default
+
+
+for _group in (*_SECTIONS, *(group for groups in GROUPS.values() for group in groups)):
+    for _name, _annotation in _group.__annotations__.items():
+        if not _annotation.__metadata__[0].name:
+            _place(_annotation.__metadata__[0], _name, *_SECTIONS.get(_group, ("", CALL_ONLY)))
+
+
+def options_of(command: str) -> Mapping[str, Option]:
     """Return the options of a command or function, by name."""
-    if name not in _FOUND:
-        found: dict[str, Option] = {}
-        for group in GROUPS[name]:
-            for key, annotation in group.__annotations__.items():
-                found[key] = _named(key, annotation)
-        _FOUND[name] = found
-    return _FOUND[name]
-
-
-def _named(name: str, annotation: Any) -> Option:
-    """Return the option of a field, with its name."""
-    option: Option = annotation.__metadata__[0]
-    if not option.name:
-        option.name = name
-        if isinstance(option, Parameter):
-            option.default = ProjectionParams.__dataclass_fields__[name].default
-    return option
+    if command not in _FOUND:
+        _FOUND[command] = {
+            name: annotation.__metadata__[0]
+            for group in GROUPS[command]
+            for name, annotation in group.__annotations__.items()
+        }
+    return _FOUND[command]
 
 
 _FOUND: dict[str, Mapping[str, Option]] = {}
 
 #: Every parameter of the projection by its ROS name: upstream's in upstream's order, then pc2scan's own.
 PARAMETERS: Mapping[str, Parameter] = {
-    name: _named(name, annotation)  # type: ignore[misc]
-    for name, annotation in Projection.__annotations__.items()
+    name: annotation.__metadata__[0] for name, annotation in Projection.__annotations__.items()
 }
 
 

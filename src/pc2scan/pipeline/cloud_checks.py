@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pc2scan.core.level import Floor
     from pc2scan.core.points import Points
     from pc2scan.tf.mounting import Mounting
-    from pc2scan.tf.options import StaticTransform
     from pc2scan.tf.placing import Placement
+    from pc2scan.tf.static import StaticTransform
 
     from .scan_spec import ScanSpec
 
@@ -139,7 +139,7 @@ class CloudChecks:
         static = next((each for each in added if each.child.removeprefix("/") == target), None)
         if floor is None or static is None or below < _BELOW or abs(below - floor.height) > _NEAR_FLOOR * floor.height:
             return ""
-        from pc2scan.tf.options import static_text  # noqa: PLC0415  # loaded by now
+        from pc2scan.tf.static import static_text  # noqa: PLC0415  # loaded by now
 
         inverse = static_text(static.child, static.parent, static)
         return (

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
-    from pc2scan.tf.options import StaticTransform
     from pc2scan.tf.placing import Placement
+    from pc2scan.tf.static import StaticTransform
 
     from .report import Report
     from .scan_spec import ScanSpec

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError, name_list
 from pc2scan.names import did_you_mean
-from pc2scan.tf.options import static_text
+from pc2scan.tf.static import static_text
 from pc2scan.tf.worlds import BODIES, WORLDS
 
 from .fixed_frames import first_frame
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.options import FrameOptions, StaticTransform
+    from pc2scan.tf.options import FrameOptions
+    from pc2scan.tf.static import StaticTransform
 
     from .plan import Plan
     from .scan_spec import ScanSpec

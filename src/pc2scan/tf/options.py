@@ -2,156 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pc2scan.core.layout import FULL_TURN
-from pc2scan.errors import ParameterError, UsageError
+from pc2scan.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from pc2scan.core.rigid import Rigid, TransformRow
+    from .static import StaticTransform
 
-__all__ = ["FrameOptions", "StaticTransform", "number_in", "static_text"]
-
-#: Maximum deviation of a quaternion's length from 1. Rounding to two digits (0.71 0 0 0.71: 1.004) stays below it.
-_QUATERNION_SLACK = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class StaticTransform:
-    """A transform that the user adds; it is valid at any time.
-
-    Attributes
-    ----------
-    parent, child
-        Frame names.
-    parent_from_child
-        The pose of the child in the parent.
-    """
-
-    parent: str
-    child: str
-    parent_from_child: Rigid
-
-    @classmethod
-    def parse(cls, text: str) -> StaticTransform:
-        """Read ``parent child x y z qx qy qz qw`` or ``parent child x y z roll pitch yaw``.
-
-        Metres and radians, or with a unit: ``20cm``, ``90deg``.
-
-        Raises
-        ------
-        UsageError
-            If it is neither, the quaternion is not of unit length, or an angle is more than a full turn.
-        """
-        words = text.replace(",", " ").split()
-        usage = "write 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (metres, radians)"
-        if len(words) not in (8, 9):
-            raise UsageError(f"{text!r} has {len(words)} values, a static transform has 8 or 9", hint=usage)
-        _refuse_ros1_order(words)
-        units = ("m",) * 3 + (("rad",) * 3 if len(words) == 8 else ("",) * 4)
-        numbers = []
-        for word, unit in zip(words[2:], units, strict=True):
-            number = number_in(word, unit)
-            if number is None:
-                raise UsageError(f"{text!r} is not a static transform: {word!r} is not a number", hint=usage)
-            numbers.append(number)
-        return cls.of(words[0], words[1], numbers[:3], numbers[3:])
-
-    @classmethod
-    def of(cls, parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> StaticTransform:
-        """Take a translation, and a rotation as x, y, z, w or as roll, pitch, yaw.
-
-        Raises
-        ------
-        UsageError
-            If a name is empty, both are the same, or the numbers are not a rotation: the quaternion is not of unit
-            length, or an angle is more than a full turn.
-        """
-        if not parent or not child or parent.removeprefix("/") == child.removeprefix("/"):
-            raise UsageError(f"a static transform needs two frames, not {parent!r} and {child!r}")
-        from pc2scan.core.rigid import Rigid  # noqa: PLC0415  # only with transforms
-
-        _refuse_degrees(parent, child, translation, rotation)
-        try:
-            rigid = (
-                Rigid.from_rpy(rotation[0], rotation[1], rotation[2], translation)
-                if len(rotation) == 3
-                else Rigid(rotation, translation)  # type: ignore[arg-type]
-            )
-        except ParameterError as err:
-            raise UsageError(f"static transform from {parent} to {child}: {err.message}") from err
-        return cls(parent, child, rigid)
-
-    def row(self, stamp_ns: int) -> TransformRow:
-        """Return the transform as in a TFMessage."""
-        return (self.parent, self.child, stamp_ns, *self.parent_from_child.pose)
-
-
-def number_in(word: str, unit: str) -> float | None:
-    """Return a word as a number, in metres or radians; with an empty ``unit`` it must not have one."""
-    try:
-        return float(word)
-    except ValueError:
-        from pc2scan.core.quantities import quantity  # noqa: PLC0415  # few are written with a unit
-
-        return quantity(word, unit) if unit else None
-
-
-def _refuse_ros1_order(words: Sequence[str]) -> None:
-    """Raise for arguments of ROS 1's static_transform_publisher, whose frames come last, and whose yaw comes first."""
-    first, count = next(((i, i) for i, word in enumerate(words) if number_in(word, "rad") is None), (0, 0))
-    if count not in (6, 7) or any(number_in(word, "rad") is not None for word in words[first : first + 2]):
-        return
-    numbers, frames = words[:count], words[count : count + 2]
-    turned = [*numbers[:3], *reversed(numbers[3:])] if count == 6 else numbers
-    raise UsageError(
-        f"{' '.join(words)!r} has the frames after the numbers, as for ROS 1's static_transform_publisher",
-        hint=f"write `static_tf='{' '.join([*frames, *turned])}'`" + (" (roll pitch yaw)" if count == 6 else ""),
-    )
-
-
-def _refuse_degrees(parent: str, child: str, translation: Sequence[float], rotation: Sequence[float]) -> None:
-    """Raise for rotations that are mistakes: angles of more than a full turn, quaternions far from unit length."""
-    where = f"static transform from {parent} to {child}"
-    if not all(map(math.isfinite, rotation)):
-        return  # another check raises
-    if len(rotation) == 3:
-        if max(map(abs, rotation)) <= FULL_TURN:
-            return
-        found = ", ".join(
-            f"{name} is {angle:g} rad"
-            for name, angle in zip(("roll", "pitch", "yaw"), rotation, strict=True)
-            if abs(angle) > FULL_TURN
-        )
-        numbers = [f"{angle:g}deg" if angle else "0" for angle in rotation]
-        raise UsageError(
-            f"{where}: {found}, more than a full turn (2 pi is 6.28319 rad)",
-            hint=f"for degrees write `static_tf='{parent} {child} {_numbers(translation)} {' '.join(numbers)}'`, "
-            f"which is {_numbers(map(math.radians, rotation))} rad",
-        )
-    length = math.hypot(*rotation)
-    if length and abs(length - 1) > _QUATERNION_SLACK:
-        raise UsageError(
-            f"{where}: the quaternion {_numbers(rotation)} has the length {length:.4g}, it must be 1",
-            hint="for roll, pitch and yaw give three numbers, not four; a quaternion of unit length is "
-            f"`static_tf='{parent} {child} {_numbers(translation)} {_numbers(x / length for x in rotation)}'`",
-        )
-
-
-def static_text(parent: str, child: str, static: StaticTransform, factor: float = 1.0) -> str:
-    """Return the text of `static_tf` for the same transform with other names, or with its lengths in another unit."""
-    rigid = static.parent_from_child
-    numbers = (*(factor * float(x) for x in rigid.translation), *rigid.rpy)
-    return f"{parent} {child} {_numbers(number + 0.0 for number in numbers)}"
-
-
-def _numbers(numbers: Iterable[float]) -> str:
-    return " ".join(f"{number:.6g}" for number in numbers)
+__all__ = ["FrameOptions"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

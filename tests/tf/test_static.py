@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.errors import UsageError
-from pc2scan.tf.static_file import load_static_transforms
+from pc2scan.tf.static import load_static_transforms
 
 if TYPE_CHECKING:
     from pathlib import Path
