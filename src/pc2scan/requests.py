@@ -12,7 +12,8 @@ from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
 from .options.call import CALL, Options
 from .options.frames import frames_of
-from .options.table import PARAMETERS, POINTS, options_of
+from .options.option import POINTS
+from .options.table import PARAMETERS, options_of
 from .pipeline.combine.asked import Combining
 from .pipeline.options import ConvertOptions, destination_and_folder
 from .pipeline.param_sources import ResolvedSources, resolve_sources
@@ -42,15 +43,9 @@ __all__ = [
     "selection_of",
 ]
 
-#: Options that are attributes of an output, of the combination of messages, of a conversion or of the destination, as
-#: they are.
+#: Options that are attributes of an output or of a conversion, as they are.
 _OF_A_SCAN = ScanSpec.__dataclass_fields__.keys() - {"topics", "params", "channels", "filters", "remove", "reverse"}
-_COMBINING = ("lead", "window", "accumulate", "every", "rebin")
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}
-_DESTINATION = (
-    *("storage", "compression", "profile", "metadata_version", "overwrite", "report", "to", "dry_run"),
-    *("scratch", "scratch_size"),
-)
 
 
 class Conversion(NamedTuple):
@@ -166,7 +161,7 @@ def _of_node(
         params=resolved.params,
         reverse=resolved.reverse,
         channels=_channels(options.channels, options.range_cutoff),
-        combining=Combining.of(**_among(options, _COMBINING)),
+        combining=Combining.of(**options.given),
         filters=(*_point_filters(options, resolved), *filters),
         remove=_beam_filters(options.remove),
         **_among(options, _OF_A_SCAN),
@@ -236,7 +231,7 @@ def output_of(options: Options, *, folder: Path | None = None, like_source: bool
         from .pipeline.parts import cut_of  # noqa: PLC0415  # most recordings are one file
 
         cut = cut_of(options.split, repeat_latched=options.repeat_latched)
-    return OutputOptions(cut=cut, folder=folder, like_source=like_source, **_among(options, _DESTINATION))
+    return OutputOptions(cut=cut, folder=folder, like_source=like_source, **_among(options, OutputOptions._fields))
 
 
 def destination_of(destination: PathText | None) -> tuple[Path | None, Path | None]:

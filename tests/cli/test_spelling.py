@@ -48,7 +48,11 @@ def test_the_library_names_options_that_there_are() -> None:
 
 #: Modules below the command line whose texts have options, and why.
 OPTIONS_BELOW = {
-    "options/table.py": "how options are typed",
+    "options/commands.py": "how options are typed",
+    "options/conversion.py": "likewise",
+    "options/option.py": "likewise",
+    "options/projection.py": "likewise",
+    "options/running.py": "likewise",
     "pipeline/parameters.py": "where a parameter comes from, as it was typed",
     "pipeline/param_assignment.py": "likewise",
     "pipeline/launch_file.py": "ROS's own options, which launch files have",

@@ -263,7 +263,7 @@ LOADED_BY_CONVERT = {
         "borrowed compression crc32 limits ownership places run_lock same_file source staging system write_ahead"
     ),
     "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
-    "pc2scan.options": "call frames table values",
+    "pc2scan.options": "call commands conversion frames option projection running table values",
     "pc2scan.pipeline": (
         "acceptance beforehand cloud_checks cloud_to_scan combine conversion declarations demands first_clouds idle "
         "options param_sources parameters plan prepare report report_warnings ros_scalars routes run "

@@ -12,11 +12,13 @@ from typer.testing import CliRunner
 from pc2scan.cli.app import application
 from pc2scan.core.params import ProjectionParams
 from pc2scan.options.call import Options
-from pc2scan.options.table import GROUPS, PARAMETERS, Option, instead_of, options_of, spelling_of
+from pc2scan.options.table import GROUPS, PARAMETERS, instead_of, options_of, spelling_of
 from pc2scan.options.values import Object
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from pc2scan.options.option import Option
 
 #: The node's parameters and others that few people use; only ``--help-all`` has them.
 RARE = (

@@ -13,7 +13,8 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.json_types import json_value
 from pc2scan.options.call import Options
-from pc2scan.options.table import Container, conversion_options, options_of
+from pc2scan.options.running import Container
+from pc2scan.options.table import conversion_options, options_of
 from pc2scan.remote.urls import is_url
 from pc2scan.requests import conversion_of, output_of
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
-from pc2scan.options.table import spelling_of
+from pc2scan.options.table import output_options, spelling_of
+from pc2scan.options.values import Flag, Text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -42,24 +43,14 @@ def _option_words(options: ConvertOptions) -> Iterator[str]:
         yield from ("--static-tf", f"{static.parent} {static.child} {numbers}")
     if frames.source_frame:
         yield from ("--source-frame", frames.source_frame)
-    if frames.write_static:
-        yield "--write-static-tf"
-    if scan.deskew:
-        yield "--deskew"
     for chosen in scan.remove:
         default = type(chosen)()
         words = (f"{each.name}={getattr(chosen, each.name)}" for each in fields(chosen) if chosen != default)
         yield from ("--remove", " ".join((chosen.name, *words)))
-    if scan.keep_used:
-        yield from ("--keep-used", scan.keep_used)
-    if scan.level:
-        yield "--level"
-    named = {"--fixed-frame": scan.fixed_frame, "--point-time": scan.point_time, "--imu": scan.imu}
-    for name, value in named.items():
-        if value:
-            yield from (name, value)
-    if scan.stamp != "header":
-        yield from ("--stamp", scan.stamp)
+    for name, option in output_options().items():
+        value = getattr(scan, name, option.default)
+        if isinstance(option.value, Flag | Text) and value != option.default:
+            yield from (option.spelling,) if value is True else (option.spelling, str(value))
     asked = scan.combining
     times = (("--window", asked.window_ns), ("--accumulate", asked.span_ns), ("--every", asked.every_ns))
     if asked.lead:

@@ -19,9 +19,6 @@ __all__ = ["choices", "frames", "presets", "topics"]
 #: Time limit in seconds; what was found by then is offered.
 _PATIENCE = 1.0
 
-#: Options that take files other than recordings.
-_OTHER_FILES = frozenset({"-o", "--output", "--params-file", "--static-tf-file", "--report", "--junit"})
-
 
 class _TooLateError(Exception):
     """The time limit is reached."""
@@ -84,11 +81,24 @@ def _typed() -> list[Path]:
     except ValueError:  # a quotation that is still open
         words = line.split()
     pairs = itertools.pairwise(words[1:])
+    others = {"-o", "--output", *(option.spelling for option in _file_options(words[1:2]))}
     return [
         Path(word)
         for before, word in pairs
-        if not word.startswith("-") and before not in _OTHER_FILES and os.path.exists(word)  # noqa: PTH110
+        if not word.startswith("-") and before not in others and os.path.exists(word)  # noqa: PTH110
     ]
+
+
+def _file_options(command: list[str]) -> Iterator[Any]:
+    """Yield the options of a command that take files other than recordings."""
+    from pc2scan.options.table import GROUPS, options_of
+    from pc2scan.options.values import PathName
+
+    for name in command:
+        if name in GROUPS:
+            for option in options_of(name).values():
+                if isinstance(option.value, PathName) and not option.value.is_recording:
+                    yield option
 
 
 @contextmanager

@@ -14,7 +14,8 @@ from typer.main import get_command
 
 from pc2scan.errors import UsageError
 from pc2scan.golden.check import Ended
-from pc2scan.options.table import CALL_ONLY, options_of
+from pc2scan.options.option import CALL_ONLY
+from pc2scan.options.table import options_of
 
 from .render import say
 from .usage import TyperUsageError, in_our_words

@@ -13,7 +13,7 @@ from typer.models import ParameterInfo, TyperPath
 from pc2scan.arguments import local_path
 from pc2scan.options import values
 from pc2scan.options.call import Options
-from pc2scan.options.table import Parameter as ProjectionParameter
+from pc2scan.options.option import Parameter as ProjectionParameter
 from pc2scan.options.table import options_of
 from pc2scan.pipeline.ros_scalars import plain_scalar
 
@@ -23,7 +23,7 @@ from .spelling import as_typed
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from pc2scan.options.table import Option
+    from pc2scan.options.option import Option
 
 __all__ = ["Destination", "PathType", "described", "typed_command"]
 

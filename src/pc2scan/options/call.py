@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from .table import ONE_OUTPUT, PARAMETERS, SINGLE, Parameter, conversion_options, options_of
+from .option import ONE_OUTPUT, SINGLE, Parameter
+from .table import PARAMETERS, conversion_options, options_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from .table import Option
+    from .option import Option
 
 __all__ = ["CALL", "Options"]
 

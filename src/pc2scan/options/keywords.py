@@ -13,7 +13,7 @@ from .table import GROUPS, instead_of, options_of
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .table import Option
+    from .option import Option
 
 __all__ = ["takes_options"]
 

@@ -16,7 +16,7 @@ from .values import PathName
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from .table import Option
+    from .option import Option
 
 __all__ = ["dataset_schema", "scans_schema", "schema_text"]
 

@@ -144,10 +144,7 @@ class Text(Value):
 
     def _unknown(self, name: str, value: str) -> UsageError:
         words = f"{', '.join(self.words[:-1])} or {self.words[-1]}"
-        return UsageError(
-            f"`{name}` is {value!r}, it must be {words}",
-            hint=did_you_mean(value, self.words) or None,
-        )
+        return UsageError(f"`{name}` is {value!r}, it must be {words}", hint=did_you_mean(value, self.words) or None)
 
 
 class Switch(Text):
@@ -198,13 +195,20 @@ class Texts(Value):
 
 
 class PathName(Value):
-    """A path: `str` or `pathlib.Path`. In a file, it is relative to this file."""
+    """A path: `str` or `pathlib.Path`. In a file, it is relative to this file.
+
+    Attributes
+    ----------
+    is_recording
+        Whether it is that of a recording.
+    """
 
     expected = "a path"
     is_text = True
 
-    def __init__(self, metavar: str | None = "FILE") -> None:
+    def __init__(self, metavar: str | None = "FILE", *, is_recording: bool = False) -> None:
         super().__init__(metavar)
+        self.is_recording = is_recording
 
     def read(self, name: str, value: Any) -> Any:
         """Return the path."""
@@ -265,7 +269,9 @@ class Count(Value):
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON schema."""
-        number: dict[str, Any] = {"type": "integer"}
+        number: dict[str, Any] = {"type": "integer", "minimum": self.low}
+        if self.high is not None:
+            number["maximum"] = self.high
         return {"anyOf": [number, {"enum": list(self.words)}]} if self.words else number
 
 
@@ -441,8 +447,7 @@ class Tolerances(Value):
                 tolerance = float(number)
             except ValueError:
                 raise UsageError(
-                    f"`{name}`: {text!r} is not a tolerance",
-                    hint=f"write `{name}=0.001` or `{name}=intensities=0.5`",
+                    f"`{name}`: {text!r} is not a tolerance", hint=f"write `{name}=0.001` or `{name}=intensities=0.5`"
                 ) from None
             if field in found:
                 raise UsageError(f"`{name}` is given twice for {field or 'all values'}")

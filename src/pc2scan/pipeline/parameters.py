@@ -25,7 +25,7 @@ from .ros_scalars import plain_scalar
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from pc2scan.options.table import Parameter
+    from pc2scan.options.option import Parameter
 
 __all__ = [
     "ALIASES",

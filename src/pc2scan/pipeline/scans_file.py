@@ -37,9 +37,6 @@ _KEYS = {"sources": Texts(), **{name: option.value for name, option in output_op
 #: Keys that are copied to attributes of `ScanSpec`.
 _OWN = ScanSpec.__dataclass_fields__.keys() - {"remove"}
 
-#: The keys of `Combining`.
-_COMBINING = ("lead", "window", "accumulate", "every", "rebin")
-
 
 @dataclass(frozen=True, slots=True)
 class ScansFile:
@@ -243,7 +240,7 @@ def _spec(
             topics=tuple(TopicRequest(_checked_topic(source), topic) for source in sources),
             origins=resolved.origin,
             params=resolved.params,
-            combining=Combining.of(**{name: values[name] for name in _COMBINING if name in values}),
+            combining=Combining.of(**values),
             filters=tuple(filters_from(values, resolved.params.min_height)),
             remove=_beam_filters(values.get("remove", ())),
             **{name: value for name, value in values.items() if name in _OWN},

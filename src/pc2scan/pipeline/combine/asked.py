@@ -9,7 +9,7 @@ from pc2scan.errors import UsageError
 from pc2scan.options.values import nanoseconds_of
 
 if TYPE_CHECKING:
-    from pc2scan.options.table import Period
+    from pc2scan.options.option import Period
 
 __all__ = ["Combining"]
 
@@ -54,8 +54,9 @@ class Combining(NamedTuple):
         accumulate: Period | None = None,
         every: Period | None = None,
         rebin: bool = False,
+        **_others: object,
     ) -> Combining:
-        """Parse the values that a user gives.
+        """Parse the values that a user gives; other options are ignored.
 
         Parameters
         ----------

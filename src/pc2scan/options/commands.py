@@ -1,0 +1,444 @@
+"""Options that a single command has.
+
+No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
+"""
+
+from collections.abc import Iterable
+from typing import Annotated, TypedDict
+
+from pc2scan.core.presets import PRESETS
+from pc2scan.threads import MAX_JOBS
+
+from .option import FRAME_NAMES, Metres, Names, Option, Path, Progress, Quantity, Time, Tolerance, topics_of
+from .values import Count, Flag, Moment, Moments, Number, Object, PathName, Switch, Text, Texts, Tolerances
+
+
+class Exporting(TypedDict, total=False):
+    """An export."""
+
+    format: Annotated[
+        str | None,
+        Option(
+            Text(words=("npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti")),
+            "For scans: npz (NumPy arrays), csv (one row per scan), carmen (ROBOTLASER1, .log), flaser (FLASER, .clf). "
+            "For the trajectory only: tum. For clouds, in a folder: pcd, kitti.",
+            default_text="by OUT's suffix",
+            short="-f",
+            common=True,
+        ),
+    ]
+    pose_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"),
+            "Write the robot's pose in this frame (odom, map) at each message's stamp, from the recorded transforms.",
+            default="",
+            common=True,
+            offers=FRAME_NAMES,
+        ),
+    ]
+    base_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"),
+            "The robot's frame, whose pose is written.",
+            default="",
+            default_text="base_link, base_footprint, or the frame that the sensor is mounted on",
+            common=True,
+            offers=FRAME_NAMES,
+        ),
+    ]
+    odom_topic: Annotated[
+        str,
+        Option(
+            Text("TOPIC"),
+            "Take the poses from this nav_msgs/Odometry topic instead of the transforms.",
+            default="",
+            common=True,
+            offers=topics_of("/Odometry"),
+        ),
+    ]
+    overwrite: Annotated[
+        bool, Option(Flag(), "Replace OUT: a file, or a folder with an export and nothing else.", common=True)
+    ]
+
+
+class BatchExport(TypedDict, total=False):
+    """Results of a batch that are not recordings."""
+
+    export: Annotated[
+        str | None,
+        Option(
+            Text(words=("npz", "csv", "tum", "carmen", "flaser", "pcd", "kitti")),
+            "Write the files of pc2scan export instead of recordings, in a folder for each recording.",
+        ),
+    ]
+    pose_frame: Annotated[
+        str,
+        Option(Text("FRAME"), "With `export`: the robot's pose in this frame (odom, map) at each stamp.", default=""),
+    ]
+    base_frame: Annotated[
+        str, Option(Text("FRAME"), "With `export`: the robot's frame, whose pose is written.", default="")
+    ]
+    odom_topic: Annotated[
+        str, Option(Text("TOPIC"), "With `export`: take the poses from this nav_msgs/Odometry topic.", default="")
+    ]
+
+
+class BatchRun(TypedDict, total=False):
+    """How a batch runs."""
+
+    dataset: Annotated[
+        Path | None,
+        Option(
+            PathName(),
+            "A YAML file with options for the recordings that match a pattern. Options given here override it.",
+            common=True,
+        ),
+    ]
+    jobs: Annotated[
+        int,
+        Option(
+            Count(0, MAX_JOBS),
+            f"Number of recordings at a time, up to {MAX_JOBS:,}, each in its own process; the output does not depend "
+            "on it.",
+            default=0,
+            default_text="number of cores, as memory allows",
+            short="-j",
+            common=True,
+        ),
+    ]
+    retries: Annotated[
+        int,
+        Option(
+            Count(0, 100),
+            "How often a recording is tried again if its process was killed, for instance for lack of memory; up to "
+            "100 times.",
+            default=1,
+        ),
+    ]
+    dask: Annotated[
+        bool | str,
+        Option(
+            Switch("[ADDRESS]"),
+            "Convert on the Dask cluster of this scheduler, such as tcp://scheduler:8786. Without an address (in "
+            "Python: True), a cluster is started on this machine. Needs pc2scan[dask].",
+            default=False,
+            common=True,
+        ),
+    ]
+    force: Annotated[bool, Option(Flag(), "Convert again what earlier runs have converted.", common=True)]
+    checksum: Annotated[
+        bool,
+        Option(
+            Flag(), "Recognise unchanged recordings by SHA-256 instead of their modification time. Reads every byte."
+        ),
+    ]
+    fail_fast: Annotated[bool, Option(Flag(), "Stop at the first recording that fails.")]
+    report: Annotated[
+        Path | None, Option(PathName(), "Write the summary of all recordings: *.json, *.csv or *.md.", common=True)
+    ]
+
+
+class BatchScreen(TypedDict, total=False):
+    """What a batch shows on the screen; only the command has it."""
+
+    quiet: Annotated[bool, Option(Flag(), "Show warnings and errors only.", short="-q", command_only=True)]
+    verbose: Annotated[
+        bool,
+        Option(
+            Flag(),
+            "Show the tables of each conversion, and every recording in the summary.",
+            short="-v",
+            command_only=True,
+        ),
+    ]
+
+
+class BatchWatched(TypedDict, total=False):
+    """Progress of a batch."""
+
+    progress: Annotated[
+        Progress | None,
+        Option(Object(called=True), "A function that is called from time to time with the progress.", typed=""),
+    ]
+
+
+class ShownClouds(TypedDict, total=False):
+    """Which clouds a page shows."""
+
+    clouds: Annotated[
+        int,
+        Option(
+            Count(1, 1000),
+            "Number of clouds of each topic on the page, up to 1,000, evenly spread over the recording.",
+            default=10,
+            common=True,
+        ),
+    ]
+    at: Annotated[
+        Time | Iterable[Time] | None,
+        Option(Moments("TIME"), "Show the first cloud at or after this time, written like `start`.", common=True),
+    ]
+
+
+class Browsing(TypedDict, total=False):
+    """The page on the disk; only the command has it."""
+
+    open_page: Annotated[
+        bool, Option(Flag(), "Open the page in the browser.", typed="--open", common=True, command_only=True)
+    ]
+    overwrite: Annotated[
+        bool,
+        Option(
+            Flag(), "Replace any file of that name; an older page is always replaced.", common=True, command_only=True
+        ),
+    ]
+
+
+class DrawnClouds(TypedDict, total=False):
+    """Which clouds a figure shows."""
+
+    clouds: Annotated[
+        int,
+        Option(
+            Count(1),
+            "Number of clouds of each topic, side by side, spread over the recording.",
+            default=1,
+            short="--frames",
+            common=True,
+        ),
+    ]
+    at: Annotated[
+        Time | Iterable[Time] | None,
+        Option(Moments("TIME"), "Show the first cloud at or after this time, written like `start`.", common=True),
+    ]
+    overwrite: Annotated[bool, Option(Flag(), "Replace a file of that name.", common=True)]
+
+
+class MapDrawing(TypedDict, total=False):
+    """A map."""
+
+    resolution: Annotated[Quantity, Option(Number("m"), "Side of a cell: 0.05, or 5cm.", default=0.05, common=True)]
+    max_range: Annotated[
+        Metres,
+        Option(
+            Number("m"),
+            "Returns beyond this range mark no cell as occupied; the cells up to it are cleared.",
+            default=float("inf"),
+            default_text="no limit",
+            common=True,
+        ),
+    ]
+    clear_to: Annotated[
+        Metres,
+        Option(
+            Number("m"),
+            "Up to which range beams without a return clear cells. 0: not at all, like in gmapping and slam_toolbox.",
+            default=0.0,
+            default_text="0",
+            common=True,
+        ),
+    ]
+    odom_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"),
+            "The frame of the map, in which the robot moves.",
+            default="odom",
+            common=True,
+            offers=FRAME_NAMES,
+        ),
+    ]
+    base_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"),
+            "The robot's frame, whose path is drawn.",
+            default="",
+            default_text="base_link, or base_footprint",
+            common=True,
+            offers=FRAME_NAMES,
+        ),
+    ]
+
+
+class MapFiles(TypedDict, total=False):
+    """A map on the disk; only the command has it."""
+
+    png: Annotated[
+        Path | None,
+        Option(PathName(), "The picture. Without -o, only this is written.", common=True, command_only=True),
+    ]
+    overwrite: Annotated[bool, Option(Flag(), "Replace files of these names.", common=True, command_only=True)]
+
+
+class Checking(TypedDict, total=False):
+    """A check."""
+
+    consumers: Annotated[
+        Names | None,
+        Option(
+            Texts("CONSUMER", words=PRESETS),
+            f"Consumer that decides the exit status: {', '.join(PRESETS)}. Default: all of them, and defects for all "
+            "consumers too.",
+            typed="--for",
+        ),
+    ]
+    topics: Annotated[
+        Names | None,
+        Option(
+            Texts("TOPIC"),
+            "LaserScan topic to check, or a glob. Default: all.",
+            typed="--topic",
+            short="-t",
+            offers=topics_of("/LaserScan"),
+        ),
+    ]
+    odom_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"),
+            "The odometry's frame; the scans' frames must be connected to it.",
+            default="odom",
+            offers=FRAME_NAMES,
+        ),
+    ]
+    base_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"),
+            "The robot's frame.",
+            default="",
+            default_text="base_link, or base_footprint",
+            offers=FRAME_NAMES,
+        ),
+    ]
+
+
+class Describing(TypedDict, total=False):
+    """A description of a recording."""
+
+    samples: Annotated[
+        int,
+        Option(
+            Count(1, metavar="N"),
+            "Number of clouds and scans to read of each topic, spread over the recording.",
+            default=10,
+        ),
+    ]
+    target_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"), "Show heights in this frame, like convert --target-frame.", default="", offers=FRAME_NAMES
+        ),
+    ]
+
+
+class Repairing(TypedDict, total=False):
+    """A repair."""
+
+    storage: Annotated[
+        str | None, Option(Text(words=("mcap", "sqlite3")), "Storage of a rosbag2 directory.", default_text="SRC's")
+    ]
+    compression: Annotated[
+        str | None, Option(Text(words=("none", "lz4", "zstd", "bz2")), "Compression of DST.", default_text="SRC's")
+    ]
+    verify: Annotated[bool, Option(Flag(), "Check the CRCs of an MCAP source.", default=True, typed="--no-verify")]
+
+
+class RepairScreen(TypedDict, total=False):
+    """What a repair shows on the screen; only the command has it."""
+
+    as_json: Annotated[bool, Option(Flag(), "Print the report as JSON.", typed="--json", command_only=True)]
+    quiet: Annotated[bool, Option(Flag(), "Show damage, warnings and errors only.", short="-q", command_only=True)]
+
+
+class Comparing(TypedDict, total=False):
+    """A comparison."""
+
+    topics: Annotated[
+        Names | None,
+        Option(
+            Texts("A[:=B]"),
+            "Topic to compare, and its name in B if that differs. Default: every LaserScan and PointCloud2 topic.",
+            typed="--topic",
+            short="-t",
+            panel="",
+            offers=topics_of(),
+        ),
+    ]
+    all_topics: Annotated[
+        bool, Option(Flag(), "Compare the other topics too: matched by log time, byte for byte.", panel="")
+    ]
+    atol: Annotated[
+        Tolerance | None,
+        Option(
+            Tolerances("[NAME=]X"),
+            "Absolute tolerance of all values, or of ranges, intensities or a field of the clouds.",
+        ),
+    ]
+    rtol: Annotated[
+        Tolerance | None, Option(Tolerances("[NAME=]X"), "Tolerance relative to A's value; the two are added.")
+    ]
+    allow_beams: Annotated[
+        float,
+        Option(
+            Number(metavar="SHARE"),
+            "Share of a topic's beams (clouds: points) that may be beyond the tolerance: 0.001 is one in a thousand.",
+            default=0.0,
+        ),
+    ]
+    ignore: Annotated[
+        Names | None,
+        Option(
+            Texts("NAME"),
+            "Do not compare: log_time, seq, frame_id, order, intensities, ranges, angle_min and the other numbers of a "
+            "scan, shape, layout, padding, is_dense.",
+        ),
+    ]
+    view: Annotated[
+        Path | None,
+        Option(
+            PathName("PAGE"),
+            "Also write an HTML page that shows the scans with most differing beams on top of each other.",
+            panel="",
+        ),
+    ]
+
+
+class CompareScreen(TypedDict, total=False):
+    """What a comparison shows on the screen; only the command has it."""
+
+    quiet: Annotated[bool, Option(Flag(), "Print nothing; only set the exit status.", short="-q", command_only=True)]
+
+
+class GoldenCases(TypedDict, total=False):
+    """Golden cases."""
+
+    update: Annotated[
+        bool,
+        Option(Flag(), "Write the expected output of cases that differ or have none; review the changes.", panel=""),
+    ]
+    init: Annotated[
+        Path | None, Option(PathName("SRC", is_recording=True), "Make a new case of this recording, in DIR.")
+    ]
+    start: Annotated[Time | None, Option(Moment("TIME"), "With `init`: where the input begins, as in convert.")]
+    end: Annotated[Time | None, Option(Moment("TIME"), "With `init`: where it ends.")]
+    topics: Annotated[
+        Names | None,
+        Option(
+            Texts("TOPIC"),
+            "With `init`: a topic of clouds or scans to keep, or a glob. Default: all.",
+            typed="--topic",
+            short="-t",
+            offers=topics_of("/PointCloud2", "/LaserScan"),
+        ),
+    ]
+    params_file: Annotated[Path | None, Option(PathName(), "With `init`: the case's parameter file.")]
+
+
+class GoldenScreen(TypedDict, total=False):
+    """What golden cases show on the screen; only the command has it."""
+
+    quiet: Annotated[bool, Option(Flag(), "Do not show cases that passed.", short="-q", command_only=True)]

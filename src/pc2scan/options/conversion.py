@@ -1,0 +1,378 @@
+"""What is converted, and how: topics, points, frames, motion, and what a recording has besides the scans.
+
+No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
+"""
+
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+
+from .option import (
+    FRAME_NAMES,
+    FRAMES,
+    ONE_OUTPUT,
+    POINTS,
+    PYTHON,
+    RUN,
+    SINGLE,
+    Channels,
+    Metres,
+    Names,
+    Option,
+    Path,
+    Paths,
+    Period,
+    Quantity,
+    Time,
+    Transforms,
+    topics_of,
+)
+from .values import Duration, Flag, Moment, Number, Object, PathName, PathNames, Share, Text, Texts
+
+if TYPE_CHECKING:
+    from pc2scan.tf.options import FrameOptions
+
+
+class ConvertedTopics(TypedDict, total=False):
+    """Which topics are converted."""
+
+    topics: Annotated[
+        Names | None,
+        Option(
+            Texts("IN[:=OUT]"),
+            "PointCloud2 topic to convert, and the topic of its scans. Default: every PointCloud2 topic; the scans of "
+            "a single topic are on /scan, of several on <topic>/scan.",
+            typed="--topic",
+            short="-t",
+            common=True,
+            offers=topics_of("/PointCloud2", "/LaserScan"),
+        ),
+    ]
+
+
+class Reading(TypedDict, total=False):
+    """What is read of a recording, and how."""
+
+    start: Annotated[
+        Time | None,
+        Option(
+            Moment("TIME"),
+            "Start time: seconds from the beginning, @seconds since 1970, or a date and time (ISO 8601). Messages that "
+            "are latched then, and static transforms, are written at the start.",
+            common=True,
+        ),
+    ]
+    end: Annotated[Time | None, Option(Moment("TIME"), "End time (exclusive), written like `start`.", common=True)]
+    verify: Annotated[
+        bool,
+        Option(
+            Flag(),
+            "Check the CRCs of an MCAP source. Without it, reading is faster, but damage may not be detected.",
+            panel=RUN,
+            default=True,
+            typed="--no-verify",
+        ),
+    ]
+    strict: Annotated[
+        bool,
+        Option(
+            Flag(),
+            "Refuse a damaged source. Without this option, everything readable is recovered, the damage is reported, "
+            "and the exit status is 3.",
+            panel=RUN,
+        ),
+    ]
+
+
+class BadMessages(TypedDict, total=False):
+    """What is done with messages that cannot be used."""
+
+    on_error: Annotated[
+        str,
+        Option(
+            Text(words=("skip", "fail")),
+            "What to do with messages that cannot be converted. skip: count and list them; fail: end the run.",
+            default="skip",
+        ),
+    ]
+
+
+class Points(TypedDict, total=False):
+    """Which points and beams are used."""
+
+    remove: Annotated[
+        Names | None,
+        Option(
+            Texts("BEAMS"),
+            "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. Parameters of "
+            "laser_filters may follow, and it is its filter then: 'shadows min_angle=5 neighbors=10', "
+            "'speckles filter_window=3'.",
+            common=True,
+        ),
+    ]
+    where: Annotated[
+        Names | None,
+        Option(
+            Texts("CONDITION"),
+            "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, "
+            "numbers, < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
+        ),
+    ]
+    exclude_box: Annotated[
+        Names | None,
+        Option(Texts("BOX"), "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m)."),
+    ]
+    exclude_polygon: Annotated[
+        Names | None,
+        Option(
+            Texts("POLYGON"),
+            "Reject points in this polygon, at any height, such as the robot's footprint: "
+            "'frame x0 y0 x1 y1 x2 y2 ...' (m).",
+        ),
+    ]
+    ground: Annotated[
+        str,
+        Option(
+            Text("keep|remove", words=("keep", "remove")),
+            "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and "
+            "have kerbs. Needs a frame of the robot whose z axis points up.",
+            default="keep",
+        ),
+    ]
+    min_height_slope: Annotated[
+        float | None,
+        Option(
+            Number(metavar="M/M"),
+            "Reject points below `min_height` + this * range, a limit that rises with the range, for ramps and rough "
+            "ground. 0.05 is about 3 degrees.",
+        ),
+    ]
+    filters: Annotated[
+        Any, Option(Object(), "Further filters of points, as objects.", panel=PYTHON, typed="", scope=SINGLE)
+    ]
+
+
+class TransformTopics(TypedDict, total=False):
+    """The topics of transforms."""
+
+    tf_topics: Annotated[
+        Names | None,
+        Option(
+            Texts("TOPIC"),
+            "Topic of the transforms, if not /tf and /tf_static.",
+            typed="--tf-topic",
+            offers=topics_of("/TFMessage", "/tfMessage"),
+        ),
+    ]
+
+
+class StaticTransforms(TypedDict, total=False):
+    """Added transforms."""
+
+    static_tf: Annotated[
+        Transforms | None,
+        Option(
+            Texts("TRANSFORM", objects=("StaticTransform",)),
+            "Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (m, rad; or "
+            "20cm, 90deg). Replaces the recording's transform to this child.",
+            common=True,
+        ),
+    ]
+
+
+class TransformSources(TransformTopics, total=False):
+    """Where transforms come from."""
+
+    tf_from: Annotated[Paths | None, Option(PathNames(is_recording=True), "Read the transforms of this recording too.")]
+    frames: Annotated[
+        "FrameOptions | None", Option(Object(), "All options about transforms in one object.", panel=PYTHON, typed="")
+    ]
+
+
+class SourceFrame(TypedDict, total=False):
+    """The frame of messages."""
+
+    source_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"),
+            "Frame of the messages to convert, if their frame_id is wrong or empty.",
+            default="",
+            offers=FRAME_NAMES,
+        ),
+    ]
+
+
+class Frames(StaticTransforms, TransformSources, SourceFrame, total=False):
+    """Frames and transforms of a conversion."""
+
+    static_tf_file: Annotated[Path | None, Option(PathName(), "A YAML list of transforms like those of `static_tf`.")]
+
+
+class Motion(TypedDict, total=False):
+    """The robot's motion, and scans of several messages."""
+
+    deskew: Annotated[
+        bool,
+        Option(
+            Flag(),
+            "Transform each point of a cloud with the pose at its own time, through `fixed_frame`. With `reverse`, "
+            "each beam of a scan; that needs a `target_frame` such as odom.",
+            common=True,
+        ),
+    ]
+    fixed_frame: Annotated[
+        str,
+        Option(
+            Text("FRAME"),
+            "A frame that does not move, such as odom; the robot's motion in it is corrected. For `level`, its z axis "
+            "points up.",
+            default="",
+            common=True,
+            offers=FRAME_NAMES,
+        ),
+    ]
+    point_time: Annotated[
+        str,
+        Option(
+            Text("FIELD[:UNIT]"),
+            "Field with the points' times, relative to the stamp or absolute; unit: s, ms, us, ns. For clouds without "
+            "such a field: azimuth, which measures how the lidar turns; or azimuth:0.1 with the time of a turn (s), "
+            "then :cw or :ccw, and :start or :end if the stamp is that of the turn's start or end.",
+            default="",
+            default_text="t, time, timestamp, time_stamp or offset_time",
+        ),
+    ]
+    stamp: Annotated[
+        str,
+        Option(
+            Text(words=("header", "start", "middle", "end")),
+            "The time of a deskewed scan: the cloud's stamp, or the start, middle or end of its points' times.",
+            default="header",
+        ),
+    ]
+    level: Annotated[
+        bool,
+        Option(
+            Flag(),
+            "Make scans in a frame without the roll and pitch of the target frame, which come from `fixed_frame` or "
+            "`imu`. This frame has the target frame's name with _stabilized appended; its transforms are written to "
+            "/tf.",
+            common=True,
+        ),
+    ]
+    imu: Annotated[
+        str,
+        Option(
+            Text("TOPIC[:FRAME]"),
+            "sensor_msgs/Imu topic from which `level` takes roll and pitch; and the IMU's frame, if its frame_id is "
+            "wrong or empty.",
+            default="",
+            offers=topics_of("/Imu"),
+        ),
+    ]
+    lead: Annotated[
+        str,
+        Option(
+            Text("TOPIC"),
+            "If several topics become one scan (`topics=/a:=/scan` `topics=/b:=/scan`), the topic whose stamps the "
+            "scans have.",
+            default="",
+            default_text="the first",
+            offers=topics_of("/PointCloud2", "/LaserScan"),
+        ),
+    ]
+    window: Annotated[
+        Period | None,
+        Option(
+            Duration("S"),
+            "How far the stamps of the other topics may be from those of `lead`.",
+            default_text="half the median period",
+        ),
+    ]
+    accumulate: Annotated[
+        Period | None,
+        Option(
+            Duration("S|Nclouds"),
+            "Make each scan of all points of the last S seconds (1, 500ms), or of the last N clouds (10clouds).",
+        ),
+    ]
+    every: Annotated[
+        Period | None, Option(Duration("S"), "Make one scan every S seconds, instead of one for each cloud.")
+    ]
+    rebin: Annotated[
+        bool, Option(Flag(), "Convert LaserScan to LaserScan: with other beams, in another frame, or several into one.")
+    ]
+
+
+class Reversal(TypedDict, total=False):
+    """Whether scans are converted to clouds."""
+
+    reverse: Annotated[bool, Option(Flag(), "Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.")]
+
+
+class ReverseOptions(Reversal, total=False):
+    """What the clouds of scans have."""
+
+    channels: Annotated[
+        Channels | None,
+        Option(
+            Texts("NAME", words=("distances", "stamps", "viewpoint"), objects=("UnprojectParams",)),
+            "Add these fields to the cloud: distances, stamps, viewpoint.",
+            typed="--channel",
+        ),
+    ]
+    range_cutoff: Annotated[
+        Metres | None, Option(Number("m"), "Use only returns closer than this.", default_text="the scan's range_max")
+    ]
+
+
+class WrittenTopics(TypedDict, total=False):
+    """What a recording has besides the scans."""
+
+    keep: Annotated[
+        Names | None,
+        Option(
+            Texts("TOPIC"),
+            "Copy only these of the topics that are not converted (names or globs).",
+            common=True,
+            offers=topics_of(),
+        ),
+    ]
+    drop: Annotated[
+        Names | None, Option(Texts("TOPIC"), "Do not write these topics (names or globs).", offers=topics_of())
+    ]
+    keep_clouds: Annotated[bool, Option(Flag(), "Write the converted clouds too.")]
+    only_scans: Annotated[bool, Option(Flag(), "Write only the scans.")]
+    keep_used: Annotated[
+        str,
+        Option(
+            Text("TOPIC"),
+            "Also write the points that give the scan its ranges, to this topic: PointCloud2 with all their fields and "
+            "the beam's number.",
+            panel=POINTS,
+            default="",
+            scope=ONE_OUTPUT,
+        ),
+    ]
+    write_static_tf: Annotated[bool, Option(Flag(), "Write the added transforms to DST's /tf_static.", panel=FRAMES)]
+
+
+class Demands(TypedDict, total=False):
+    """When a run fails."""
+
+    fail_on: Annotated[
+        str,
+        Option(
+            Text(words=("empty", "warning")),
+            "Fail and write nothing. empty: if a scan has no return; warning: if there is any warning, skipped message "
+            "or damage.",
+            default="",
+        ),
+    ]
+    min_used: Annotated[
+        Quantity,
+        Option(
+            Share(),
+            "Fail and write nothing if less than this share of a topic's points is used in its scans: 0.05 or 5%.",
+            default=0.0,
+        ),
+    ]

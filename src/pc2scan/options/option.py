@@ -1,0 +1,193 @@
+"""An option: its attributes, the types of values in Python, and the sections of the help.
+
+No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from datetime import datetime, timedelta
+from os import PathLike
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from .values import Flag, Value, in_words
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from pc2scan.core.unproject import UnprojectParams
+    from pc2scan.tf.static import StaticTransform
+
+    Metres: TypeAlias = float | np.floating[Any] | np.integer[Any]
+    Quantity: TypeAlias = str | float | np.floating[Any] | np.integer[Any]
+    Time: TypeAlias = str | float | datetime | timedelta | np.datetime64 | np.timedelta64 | np.number[Any]
+    Transforms: TypeAlias = str | StaticTransform | Iterable[str | StaticTransform]
+    Channels: TypeAlias = str | Iterable[str] | UnprojectParams
+else:
+    Metres = float
+    Quantity = str | float
+    Time = str | float | datetime | timedelta
+    Transforms = str | Iterable[str]
+    Channels = str | Iterable[str]
+
+Path: TypeAlias = str | PathLike[str]
+Paths: TypeAlias = Path | Iterable[Path]
+Names: TypeAlias = str | Iterable[str]
+Period: TypeAlias = str | float | timedelta
+Tolerance: TypeAlias = float | Mapping[str, float]
+Progress: TypeAlias = Callable[..., object]
+
+# Sections of the help.
+PARAMS = "Parameters of pointcloud_to_laserscan"
+SLAM = "Beyond pointcloud_to_laserscan (ready for SLAM)"
+TOPICS = "Topics and time"
+POINTS = "Which points"
+FRAMES = "Frames"
+MOVING = "Robots that move"
+REVERSE = "LaserScan to PointCloud2"
+RUN = "Run"
+OUTPUT = "Output"
+REPORT = "Report"
+BATCH = "Batch"
+EXPORT = "Export"
+RULES = "Tolerances"
+NEW_CASE = "A new case"
+PYTHON = "Python"
+
+# Where an option may stand: in the description of one output (scans files, and dataset files); in that of a conversion
+# with a single output; in that of any conversion (dataset files); or only in the call.
+ONE_OUTPUT, SINGLE, CONVERSION, CALL_ONLY = "output", "single", "conversion", "call"
+
+
+class Option:
+    """An option: what its values mean, and how it is shown and typed.
+
+    Attributes
+    ----------
+    name
+        Its name in Python and in files.
+    value
+        The type of its values.
+    help
+        One or two sentences, without the default.
+    default
+        The value of a call that does not have it.
+    panel
+        The section of the help. Usually that of its group in `_SECTIONS`, like ``scope``.
+    common
+        Whether ``--help`` has it; ``--help-all`` has all.
+    scope
+        Where it may stand.
+    typed, short
+        How it is typed: ``--min-height``, ``-t``. An empty ``typed``: only Python has it.
+    offers
+        What the shell completes: ``frames``, ``presets``, or ``topics`` and the ends of their types.
+    command_only
+        Whether only the command has it.
+    """
+
+    __slots__ = (
+        *("_default_text", "command_only", "common", "default", "help", "name", "offers", "panel", "scope", "short"),
+        *("typed", "value"),
+    )
+
+    def __init__(
+        self,
+        value: Value,
+        text: str,
+        *,
+        panel: str | None = None,
+        default: Any = None,
+        default_text: str | None = None,
+        common: bool = False,
+        scope: str | None = None,
+        typed: str | None = None,
+        short: str = "",
+        offers: tuple[str, ...] = (),
+        command_only: bool = False,
+    ) -> None:
+        self.name = ""
+        self.value = value
+        self.help = text
+        self.panel = panel
+        self.default = False if default is None and isinstance(value, Flag) else default
+        self._default_text = default_text
+        self.common = common
+        self.scope = scope
+        self.typed = typed
+        self.short = short
+        self.offers = offers
+        self.command_only = command_only
+
+    @property
+    def default_text(self) -> str:
+        """The default for users; empty: there is none to show."""
+        if self._default_text is not None:
+            return self._default_text
+        return str(self.default) if self.default and self.default is not True else ""
+
+    @property
+    def spelling(self) -> str:
+        """The command line's spelling; of a flag that is on by default, the one that switches it off."""
+        return f"--{self.name.replace('_', '-')}" if self.typed is None else self.typed
+
+    def __repr__(self) -> str:
+        return f"<option {self.name}>"
+
+
+class Parameter(Option):
+    """A parameter of the projection, upstream's or pc2scan's own; its default is that of `ProjectionParams`."""
+
+    __slots__ = ()
+
+    def __init__(self, value: Value, text: str, panel: str = PARAMS, **more: Any) -> None:
+        super().__init__(value, text, panel=panel, scope=ONE_OUTPUT, **more)
+
+    @property
+    def kind(self) -> str:
+        """``float``, ``bool``, ``int`` or ``str``."""
+        return self.value.kind
+
+    @property
+    def unit(self) -> str:
+        """``m``, ``rad``, ``s`` or empty."""
+        return self.value.unit
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The choices, or the words that a number may be instead."""
+        return self.value.words
+
+    @property
+    def upstreams(self) -> bool:
+        """Whether upstream's node has it."""
+        return self.panel is PARAMS
+
+    @property
+    def is_shared(self) -> bool:
+        """Whether laserscan_to_pointcloud has it, too."""
+        return self.name in {"target_frame", "transform_tolerance", "queue_size"}
+
+    @property
+    def negation(self) -> str:
+        """The command line's spelling that sets it to false: ``--no-use-inf``."""
+        return f"--no-{self.name.replace('_', '-')}"
+
+    @property
+    def default_text(self) -> str:
+        """The default for users, with its unit: ``pi/180 rad, 1 degree``; empty: there is none to show."""
+        known = {-math.pi: "-pi", math.pi: "pi", math.pi / 180: "pi/180", 1 / 30: "1/30"}
+        text = known.get(self.default) if isinstance(self.default, float) else None
+        text = text or in_words(self.default)
+        # 0 beams and return 0: another parameter is used.
+        if not text or text == "no limit" or self.name in {"beams", "kth"}:
+            return "" if self.name in {"beams", "kth"} else text
+        return f"{text} {self.unit}".rstrip() + (", 1 degree" if self.name == "angle_increment" else "")
+
+
+#: What the shell completes: frames; or topics whose types have these ends.
+FRAME_NAMES = ("frames",)
+
+
+def topics_of(*ends: str) -> tuple[str, ...]:
+    """Return what the shell completes: topics whose types have these ends, or all."""
+    return ("topics", *ends)

@@ -1,0 +1,157 @@
+"""What is written, and how a command runs: the destination, reports, threads, the screen.
+
+No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
+"""
+
+from typing import Annotated, TypedDict
+
+from pc2scan.threads import MAX_JOBS
+
+from .option import Option, Path, Progress
+from .values import Count, Flag, Object, PathName, Size, Text
+
+
+class Container(TypedDict, total=False):
+    """The format of the recording that is written."""
+
+    to: Annotated[
+        str | None,
+        Option(
+            Text(words=("bag", "mcap", "rosbag2")), "Format of DST, if its name does not say it.", default_text="SRC's"
+        ),
+    ]
+    storage: Annotated[
+        str | None, Option(Text(words=("mcap", "sqlite3")), "Storage of a rosbag2 directory.", default_text="mcap")
+    ]
+    compression: Annotated[
+        str | None,
+        Option(
+            Text(words=("none", "lz4", "zstd", "bz2")),
+            "Bags: lz4 (default), none, bz2. MCAP: zstd (default), none, lz4. sqlite3: none (default), zstd. Without "
+            "this option, chunks that are copied whole keep their compression.",
+        ),
+    ]
+    profile: Annotated[
+        str | None, Option(Text(words=("ros1", "ros2")), "ROS version of an .mcap file.", default_text="the source's")
+    ]
+    metadata_version: Annotated[
+        int,
+        Option(
+            Count(8, 9, metavar="8|9"),
+            "Version of a rosbag2 directory's metadata.yaml; older readers do not accept 9.",
+            default=8,
+        ),
+    ]
+    ros_distro: Annotated[
+        str,
+        Option(
+            Text("NAME"),
+            "ROS distribution whose message definitions are written if the recording has none.",
+            default="",
+            default_text="noetic, jazzy",
+        ),
+    ]
+    split: Annotated[
+        str | None,
+        Option(
+            Text("TIME|SIZE"),
+            "Write several files, DST_0, DST_1 and so on. Each covers this much log time (60s, 10min, 1h) or has this "
+            "many bytes of messages before compression (500MB, 1GiB).",
+            common=True,
+        ),
+    ]
+    repeat_latched: Annotated[
+        bool,
+        Option(Flag(), "With `split`: repeat latched messages and static transforms at the beginning of each file."),
+    ]
+
+
+class Overwriting(TypedDict, total=False):
+    """Whether a recording is replaced."""
+
+    overwrite: Annotated[bool, Option(Flag(), "Replace DST, and the file of `report`, if they exist.", common=True)]
+
+
+class DryRun(TypedDict, total=False):
+    """Whether anything is written."""
+
+    dry_run: Annotated[
+        bool, Option(Flag(), "Write nothing; show what would be read and written.", short="-n", common=True)
+    ]
+
+
+class Scratch(TypedDict, total=False):
+    """Local copies of files at URLs."""
+
+    scratch: Annotated[
+        Path | None,
+        Option(
+            PathName("DIR"),
+            "Folder for local copies of files at URLs.",
+            default_text="the system's folder for temporary files",
+        ),
+    ]
+    scratch_size: Annotated[
+        str | None, Option(Size("SIZE"), "Maximum size of the local copies (20GB).", default_text="the free space")
+    ]
+
+
+class RunReport(TypedDict, total=False):
+    """The report of a run."""
+
+    report: Annotated[
+        Path | None,
+        Option(PathName(), "Write a report as JSON. An older report is replaced, any other file is not.", common=True),
+    ]
+
+
+class Threads(TypedDict, total=False):
+    """Threads of a run."""
+
+    jobs: Annotated[
+        int,
+        Option(
+            Count(0, MAX_JOBS),
+            f"Number of threads, up to {MAX_JOBS:,}; the output does not depend on it.",
+            default=0,
+            default_text="number of cores",
+            short="-j",
+        ),
+    ]
+
+
+class Watched(TypedDict, total=False):
+    """Progress of a run."""
+
+    progress: Annotated[
+        Progress | None,
+        Option(
+            Object(called=True),
+            "A function that is called from time to time with bytes read, bytes in total, and messages read.",
+            typed="",
+        ),
+    ]
+
+
+class Screen(TypedDict, total=False):
+    """What a run shows on the screen; only commands have it."""
+
+    quiet: Annotated[bool, Option(Flag(), "Show warnings and errors only.", short="-q", command_only=True)]
+    verbose: Annotated[
+        bool, Option(Flag(), "Show every parameter and where its value comes from.", short="-v", command_only=True)
+    ]
+
+
+class Json(TypedDict, total=False):
+    """Results as JSON; only commands have it."""
+
+    as_json: Annotated[bool, Option(Flag(), "Print JSON.", typed="--json", common=True, command_only=True)]
+
+
+class JUnit(TypedDict, total=False):
+    """Results as JUnit XML; only commands have it."""
+
+    junit: Annotated[
+        Path | None, Option(PathName(), "Write the results as JUnit XML, for CI systems.", command_only=True)
+    ]
+    overwrite: Annotated[bool, Option(Flag(), "Replace the file of `junit`, whatever it contains.", command_only=True)]
