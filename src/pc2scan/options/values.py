@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import timedelta
 from numbers import Integral, Real
 from os import PathLike
@@ -99,6 +100,10 @@ class Value:
         """
         raise NotImplementedError
 
+    def accept(self, value: object) -> Any:
+        """Return a value of a parameter, from Python or a file, in its type; None if it has another one."""
+        raise NotImplementedError
+
     def admits(self, value: object) -> bool:
         """Return whether a value of a YAML or JSON file has the right type."""
         return isinstance(value, str) and (value in self.words or not self.words)
@@ -119,6 +124,10 @@ class Flag(Value):
         if not isinstance(value, bool):
             raise TypeError(f"{name} is {shown(value)}, it must be True or False")
         return value
+
+    def accept(self, value: object) -> bool | None:
+        """Return the value if it is true or false."""
+        return value if isinstance(value, bool) else None
 
     def admits(self, value: object) -> bool:
         """Return whether it is true or false."""
@@ -141,6 +150,11 @@ class Text(Value):
         if self.words and value and value not in self.words:
             raise self._unknown(name, value)
         return value
+
+    def accept(self, value: object) -> str | None:
+        """Return the text if it is allowed; YAML reads the words inf and nan as numbers."""
+        text = str(value) if isinstance(value, float) and self.words else value
+        return text if isinstance(text, str) and (text in self.words or not self.words) else None
 
     def _unknown(self, name: str, value: str) -> UsageError:
         words = f"{', '.join(self.words[:-1])} or {self.words[-1]}"
@@ -261,11 +275,15 @@ class Count(Value):
             raise UsageError(f"`{name}` is {number:,}, it must be {limits}")
         return number
 
+    def accept(self, value: object) -> int | str | None:
+        """Return the number, or one of the words."""
+        if isinstance(value, str):
+            return value if value in self.words else None
+        return value if isinstance(value, int) and not isinstance(value, bool) else None
+
     def admits(self, value: object) -> bool:
         """Return whether it is a whole number, or one of the words."""
-        return (isinstance(value, int) and not isinstance(value, bool)) or (
-            isinstance(value, str) and value in self.words
-        )
+        return self.accept(value) is not None
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON schema."""
@@ -287,19 +305,34 @@ class Number(Value):
 
     def read(self, name: str, value: Any) -> float:
         """Return the number in metres, radians or seconds."""
-        if _is_number(value):
-            return float(value)
-        if not isinstance(value, str):
+        if isinstance(value, str):
+            # What is typed is text, also if it is a plain number.
+            with suppress(ValueError):
+                return float(value)
+        elif not _is_number(value):
             raise TypeError(f"{name} is {shown(value)}, it must be a number")
-        try:
-            return float(value)
-        except ValueError:
-            from pc2scan.core.quantities import EXAMPLES, quantity  # noqa: PLC0415  # most are plain numbers
-
-            number = quantity(value, self.unit) if self.unit else None
+        number = self.accept(value)
         if number is None:
+            from pc2scan.core.quantities import EXAMPLES  # noqa: PLC0415  # only for errors
+
             raise UsageError(f"`{name}`: {value!r} is not a number", hint=EXAMPLES.get(self.unit))
-        return number
+        return float(number)
+
+    def accept(self, value: object) -> float | str | None:
+        """Return the number in metres, radians or seconds, or one of the words; a plain number must not be text."""
+        if isinstance(value, str):
+            if value in self.words or not self.unit:
+                return value if value in self.words else None
+            with suppress(ValueError):
+                float(value)
+                return None
+            from pc2scan.core.quantities import quantity  # noqa: PLC0415  # most are plain numbers
+
+            return quantity(value, self.unit)
+        # A whole number of 309 digits does not fit into a float.
+        with suppress(OverflowError):
+            return float(value) if _is_number(value) else None  # type: ignore[arg-type]
+        return None
 
     def admits(self, value: object) -> bool:
         """Return whether it is a number, a quantity as text, or one of the words."""

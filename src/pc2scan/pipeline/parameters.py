@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
 
 from pc2scan.core.layout import FULL_TURN
@@ -167,31 +166,13 @@ def _typed_value(parameter: Parameter, setting: Setting) -> float | bool | str:
     A whole number is accepted where a float is expected; ROS 2 itself requires ``30.0``. A number may have a unit, or
     be arithmetic (``180deg``, ``pi/2``, ``50cm``). Nothing else is converted.
     """
-    value = setting.value
-    kind = parameter.kind
-    if kind == "bool" and isinstance(value, bool):
-        return value
-    if isinstance(value, str) and (value in parameter.words or (kind == "str" and not parameter.words)):
-        return value
-    if kind == "str" and isinstance(value, float) and str(value) in parameter.words:
-        # YAML reads the words inf and nan as numbers.
-        return str(value)
-    if kind == "int" and isinstance(value, int) and not isinstance(value, bool):
-        return value
-    if kind == "float" and isinstance(value, int | float) and not isinstance(value, bool):
-        # A whole number of 309 digits does not fit into a float.
-        with suppress(OverflowError):
-            return float(value)
-    if isinstance(value, str) and parameter.unit and isinstance(plain_scalar(value), str):
-        from pc2scan.core.quantities import quantity  # noqa: PLC0415  # most are plain numbers
-
-        number = quantity(value, parameter.unit)
-        if number is not None:
-            return number
+    found: float | bool | str | None = parameter.value.accept(setting.value)
+    if found is not None:
+        return found
     raise ParameterError(
-        expected_message(setting.name, shown(value), setting.origin),
+        expected_message(setting.name, shown(setting.value), setting.origin),
         name=parameter.name,
-        hint=_type_hint(parameter, value),
+        hint=_type_hint(parameter, setting.value),
     )
 
 
