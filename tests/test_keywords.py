@@ -93,9 +93,9 @@ def test_scans_takes_what_convert_takes() -> None:
 @pytest.mark.parametrize(
     ("function", "keyword", "hint"),
     [
-        ("view", "keep", "it is for recordings that are written; convert has it, view writes none"),
-        ("map", "fail_on", "it is for recordings that are written; convert has it, map writes none"),
-        ("scans", "only_scans", "it is for recordings that are written; convert has it, scans writes none"),
+        ("view", "keep", "it would have no effect, because view writes no recording; convert has it"),
+        ("map", "fail_on", "it would have no effect, because map writes no recording; convert has it"),
+        ("scans", "only_scans", "it would have no effect, because scans writes no recording; convert has it"),
         ("view", "overwrite", "`Page.save` has it"),
         ("map", "destination", "`Map.save` writes the files"),
         ("convert", "each", "pc2scan batch converts each recording on its own"),

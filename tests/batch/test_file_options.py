@@ -204,7 +204,7 @@ def test_exports_are_those_of_the_command() -> None:
     )
     for keywords, message in (
         ({"pose_frame": "odom"}, "`pose_frame` goes with `export`"),
-        ({"export": "npy"}, "`export` is 'npy', it must be npz"),
+        ({"export": "npy"}, "`export` is 'npy', it must be one of npz"),
         ({"export": "tum"}, "`export=tum` needs poses"),
         ({"export": "npz", "to": "bag", "split": "1s"}, "`to`, `split` would have no effect"),
     ):

@@ -379,7 +379,7 @@ def test_options_by_pattern(drives: Path, tmp_path: Path) -> None:
             "defaults:\n  min_hight: 1\n",
             "line 2: 'min_hight' is not allowed in defaults\nhint: did you mean min_height?",
         ),
-        ("defaults:\n  preset: gmaping\n", "line 2: preset is 'gmaping', it must be one of"),
+        ("defaults:\n  preset: gmaping\n", "there is no preset 'gmaping'; did you mean gmapping? (from "),
         ("recordings:\n- match: '*'\n  min_height: 3\n  max_height: 1\n", "line 4"),
         ("recordings:\n- match: '*'\n  static_tf: a b 0\n", "line 3"),
         ("recordings:\n- match: nothing\n  fixed_frame: odom\n", "matches no recording"),

@@ -304,7 +304,7 @@ def test_a_map_without_end_is_refused(tmp_path: Path) -> None:
         (["--png", "map.png", "--odom-frame", "world"], "--odom-frame odom draws the map"),
         (["--png", "map.png", "--base-frame", "base_lnik"], "hint: did you mean base_link?"),
         (["--png", "map.png", "--topic", "/nope"], "/nope"),
-        (["--png", "map.png", "--reverse"], "a map is made of scans"),
+        (["--png", "map.png", "--reverse"], "there is no option --reverse"),
         (["-o", "map.yaml", "--png", "map.pgm"], "map.pgm"),
     ],
 )

@@ -101,8 +101,8 @@ def test_a_short_help_that_has_all_options_needs_no_other(command: str) -> None:
 def test_only_recordings_that_are_written_have_options_about_them(command: str) -> None:
     idle = {"keep", "drop", "keep_clouds", "only_scans", "keep_used", "write_static_tf", "fail_on", "min_used", "to"}
     assert options_of(command).keys() & idle == set()
-    assert (
-        instead_of(command, "keep") == f"it is for recordings that are written; convert has it, {command} writes none"
+    assert instead_of(command, "keep") == (
+        f"it would have no effect, because {command} writes no recording; convert has it"
     )
 
 

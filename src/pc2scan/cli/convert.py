@@ -40,11 +40,14 @@ def convert(
     """
     from pc2scan.requests import conversion_of, destination_of, named_files, output_of
 
-    sources, options = _with_ros_arguments(sources, options)
+    sources, further = _ros_arguments(sources)
+    if further:
+        options = options.with_further(further)
     named, folder = destination_of(destination)
     form = output_of(options, folder=folder)
     files: Mapping[str, Path] = named_files(options)
     try:
+        options.check()
         conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
         from pc2scan.pipeline.report import Failure
@@ -74,16 +77,14 @@ def convert(
     raise end
 
 
-def _with_ros_arguments(words: Iterable[Path], options: Options) -> tuple[list[Path], Options]:
+def _ros_arguments(words: Iterable[Path]) -> tuple[list[Path], dict[str, list[str]]]:
     """Split the positional arguments into recordings, and remappings and parameters as ``rosrun`` reads them."""
-    sources, remaps, parameters = [], [], []
+    sources: list[Path] = []
+    further: dict[str, list[str]] = {}
     for word in words:
         text = str(word)
         if ":=" not in text:
             sources.append(word)
-        elif not text.startswith("_"):
-            remaps.append(text)
         elif not text.startswith("__"):
-            parameters.append(text)
-    further = {"remap": (*(options.remap or ()), *remaps), "param": (*(options.param or ()), *parameters)}
-    return sources, Options("convert", options.given | further, options.origins) if remaps or parameters else options
+            further.setdefault("param" if text.startswith("_") else "remap", []).append(text)
+    return sources, further

@@ -68,10 +68,11 @@ def typed_command(name: str, command: Callable[..., None]) -> Callable[..., None
 
     @wraps(command)
     def run(**typed: Any) -> None:
-        command(
-            **{key: value for key, value in typed.items() if key in own},
-            options=_options(name, {key: value for key, value in typed.items() if key not in own}),
-        )
+        options = _options(name, {key: value for key, value in typed.items() if key not in own})
+        # A failed conversion has a report, so `convert` checks them itself.
+        if name != "convert":
+            options.check()
+        command(**{key: value for key, value in typed.items() if key in own}, options=options)
 
     further = [_parameter(option) for option in known.values() if option.spelling]
     run.__signature__ = Signature([*taken, *further])  # type: ignore[attr-defined]
@@ -167,7 +168,7 @@ def _options(name: str, typed: Mapping[str, Any]) -> Options:
             words[key] = value == "local" or value
         else:
             words[key] = tuple(value) if isinstance(value, list) else value
-    return Options(name, words, origins)
+    return Options(name, words, origins, later=True)
 
 
 def _read_number(number: Callable[[str], float], text: str) -> object:

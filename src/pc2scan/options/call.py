@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING, Any
+
+from pc2scan.errors import UsageError
 
 from .option import ONE_OUTPUT, SINGLE, Parameter
 from .table import PARAMETERS, conversion_options, options_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
+
+    from typing_extensions import Self
 
     from .option import Option
 
@@ -31,6 +36,8 @@ class Options:
         Where parameters of the projection come from, for errors and reports; missing ones were given in Python.
     known
         The options that there are, if not those of the command.
+    later
+        Whether a wrong value is an error only in `check`; until then, it counts as not given.
 
     Attributes
     ----------
@@ -44,7 +51,7 @@ class Options:
         If a value has the wrong type, or means nothing.
     """
 
-    __slots__ = ("_known", "command", "given", "origins")
+    __slots__ = ("_known", "_wrong", "command", "given", "origins")
 
     def __init__(
         self,
@@ -53,17 +60,32 @@ class Options:
         origins: Mapping[str, str] | None = None,
         *,
         known: Mapping[str, Option] | None = None,
+        later: bool = False,
     ) -> None:
         self.command = command
         self.origins = origins or {}
         self._known = options_of(command) if known is None else known
         self.given: dict[str, Any] = {}
+        self._wrong: UsageError | None = None
         for name, value in values.items():
-            option = self._known[name]
-            if isinstance(option, Parameter):
-                self.given[name] = _python_value(value)
-            elif value is not None and not _is_default(read := option.value.read(name, value), option.default):
-                self.given[name] = read
+            try:
+                self._read(name, value)
+            except UsageError as err:
+                if not later:
+                    raise
+                self._wrong = self._wrong or err
+
+    def _read(self, name: str, value: Any) -> None:
+        option = self._known[name]
+        if isinstance(option, Parameter):
+            self.given[name] = _python_value(value)
+        elif value is not None and not _is_default(read := option.value.read(name, value), option.default):
+            self.given[name] = read
+
+    def check(self) -> None:
+        """Raise the first error of the values, if that was put off."""
+        if self._wrong is not None:
+            raise self._wrong
 
     def __getattr__(self, name: str) -> Any:
         """Return the value of an option; one that this command does not have has the default of a conversion."""
@@ -75,6 +97,12 @@ class Options:
         if option is None:
             raise AttributeError(f"{self.command} has no option {name!r}")
         return option.default
+
+    def with_further(self, texts: Mapping[str, Iterable[str]]) -> Self:
+        """Return the options with further values of options that may have several."""
+        more = copy(self)
+        more.given = self.given | {name: (*self.given.get(name, ()), *values) for name, values in texts.items()}
+        return more
 
     def origin(self, name: str) -> str:
         """Return where a parameter of the projection was given."""

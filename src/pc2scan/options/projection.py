@@ -23,7 +23,7 @@ from .option import (
     Path,
     Quantity,
 )
-from .values import Count, Flag, Number, Object, Outputs, PathName, Text, Texts
+from .values import Count, Flag, Number, Object, Outputs, PathName, Preset, Text, Texts
 
 
 class Projection(TypedDict, total=False):
@@ -224,7 +224,7 @@ class ParameterSources(TypedDict, total=False):
     preset: Annotated[
         str | None,
         Option(
-            Text("CONSUMER"),
+            Preset("CONSUMER"),
             "Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. "
             "Parameters given here or in a file override them.",
             panel=SLAM,

@@ -17,7 +17,9 @@ class Container(TypedDict, total=False):
     to: Annotated[
         str | None,
         Option(
-            Text(words=("bag", "mcap", "rosbag2")), "Format of DST, if its name does not say it.", default_text="SRC's"
+            Text(words=("bag", "mcap", "rosbag2"), is_open=True),
+            "Format of DST, if its name does not say it.",
+            default_text="SRC's",
         ),
     ]
     storage: Annotated[

@@ -270,7 +270,7 @@ def instead_of(command: str, name: str) -> str:
     if not others:
         return ""
     if "convert" in others and command in {"export", "map", "plot", "scans", "view"}:
-        return f"it is for recordings that are written; convert has it, {command} writes none"
+        return f"it would have no effect, because {command} writes no recording; convert has it"
     return f"only {', '.join(others[:3])} {'has' if len(others) == 1 else 'have'} it"
 
 

@@ -12,6 +12,7 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 from pc2scan.arguments import names_in, path_of, paths_in, shown
+from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
 from pc2scan.names import did_you_mean
 
@@ -29,6 +30,7 @@ __all__ = [
     "Outputs",
     "PathName",
     "PathNames",
+    "Preset",
     "Share",
     "Size",
     "Switch",
@@ -139,16 +141,29 @@ class Flag(Value):
 
 
 class Text(Value):
-    """A text, or one of a few words."""
+    """A text, or one of a few words.
+
+    Parameters
+    ----------
+    is_open
+        Whether there may be other words, which the code that obeys the option knows.
+    """
 
     is_text = True
+
+    def __init__(self, metavar: str | None = None, words: Iterable[str] = (), *, is_open: bool = False) -> None:
+        super().__init__(metavar, words)
+        self._is_open = is_open
 
     def read(self, name: str, value: Any) -> str:
         """Return the text."""
         if not isinstance(value, str):
             raise TypeError(f"{name} is {shown(value)}, it must be a str, or None")
-        if self.words and value and value not in self.words:
-            raise self._unknown(name, value)
+        if self.words and value and value not in self.words and not self._is_open:
+            raise UsageError(
+                f"`{name}` is {value!r}, it must be one of {', '.join(self.words)}",
+                hint=did_you_mean(value, self.words) or None,
+            )
         return value
 
     def accept(self, value: object) -> str | None:
@@ -156,9 +171,13 @@ class Text(Value):
         text = str(value) if isinstance(value, float) and self.words else value
         return text if isinstance(text, str) and (text in self.words or not self.words) else None
 
-    def _unknown(self, name: str, value: str) -> UsageError:
-        words = f"{', '.join(self.words[:-1])} or {self.words[-1]}"
-        return UsageError(f"`{name}` is {value!r}, it must be {words}", hint=did_you_mean(value, self.words) or None)
+
+class Preset(Text):
+    """The name of a consumer of scans, whose parameters are used."""
+
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return {"enum": list(PRESETS)}
 
 
 class Switch(Text):
