@@ -101,6 +101,8 @@ def test_scans_takes_what_convert_takes() -> None:
         ("convert", "each", "pc2scan batch converts each recording on its own"),
         ("diff", "explain", "for differences of libm, convert again with the other `angle_rounding`"),
         ("info", "atol", "only diff has it"),
+        ("view", "jobs", "it would have no effect here; convert has it"),
+        ("plot", "accumulate", "pages and figures make each scan of one cloud; convert with this option"),
     ],
 )
 def test_an_option_of_another_function_is_an_error_with_a_hint(function: str, keyword: str, hint: str) -> None:

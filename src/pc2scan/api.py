@@ -290,7 +290,7 @@ def view(
         paths,
         conversion,
         clouds=asked.clouds,
-        at=asked.at or (),
+        at=asked.at,
         preset=asked.preset or "",
         command=convert_words(paths, conversion, "scans.mcap"),
     )
@@ -342,7 +342,7 @@ def plot(
         path_of("destination", destination),
         conversion,
         clouds=asked.clouds,
-        at=asked.at or (),
+        at=asked.at,
         overwrite=asked.overwrite,
     )
     return drawn._replace(notes=[*notes, *drawn.notes])
@@ -424,8 +424,8 @@ def check(
     asked = Options("check", options)
     return look(
         paths_in("sources", sources),
-        consumers=asked.consumers or (),
-        topics=asked.topics or (),
+        consumers=asked.consumers,
+        topics=asked.topics,
         odom_frame=asked.odom_frame,
         base_frame=asked.base_frame,
         frames=frames_of(asked),
@@ -500,7 +500,7 @@ def golden(
 
     path, asked = path_of("folder", folder), Options("golden", options)
     if asked.init is not None:
-        part = {"start": asked.start, "end": asked.end, "topics": asked.topics or (), "params": asked.params_file}
+        part = {"start": asked.start, "end": asked.end, "topics": asked.topics, "params": asked.params_file}
         make_case(path, asked.init, run_command, **part)
     elif asked.given.keys() - {"update"}:
         raise UsageError("`start`, `end`, `topics` and `params_file` have no effect without init=SRC")
@@ -548,7 +548,7 @@ def diff(
 
     asked = Options("diff", options)
     rules = Rules.of(asked)
-    pairs = [TopicPair.parse(topic) for topic in asked.topics or ()]
+    pairs = [TopicPair.parse(topic) for topic in asked.topics]
     first, second = path_of("a", a), None if b is None else path_of("b", b)
     found = compare(first, second, topics=pairs, all_topics=asked.all_topics, rules=rules)
     if asked.view is not None:

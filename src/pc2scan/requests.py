@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
@@ -120,7 +120,7 @@ def _several_scans(options: Options, settings: list[Setting], note: Callable[[st
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
 
     refuse_beside(options.of_one_output)
-    settings = [*settings, *(parse_param(text) for text in reversed(options.param or ()))]
+    settings = [*settings, *(parse_param(text) for text in reversed(options.param))]
     found = load_scans(options.scans, settings)
     _note_ignored(found.ignored, note)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
@@ -140,7 +140,7 @@ def _of_node(
     resolved = _resolved(options, settings, node)
     _note_ignored(resolved.ignored, note)
     frames = frames_of(options)
-    topics, typed = options.topics or (), list(options.remap or ())
+    topics, typed = options.topics, list(options.remap)
     if typed and topics:
         raise UsageError(
             "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
@@ -191,10 +191,10 @@ def _resolved(options: Options, settings: list[Setting], node: str | None) -> Re
     if params is None:
         return resolve_sources(
             settings,
-            assignments=options.param or (),
+            assignments=options.param,
             file=options.params_file,
             node=node,
-            launch_args=options.launch_args or (),
+            launch_args=options.launch_args,
             preset=options.preset,
             reverse=reverse,
         )
@@ -240,15 +240,15 @@ def destination_of(destination: PathText | None) -> tuple[Path | None, Path | No
     return destination_and_folder(None if destination is None else path_text("destination", destination))
 
 
-def _channels(channels: tuple[str, ...] | UnprojectParams | None, range_cutoff: float | None) -> UnprojectParams | None:
+def _channels(channels: tuple[str, ...] | UnprojectParams, range_cutoff: float | None) -> UnprojectParams | None:
     """Combine the options about the fields of clouds into one object."""
-    if channels is None and range_cutoff is None:
+    if channels == () and range_cutoff is None:
         return None
     from .core.unproject import UnprojectParams  # noqa: PLC0415
 
     if isinstance(channels, UnprojectParams):
         return channels if range_cutoff is None else replace(channels, range_cutoff=range_cutoff)
-    wanted = {name: name in (channels or ()) for name in ("distances", "stamps", "viewpoint")}
+    wanted = {name: name in channels for name in ("distances", "stamps", "viewpoint")}
     return UnprojectParams(**wanted, range_cutoff=-1.0 if range_cutoff is None else range_cutoff)
 
 
@@ -290,7 +290,7 @@ def _filters_in(values: object) -> tuple[Filter, ...]:
     return found
 
 
-def _beam_filters(texts: Iterable[str] | None) -> tuple[BeamFilter, ...]:
+def _beam_filters(texts: Sequence[str]) -> tuple[BeamFilter, ...]:
     """Read the filters of beams."""
     if not texts:
         return ()

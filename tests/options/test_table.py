@@ -60,7 +60,7 @@ def test_defaults_have_the_right_type() -> None:
 
 def test_what_a_command_does_not_have_has_the_default_of_a_conversion() -> None:
     options = Options("map", {"on_error": "fail", "resolution": "5cm"})
-    assert (options.on_error, options.resolution, options.reverse, options.keep) == ("fail", 0.05, False, None)
+    assert (options.on_error, options.resolution, options.reverse, options.keep) == ("fail", 0.05, False, ())
     with pytest.raises(AttributeError, match="map has no option 'nothing'"):
         options.nothing  # noqa: B018
 

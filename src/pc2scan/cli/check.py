@@ -48,8 +48,8 @@ def check(
         with progress_bar(enabled=not options.as_json) as progress:
             result = look(
                 sources,
-                consumers=options.consumers or (),
-                topics=options.topics or (),
+                consumers=options.consumers,
+                topics=options.topics,
                 odom_frame=options.odom_frame,
                 base_frame=options.base_frame,
                 frames=frames,

@@ -40,7 +40,7 @@ def diff(
     from .progress import progress_bar
 
     rules = Rules.of(options)
-    pairs = [TopicPair.parse(topic) for topic in options.topics or ()]
+    pairs = [TopicPair.parse(topic) for topic in options.topics]
     with junit_output(options, "diff", [path for path in (a, b) if path is not None]) as write_junit:
         with progress_bar(enabled=not (options.as_json or options.quiet)) as progress:
             result = compare(a, b, topics=pairs, all_topics=options.all_topics, rules=rules, progress=progress)

@@ -78,7 +78,7 @@ def _init(folder: Path, options: Options) -> None:
     from .in_process import run_command
     from .progress import progress_bar
 
-    part = {"start": options.start, "end": options.end, "topics": options.topics or (), "params": options.params_file}
+    part = {"start": options.start, "end": options.end, "topics": options.topics, "params": options.params_file}
     with progress_bar(enabled=not options.quiet) as progress:
         made = make_case(folder, options.init, run_command, progress=progress, **part)
     for warning in made.warnings:

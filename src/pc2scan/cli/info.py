@@ -46,7 +46,7 @@ def info(
     given = [
         *(word for topic in frames.tf_topics for word in ("--tf-topic", topic)),
         *(word for path in frames.tf_from for word in ("--tf-from", str(path))),
-        *(word for text in options.static_tf or () for word in ("--static-tf", text)),
+        *(word for text in options.static_tf for word in ("--static-tf", text)),
         *(("--source-frame", frames.source_frame) if frames.source_frame else ()),
     ]
     if options.as_json:

@@ -45,7 +45,7 @@ def plot(
             destination,
             conversion,
             clouds=options.clouds,
-            at=options.at or (),
+            at=options.at,
             overwrite=options.overwrite,
             also_read=asked.files,
         )

@@ -57,7 +57,7 @@ def view(
         path,
         conversion,
         clouds=options.clouds,
-        at=options.at or (),
+        at=options.at,
         preset=options.preset or "",
         command=convert_words(sources, conversion, "scans.mcap"),
         overwrite=options.overwrite,

@@ -68,7 +68,7 @@ class Rules:
             atol=options.atol or {},
             rtol=options.rtol or {},
             allow_beams=options.allow_beams,
-            ignore=frozenset(options.ignore or ()),
+            ignore=frozenset(options.ignore),
         )
 
     def __post_init__(self) -> None:

@@ -79,8 +79,10 @@ class Options:
         option = self._known[name]
         if isinstance(option, Parameter):
             self.given[name] = _python_value(value)
-        elif value is not None and not _is_default(read := option.value.read(name, value), option.default):
-            self.given[name] = read
+        elif value is not None and not _is_default(value, option.default):
+            read = option.value.read(name, value)
+            if not _is_default(read, option.default):
+                self.given[name] = read
 
     def check(self) -> None:
         """Raise the first error of the values, if that was put off."""
@@ -134,7 +136,9 @@ class Options:
 
 
 def _is_default(value: object, default: object) -> bool:
-    return value is default or (type(value) is type(default) and value == default) or value == ()
+    if isinstance(value, tuple) and not value:
+        return True
+    return value is default or (type(value) is type(default) and bool(value == default))
 
 
 def _python_value(value: object) -> object:

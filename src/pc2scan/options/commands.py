@@ -376,10 +376,12 @@ class Comparing(TypedDict, total=False):
         Option(
             Tolerances("[NAME=]X"),
             "Absolute tolerance of all values, or of ranges, intensities or a field of the clouds.",
+            default=0.0,
         ),
     ]
     rtol: Annotated[
-        Tolerance | None, Option(Tolerances("[NAME=]X"), "Tolerance relative to A's value; the two are added.")
+        Tolerance | None,
+        Option(Tolerances("[NAME=]X"), "Tolerance relative to A's value; the two are added.", default=0.0),
     ]
     allow_beams: Annotated[
         float,

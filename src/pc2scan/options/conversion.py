@@ -208,7 +208,7 @@ class Frames(StaticTransforms, TransformSources, SourceFrame, total=False):
 
 
 class Motion(TypedDict, total=False):
-    """The robot's motion, and scans of several messages."""
+    """The robot's motion."""
 
     deskew: Annotated[
         bool,
@@ -269,6 +269,11 @@ class Motion(TypedDict, total=False):
             offers=topics_of("/Imu"),
         ),
     ]
+
+
+class Combination(TypedDict, total=False):
+    """Scans of several messages."""
+
     lead: Annotated[
         str,
         Option(

@@ -35,10 +35,10 @@ def frames_of(options: Options) -> FrameOptions:
     if options.static_tf_file or options.static_tf:
         from pc2scan.tf.static import added_transforms  # noqa: PLC0415  # few conversions add any
 
-        static = added_transforms(options.static_tf_file, options.static_tf or ())
+        static = added_transforms(options.static_tf_file, options.static_tf)
     return FrameOptions(
-        tf_topics=options.tf_topics or (),
-        tf_from=options.tf_from or (),
+        tf_topics=options.tf_topics,
+        tf_from=options.tf_from,
         static=static,
         source_frame=options.source_frame,
         write_static=options.write_static_tf,

@@ -74,13 +74,18 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
         return function(*args, **kwargs)
 
     ordered = sorted(known.values(), key=lambda option: not option.common)
-    annotations = {key: each for group in GROUPS[name] for key, each in group.__annotations__.items()}
+    # A name that is only there for type checkers is text.
+    types = {
+        key: getattr(each.__origin__, "__forward_arg__", each.__origin__)
+        for group in GROUPS[name]
+        for key, each in group.__annotations__.items()
+    }
     listed = [
         inspect.Parameter(
             option.name,
             inspect.Parameter.KEYWORD_ONLY,
             default=option.default,
-            annotation=annotations[option.name].__origin__,
+            annotation=types[option.name],
         )
         for option in ordered
     ]

@@ -70,7 +70,8 @@ class Option:
     help
         One or two sentences, without the default.
     default
-        The value of a call that does not have it.
+        The value of a call that does not have it. Usually False for a flag, and nothing for what may be given several
+        times.
     panel
         The section of the help. Usually that of its group in `_SECTIONS`, like ``scope``.
     common
@@ -109,6 +110,8 @@ class Option:
         self.value = value
         self.help = text
         self.panel = panel
+        if default is None and value.repeats:
+            default = ()
         self.default = False if default is None and isinstance(value, Flag) else default
         self._default_text = default_text
         self.common = common

@@ -35,6 +35,7 @@ from .commands import (
 )
 from .conversion import (
     BadMessages,
+    Combination,
     ConvertedTopics,
     Demands,
     Frames,
@@ -78,7 +79,11 @@ from .values import Object
 # Which command takes which groups; the order is that of the help's sections.
 
 
-class _Scans(ParameterSources, Projection, Reading, Points, Frames, Motion, total=False):
+class _Clouds(ParameterSources, Projection, Reading, Points, Frames, Motion, total=False):
+    """How a cloud becomes a scan, and what is read."""
+
+
+class _Scans(_Clouds, Combination, total=False):
     """How clouds become scans, and what is read."""
 
 
@@ -111,11 +116,11 @@ class Export(Exporting, ConvertedTopics, _Scans, BadMessages, Watched, total=Fal
     """``export``."""
 
 
-class View(ShownClouds, ConvertedTopics, _Scans, SeveralOutputs, Reversal, total=False):
+class View(ShownClouds, ConvertedTopics, _Clouds, SeveralOutputs, Reversal, total=False):
     """``view``."""
 
 
-class Plot(DrawnClouds, ConvertedTopics, _Scans, SeveralOutputs, total=False):
+class Plot(DrawnClouds, ConvertedTopics, _Clouds, SeveralOutputs, total=False):
     """``plot``."""
 
 
@@ -187,6 +192,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     Frames: (FRAMES, CONVERSION),
     SourceFrame: (FRAMES, CONVERSION),
     Motion: (MOVING, ONE_OUTPUT),
+    Combination: (MOVING, ONE_OUTPUT),
     ReverseOptions: (REVERSE, SINGLE),
     WrittenTopics: (TOPICS, CONVERSION),
     Demands: (RUN, CONVERSION),
@@ -269,9 +275,17 @@ def instead_of(command: str, name: str) -> str:
     others = [other for other in GROUPS if name in options_of(other) and not options_of(other)[name].command_only]
     if not others:
         return ""
-    if "convert" in others and command in {"export", "map", "plot", "scans", "view"}:
-        return f"it would have no effect, because {command} writes no recording; convert has it"
+    if command in ("view", "plot") and name in Combination.__annotations__:
+        return "pages and figures make each scan of one cloud; convert with this option, and use what it writes"
+    if "convert" in others and command in ("export", "map", "plot", "scans", "view"):
+        of_recordings = any(name in group.__annotations__ for group in _OF_RECORDINGS)
+        why = f"because {command} writes no recording" if of_recordings else "here"
+        return f"it would have no effect{',' if of_recordings else ''} {why}; convert has it"
     return f"only {', '.join(others[:3])} {'has' if len(others) == 1 else 'have'} it"
+
+
+#: What is about a recording that is written.
+_OF_RECORDINGS: tuple[Any, ...] = (WrittenTopics, Demands, Container, ReverseOptions, DryRun, RunReport)
 
 
 def conversion_options() -> Mapping[str, Option]:

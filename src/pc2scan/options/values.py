@@ -257,7 +257,7 @@ class PathNames(PathName):
 
     def read(self, name: str, value: Any) -> Any:
         """Return the paths as a tuple."""
-        return tuple(paths_in(name, value))
+        return () if value in ((), []) else tuple(paths_in(name, value))
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON schema."""
@@ -452,12 +452,12 @@ class Moments(Moment):
     repeats = True
 
     def read(self, name: str, value: Any) -> Any:
-        """Return them as a list of `pc2scan.options.moment.TimeBound`."""
+        """Return them as a tuple of `pc2scan.options.moment.TimeBound`."""
         # A NumPy array without dimensions is one time; a `TimeBound` is a tuple.
         several = isinstance(value, Iterable) and not isinstance(value, str) and not hasattr(value, "absolute")
         if several and getattr(value, "shape", True) != ():
-            return [super(Moments, self).read(name, time) for time in value]
-        return [super().read(name, value)]
+            return tuple(super(Moments, self).read(name, time) for time in value)
+        return (super().read(name, value),)
 
 
 class Size(Value):
