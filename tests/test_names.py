@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from pc2scan.names import did_you_mean, nearest
+from pc2scan.text import did_you_mean, nearest
 
 TOPICS = ["/imu", "/lidar/points", "/velodyne_points", "/tf", "/tf_static"]
 

@@ -9,7 +9,7 @@ import pytest
 
 import pc2scan
 from pc2scan.messages.laserscan import encode_laserscan
-from pc2scan.shown import Shown, Table
+from pc2scan.text import Shown, Table
 from support import ROOT
 from support.builders import SCAN, Item, Recording, Stream, write_mcap
 from support.scan_recordings import scans

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .errors import UsageError
-from .names import nearest
+from .text import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -4,7 +4,7 @@ import pytest
 
 from pc2scan.cli.render import count, duration, say, show_error, show_table, size, stamp
 from pc2scan.errors import DecodeError, UsageError, stamp_text, visible
-from pc2scan.shown import Table
+from pc2scan.text import Table
 
 
 def test_a_terminal_is_told_nothing_that_it_would_act_upon() -> None:

@@ -26,12 +26,9 @@ GROUND = {
     "arguments",
     "callable_package",
     "errors",
-    "json_types",
     "memory",
     "model",
-    "names",
-    "shown",
-    "text_enum",
+    "text",
     "threads",
     "version",
 }
@@ -245,8 +242,8 @@ def test_starting_is_cheap(code: str) -> None:
 #: as some thousand points.
 LOADED_BY_CONVERT = {
     "pc2scan": (
-        "arguments bags callable_package cli core errors files json_types memory messages model names options pipeline "
-        "remote requests shown tf threads version"
+        "arguments bags callable_package cli core errors files memory messages model options pipeline "
+        "remote requests text tf threads version"
     ),
     "pc2scan.bags": (
         "chunked damage destinations formats lasting many mcap opening parts reader rosbag1 topics units zstd"

@@ -25,7 +25,7 @@ from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.run import OutputOptions, run
 from pc2scan.pipeline.scan_spec import ScanSpec
-from pc2scan.text_enum import TextEnum
+from pc2scan.text import TextEnum
 from support.bounded import size_of
 from support.command import COMMAND, environment
 

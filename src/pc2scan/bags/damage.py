@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import stamp_text
-from pc2scan.shown import counted, size
+from pc2scan.text import counted, size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import TopicError, UsageError, name_list
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

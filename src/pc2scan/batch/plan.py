@@ -14,7 +14,7 @@ from pc2scan.files.places import working_names
 from pc2scan.files.records import Left
 from pc2scan.files.records import Record as FileRecord
 from pc2scan.files.same_file import name_key
-from pc2scan.shown import size
+from pc2scan.text import size
 from pc2scan.version import __version__
 
 from .identity import Identity

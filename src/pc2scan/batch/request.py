@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
-from pc2scan.json_types import json_value
 from pc2scan.options.call import Options
 from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
 from pc2scan.remote.urls import is_url
 from pc2scan.requests import conversion_of, output_of
+from pc2scan.text import json_value
 
 from .identity import Identity, identity_of
 

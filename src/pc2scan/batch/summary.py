@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import leading, visible
-from pc2scan.shown import Shown, Table, count, counted, csv_cell, duration, size
+from pc2scan.text import Shown, Table, count, counted, csv_cell, duration, size
 from pc2scan.version import __version__
 
 if TYPE_CHECKING:

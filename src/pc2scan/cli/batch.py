@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pc2scan.options.call import Options
-from pc2scan.shown import counted
+from pc2scan.text import counted
 
 from .render import say, show_parts, size, warn
 from .spelling import as_typed

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import stamp_text
-from pc2scan.shown import counted
+from pc2scan.text import counted
 
 from .render import say, size
 

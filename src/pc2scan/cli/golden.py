@@ -9,7 +9,7 @@ import typer
 
 from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
-from pc2scan.shown import counted
+from pc2scan.text import counted
 
 from .render import print_json, say, warn
 from .spelling import as_typed

@@ -10,7 +10,7 @@ from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
 from pc2scan.options.values import in_words
-from pc2scan.shown import Table
+from pc2scan.text import Table
 
 from .damage import SHOWN, show_recovery
 from .next_command import next_command

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from pc2scan.errors import visible
-from pc2scan.shown import Table, cells, count, duration, size, stamp
+from pc2scan.text import Table, cells, count, duration, size, stamp
 
 from .fitting import table_lines
 from .screen import Screen

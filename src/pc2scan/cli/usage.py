@@ -12,8 +12,8 @@ from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParamet
 from typer._click.exceptions import UsageError as TyperUsageError
 
 from pc2scan.errors import UsageError
-from pc2scan.names import did_you_mean
 from pc2scan.options.table import GROUPS, instead_of, options_of
+from pc2scan.text import did_you_mean
 
 from .spelling import as_typed
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import TopicError, UsageError, name_list
 from pc2scan.messages.schema import canonical
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 from .held import held
 from .match import OpenRecording, TopicStream, header_stamp_ns, matched

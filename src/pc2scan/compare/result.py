@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.shown import Shown, Table, counted
+from pc2scan.text import Shown, Table, counted
 
 from .summary import summary
 

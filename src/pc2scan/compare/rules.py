@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.core.compare import Tolerance
 from pc2scan.errors import UsageError
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import leading, stamp_text, visible
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.shown import counted
+from pc2scan.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.json_types import json_value
+from pc2scan.text import json_value
 
 if TYPE_CHECKING:
     from .difference import MessageDifference

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from pc2scan.arguments import refuse_unknown
 from pc2scan.errors import ParameterError
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 from .layout import (
     SYMMETRIC_BEAMS,

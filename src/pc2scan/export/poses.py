@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.topics import find_topics
 from pc2scan.errors import DecodeError, RecordingError, TransformError, UsageError, name_list
 from pc2scan.messages.odometry import ODOMETRY, decode_odometry
-from pc2scan.shown import counted
+from pc2scan.text import counted
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.reading import read_transforms
 
@@ -195,7 +195,7 @@ def open_poses(readers: Sequence[Reader], frames: FrameOptions, asked: PoseOptio
     known = set(transforms.frames)
     for option, name in (("pose_frame", asked.pose_frame), ("base_frame", asked.base_frame)):
         if name and name.removeprefix("/") not in known:
-            from pc2scan.names import did_you_mean  # noqa: PLC0415  # only for errors
+            from pc2scan.text import did_you_mean  # noqa: PLC0415  # only for errors
 
             near = did_you_mean(name, sorted(known))
             hint = f"{near} frames: {name_list(sorted(known))}".strip()

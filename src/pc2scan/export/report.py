@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import stamp_text, visible
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
-from pc2scan.shown import Shown, Table, count, counted, listed
+from pc2scan.text import Shown, Table, count, counted, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,7 +6,7 @@ import os
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from pc2scan.names import nearest
+from pc2scan.text import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

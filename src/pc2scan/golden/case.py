@@ -14,7 +14,7 @@ from pc2scan.files.nearby import missing_hint
 from pc2scan.files.ownership import InputPath
 from pc2scan.files.source import opened_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
-from pc2scan.names import did_you_mean, nearest
+from pc2scan.text import did_you_mean, nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -6,8 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.shown import Shown, Table
-from pc2scan.text_enum import TextEnum
+from pc2scan.text import Shown, Table, TextEnum
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

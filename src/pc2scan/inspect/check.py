@@ -13,10 +13,8 @@ from pc2scan.bags.topics import find_topics
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
-from pc2scan.json_types import json_value
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.names import did_you_mean
-from pc2scan.shown import Shown, Table, counted, listed
+from pc2scan.text import Shown, Table, counted, did_you_mean, json_value, listed
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 

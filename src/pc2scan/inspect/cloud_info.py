@@ -9,10 +9,9 @@ import numpy as np
 
 from pc2scan.core.level import thinned
 from pc2scan.errors import DecodeError, TransformError, leading
-from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
-from pc2scan.shown import counted
+from pc2scan.text import counted, json_value
 from pc2scan.tf.mounting import mounting
 
 from .spread import Spread, count_range, finite, spread_of, spread_table
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
-    from pc2scan.shown import Table
+    from pc2scan.text import Table
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import Frames

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, leading
-from pc2scan.json_types import json_value
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.remote.urls import is_url
-from pc2scan.shown import Shown, Table, count, counted, listed, size, stamp
+from pc2scan.text import Shown, Table, count, counted, json_value, listed, size, stamp
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
 from pc2scan.tf.reading import read_some_transforms, read_transforms

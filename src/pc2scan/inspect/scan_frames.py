@@ -9,8 +9,7 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
-from pc2scan.names import nearest
-from pc2scan.shown import counted
+from pc2scan.text import counted, nearest
 from pc2scan.tf.worlds import moving_below
 
 from .findings import Finding, Tally, few_unplaced, finding

@@ -13,7 +13,7 @@ from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, leading
 from pc2scan.messages.consumed import consumed_scan
 from pc2scan.messages.laserscan import decode_laserscan
-from pc2scan.shown import agreeing, counted
+from pc2scan.text import agreeing, counted
 
 from .spread import Spread, count_range, spread_of, spread_table
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.verdicts import Scan
     from pc2scan.model import RawMessage
-    from pc2scan.shown import Table
+    from pc2scan.text import Table
 
 __all__ = ["ScanInfo", "ScanLook"]
 

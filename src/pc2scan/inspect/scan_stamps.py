@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from pc2scan.errors import stamp_text
-from pc2scan.shown import agreeing, counted
+from pc2scan.text import agreeing, counted
 
 from .findings import Finding, Tally, finding
 

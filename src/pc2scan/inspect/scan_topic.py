@@ -13,7 +13,7 @@ from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
 from pc2scan.core.verdicts import OUTCOMES, Outcome, Scan, ScanTransforms, Verdict
 from pc2scan.messages.consumed import consumed_scan
-from pc2scan.shown import agreeing, counted
+from pc2scan.text import agreeing, counted
 
 from .findings import Finding, Tally, few_unplaced, finding
 from .scan_filling import ScanFilling

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import TransformError, stamp_text
 from pc2scan.remote.urls import is_url
-from pc2scan.shown import Shown, Table, count, listed
+from pc2scan.text import Shown, Table, count, listed
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 

@@ -15,7 +15,7 @@ from pc2scan.errors import DecodeError, TopicError
 from pc2scan.files.ownership import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.shown import counted
+from pc2scan.text import counted
 
 from .html import BEGINNING, check_page_name, html
 from .moments import moment

@@ -18,8 +18,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.inspect.scan_frames import BASE_FRAMES
-from pc2scan.names import did_you_mean
-from pc2scan.shown import counted
+from pc2scan.text import counted, did_you_mean
 
 from .map_result import Map, NotDrawn
 

@@ -10,8 +10,7 @@ import numpy as np
 from pc2scan.arguments import path_of
 from pc2scan.core.occupancy import FREE, OCCUPIED, Occupancy
 from pc2scan.files.text_output import files_output
-from pc2scan.json_types import json_value
-from pc2scan.shown import Shown, duration, listed
+from pc2scan.text import Shown, duration, json_value, listed
 
 from .map_files import image_of, map_paths, yaml_of
 from .map_picture import picture_of
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.shown import Table
+    from pc2scan.text import Table
 
 __all__ = ["Map", "NotDrawn", "contents_of"]
 

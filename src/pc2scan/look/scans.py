@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.topics import find_topic
 from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError, name_list
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.shown import counted
+from pc2scan.text import counted
 
 from .moments import moment, spread
 from .packed import described, packed

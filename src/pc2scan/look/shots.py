@@ -20,7 +20,7 @@ from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.deskew import Deskew, PointTime
 from pc2scan.pipeline.stages.select import Select
 from pc2scan.pipeline.turning import measured_turns
-from pc2scan.shown import counted
+from pc2scan.text import counted
 from pc2scan.tf.placing import Frames
 
 from .moments import moment, spread

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from pc2scan.arguments import names_in, path_of, paths_in, shown
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from typing import Any

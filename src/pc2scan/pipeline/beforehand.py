@@ -6,7 +6,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import TopicError, UnconnectedError, UsageError, name_list
-from pc2scan.shown import stamp
+from pc2scan.text import stamp
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -15,7 +15,7 @@ import numpy as np
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.level import cells_of, level_floor, thinned, tolerances
 from pc2scan.core.params import ProjectionParams
-from pc2scan.shown import agreeing, counted
+from pc2scan.text import agreeing, counted
 
 from .parameters import from_preset
 

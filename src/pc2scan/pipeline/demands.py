@@ -6,7 +6,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ResultError, name_list
-from pc2scan.shown import agreeing, counted
+from pc2scan.text import agreeing, counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import MessageError, ParameterError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 from pc2scan.tf.lookup_errors import frames_text
 from pc2scan.tf.worlds import WORLDS, moving_below
 

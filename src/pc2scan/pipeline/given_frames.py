@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError, name_list
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 from pc2scan.tf.static import static_text
 from pc2scan.tf.worlds import BODIES, WORLDS
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.errors import MissingError, UsageError
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 from .parameters import from_option
 

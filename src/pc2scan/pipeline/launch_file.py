@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from pc2scan.errors import ParameterError, SeveralNodesError, name_list
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -17,7 +17,7 @@ from pc2scan.core.resolution import RING_FIELDS, azimuth_step
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
 from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 from .conversion import Measured
 

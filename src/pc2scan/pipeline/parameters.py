@@ -15,9 +15,9 @@ from pc2scan.core.layout import FULL_TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError
-from pc2scan.names import did_you_mean, nearest
 from pc2scan.options.call import CALL
 from pc2scan.options.table import PARAMETERS
+from pc2scan.text import did_you_mean, nearest
 
 from .ros_scalars import plain_scalar
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, get_args
 from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.files.nearby import missing_hint
 from pc2scan.files.source import opened_bytes
-from pc2scan.names import did_you_mean
 from pc2scan.options.table import PARAMETERS
+from pc2scan.text import did_you_mean
 
 from .concealed import is_about, without_content
 from .launch_file import is_launch_xml, launch_node

@@ -9,7 +9,7 @@ from pc2scan.bags.topics import find_topic, find_topics, matches, renamed, short
 from pc2scan.errors import TopicError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence

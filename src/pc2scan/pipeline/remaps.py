@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 from .scan_spec import TopicRequest
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags.formats import FORMATS
 from pc2scan.core.rule import REJECTIONS, Rejection
 from pc2scan.errors import leading, stamp_text
-from pc2scan.json_types import json_value
-from pc2scan.shown import Shown, Table, count, listed, size
+from pc2scan.text import Shown, Table, count, json_value, listed, size
 from pc2scan.version import __version__
 
 from .report_warnings import loss_warning, param_notes, topic_notes, topic_warnings

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import stamp_text
-from pc2scan.shown import agreeing, counted
+from pc2scan.text import agreeing, counted
 
 from .parameters import from_preset
 

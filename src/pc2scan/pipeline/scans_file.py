@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.names import did_you_mean
 from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import Texts
+from pc2scan.text import did_you_mean
 
 from .combine.asked import Combining
 from .concealed import is_about, without_content

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.errors import DamageError
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.shown import agreeing, counted
+from pc2scan.text import agreeing, counted
 
 from .acceptance import refusal
 from .demands import refuse_nothing, refuse_unsatisfied

@@ -14,7 +14,7 @@ from pc2scan.core.gravity import up_by_gravity
 from pc2scan.core.upright import up_in
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.imu import IMU, decode_imu
-from pc2scan.shown import counted
+from pc2scan.text import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.lasting import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.names import did_you_mean
-from pc2scan.shown import counted
+from pc2scan.text import counted, did_you_mean
 
 from .options import FrameOptions
 

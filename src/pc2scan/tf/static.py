@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.layout import FULL_TURN
 from pc2scan.errors import ParameterError, Pc2ScanError, UsageError
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.core.terrain import on_ground
 from pc2scan.errors import UsageError
-from pc2scan.names import did_you_mean
+from pc2scan.text import did_you_mean
 
 from .filters import Frame
 

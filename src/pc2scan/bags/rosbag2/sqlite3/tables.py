@@ -23,7 +23,7 @@ from pc2scan.errors import RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.limits import MAX_CONNECTIONS, ConnectionLimit
 from pc2scan.model import Connection, Definition
-from pc2scan.shown import counted
+from pc2scan.text import counted
 
 from .checks import TIMES_SUM, index_trouble, table_trouble
 from .rows import SOUND, kinds_of, note_kinds, note_unsound, shown_value

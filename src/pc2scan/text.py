@@ -1,16 +1,39 @@
-"""Shows results to users in Python: tables and lines, as text for ``print`` and as HTML for notebooks."""
+"""Text for users: tables and lines, names that were probably meant, values for JSON, words as enumerations."""
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
-from typing import TYPE_CHECKING, NamedTuple
+from enum import Enum
+from itertools import islice
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .errors import leading, stamp_text, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-__all__ = ["Shown", "Table", "agreeing", "cells", "count", "counted", "csv_cell", "duration", "listed", "size", "stamp"]
+__all__ = [
+    "Shown",
+    "Table",
+    "TextEnum",
+    "agreeing",
+    "cells",
+    "count",
+    "counted",
+    "csv_cell",
+    "did_you_mean",
+    "duration",
+    "json_value",
+    "listed",
+    "nearest",
+    "size",
+    "stamp",
+]
+
+#: Maximum number of names that are compared, and their maximum length: recordings may have any number of names.
+_MOST_NAMES = 2_000
+_LONGEST_NAME = 255
 
 #: Maximum number of characters of a table's cell, because one long name would widen every line. Names in ROS have at
 #: most 255.
@@ -18,6 +41,46 @@ _MAX_CELL = 255
 
 #: Stamps between these, in seconds since 1970 (years 1980 to 2100), are shown as dates.
 _FIRST_DATE, _LAST_DATE = 315_532_800, 4_102_444_800
+
+
+def nearest(asked: str, known: Iterable[str]) -> str | None:
+    """Return the name that is most similar to the requested one, or None if none is similar.
+
+    Case, slashes at the ends, and hyphens instead of underscores are ignored. A part of a name matches, too.
+
+    >>> nearest("Base-Link", ["odom", "base_link"]), nearest("points", ["/lidar/points", "/imu"])
+    ('base_link', '/lidar/points')
+    >>> nearest("x", ["odom"])
+    """
+    import difflib  # noqa: PLC0415  # few commands are wrong, and all start quickly
+
+    names = {
+        _normalized(name): name for name in reversed(list(islice(known, _MOST_NAMES))) if len(name) <= _LONGEST_NAME
+    }
+    wanted = _normalized(asked[:_LONGEST_NAME])
+    if not wanted:
+        return None
+    close = difflib.get_close_matches(wanted, names, n=1)
+    # Then names that contain it as a part, or are a part of it, the shortest first.
+    close += sorted((name for name in names if _is_part(wanted, name) or _is_part(name, wanted)), key=len)
+    if not close:
+        ends = {name.rpartition("/")[2]: name for name in names}
+        close = [ends[end] for end in difflib.get_close_matches(wanted.rpartition("/")[2], ends, n=1)]
+    return names[close[0]] if close else None
+
+
+def did_you_mean(asked: str, known: Iterable[str]) -> str:
+    """Return ``did you mean base_link?``, or empty text if no name is similar to the requested one."""
+    name = nearest(asked, known)
+    return f"did you mean {name}?" if name else ""
+
+
+def _normalized(name: str) -> str:
+    return name.casefold().replace("-", "_").strip("/ ")
+
+
+def _is_part(short: str, long: str) -> bool:
+    return len(short) >= 3 and (long.endswith(f"/{short}") or long.startswith(f"{short}/") or f"/{short}/" in long)
 
 
 class Table(NamedTuple):
@@ -179,3 +242,30 @@ def _escaped(text: str) -> str:
     from html import escape  # noqa: PLC0415  # only notebooks need it
 
     return escape(visible(text))
+
+
+def json_value(value: Any) -> Any:
+    """Return a value with infinities and NaNs as text, in lists and dictionaries too.
+
+    Tuples become lists, named tuples dictionaries.
+
+    >>> json_value({"range_max": float("inf"), "angles": (0.5, float("nan"))})
+    {'range_max': 'inf', 'angles': [0.5, 'nan']}
+    """
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, dict):
+        return {key: json_value(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_value(part) for part in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class TextEnum(str, Enum):
+    """`enum.StrEnum`, which Python 3.10 does not have: ``str()`` and format strings give the value."""
+
+    def __str__(self) -> str:
+        return str.__str__(self)
+
+    def __format__(self, format_spec: str) -> str:
+        return str.__format__(self, format_spec)
