@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-__all__ = ["MAX_JOBS", "InOrder", "Task", "Threads"]
-
-#: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
-MAX_JOBS = 1024
+__all__ = ["InOrder", "Task", "Threads"]
 
 _Result = TypeVar("_Result")
 _Arguments = ParamSpec("_Arguments")

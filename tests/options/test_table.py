@@ -11,7 +11,9 @@ from typer.testing import CliRunner
 
 from pc2scan.cli.app import application
 from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
+from pc2scan.options.moment import TimeBound
 from pc2scan.options.table import GROUPS, PARAMETERS, instead_of, options_of, spelling_of
 from pc2scan.options.values import Object
 
@@ -111,3 +113,48 @@ def test_what_only_python_has_is_no_option_of_a_command() -> None:
         *("params", "filters", "frames", "progress")
     }
     assert all(not option.spelling for _, option in all_options() if isinstance(option.value, Object))
+
+
+@pytest.mark.parametrize(
+    ("command", "values", "message"),
+    [
+        ("convert", {"on_error": "ignore"}, "`on_error` is 'ignore', it must be one of skip, fail"),
+        ("convert", {"fail_on": "emtpy"}, "`fail_on` is 'emtpy', it must be one of empty, warning"),
+        ("convert", {"jobs": -1}, "`jobs` is -1, it must be from 0 to 1,024"),
+        ("convert", {"range_cutoff": "far"}, "`range_cutoff`: 'far' is not a number"),
+        ("convert", {"min_used": "half"}, "`min_used`: 'half' is not a share"),
+        ("convert", {"scratch_size": "20"}, "`scratch_size` is '20', it must be a size above 0"),
+        (
+            "convert",
+            {"channels": ["stamp"]},
+            "`channels` has 'stamp', its values must be among distances",
+        ),
+        ("convert", {"start": "soon"}, "`start`: 'soon' is not a time"),
+        ("batch", {"retries": 101}, "`retries` is 101, it must be from 0 to 100"),
+        ("view", {"clouds": 1001}, "`clouds` is 1,001, it must be from 1 to 1,000"),
+        ("info", {"samples": 0}, "`samples` is 0, it must be 1 or more"),
+        ("diff", {"atol": ["x"]}, "`atol`: 'x' is not a tolerance"),
+    ],
+)
+def test_a_wrong_value_is_an_error_that_names_the_option(command: str, values: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(message)):
+        Options(command, values)
+
+
+@pytest.mark.parametrize(
+    ("values", "read"),
+    [
+        ({"range_cutoff": "50cm"}, 0.5),
+        ({"range_cutoff": 2}, 2.0),
+        ({"min_used": "5%"}, 0.05),
+        ({"scratch_size": "20GB"}, 20 * 10**9),
+        ({"topics": "/points"}, ("/points",)),
+        ({"topics": ["/a", "/b:=/c"]}, ("/a", "/b:=/c")),
+        ({"start": 1.5}, TimeBound(1_500_000_000)),
+        ({"start": TimeBound(5, absolute=True)}, TimeBound(5, absolute=True)),
+        ({"verify": False}, False),
+        ({"min_height": 2.2250738585072014e-308}, 2.2250738585072014e-308),
+    ],
+)
+def test_a_value_is_read_by_its_type(values: dict[str, object], read: object) -> None:
+    assert list(Options("convert", values).given.values()) == [read]

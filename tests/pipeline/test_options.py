@@ -57,9 +57,5 @@ def test_what_is_not_a_topic(text: str) -> None:
 
 
 def test_contradictions_are_refused() -> None:
-    with pytest.raises(UsageError, match="on_error"):
-        ConvertOptions(on_error="ignore")
-    with pytest.raises(UsageError, match="jobs"):
-        ConvertOptions(jobs=-1)
     with pytest.raises(UsageError, match="only_scans"):
         ConvertOptions(only_scans=True, keep_clouds=True)

@@ -226,7 +226,7 @@ def test_what_cannot_be_used_is_skipped_with_a_warning_or_an_error(tmp_path: Pat
     assert [(s.topic, s.log_time_ns) for s in stream.skipped] == [("/scan", START + 2 * STEP)]
     with pytest.raises(MessageError, match="/scan"):
         list(pc2scan.scans(path, on_error="fail"))
-    with pytest.raises(UsageError, match="skip or fail"):
+    with pytest.raises(UsageError, match="must be one of skip, fail"):
         pc2scan.scans(path, on_error="ignore")
 
 

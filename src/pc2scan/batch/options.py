@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
 from pc2scan.remote.urls import is_url
-from pc2scan.threads import MAX_JOBS
 
 from .summary import BEGINNINGS
 
@@ -17,10 +16,6 @@ if TYPE_CHECKING:
     from pc2scan.options.call import Options
 
 __all__ = ["BatchOptions"]
-
-
-#: A process that dies so often dies every time.
-_MOST_RETRIES = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,10 +65,6 @@ class BatchOptions:
         return cls(**{name: options.given[name] for name in cls.__dataclass_fields__ if name in options.given})
 
     def __post_init__(self) -> None:
-        if not 0 <= self.jobs <= MAX_JOBS:
-            raise UsageError(f"`jobs` is {self.jobs:,}, it must be from 0 to {MAX_JOBS:,}")
-        if not 0 <= self.retries <= _MOST_RETRIES:
-            raise UsageError(f"`retries` is {self.retries:,}, it must be from 0 to {_MOST_RETRIES}")
         if isinstance(self.dask, str) and "://" not in self.dask:
             raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
         if isinstance(self.dask, str) and self.jobs:

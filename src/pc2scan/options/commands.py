@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from typing import Annotated, TypedDict
 
 from pc2scan.core.presets import PRESETS
-from pc2scan.threads import MAX_JOBS
 
 from .option import FRAME_NAMES, Metres, Names, Option, Path, Progress, Quantity, Time, Tolerance, topics_of
+from .running import MAX_JOBS
 from .values import Count, Flag, Moment, Moments, Number, Object, PathName, Switch, Text, Texts, Tolerances
 
 

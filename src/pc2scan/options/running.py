@@ -5,10 +5,11 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 
 from typing import Annotated, TypedDict
 
-from pc2scan.threads import MAX_JOBS
-
 from .option import Option, Path, Progress
 from .values import Count, Flag, Object, PathName, Size, Text
+
+#: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
+MAX_JOBS = 1024
 
 
 class Container(TypedDict, total=False):

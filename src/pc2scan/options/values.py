@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from datetime import timedelta
 from numbers import Integral, Real
@@ -210,8 +210,10 @@ class Texts(Value):
         """Return the texts as a tuple."""
         if type(value).__name__ in self._objects:
             return (value,) if name == "static_tf" else value
-        if self._objects and isinstance(value, Sequence) and not isinstance(value, str | bytes):
-            return tuple(value)
+        if self._objects and isinstance(value, Iterable) and not isinstance(value, str | bytes):
+            value = tuple(value)
+            if not all(isinstance(each, str) for each in value):
+                return value
         found = names_in(name, value)
         for text in found:
             if self.words and text not in self.words:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import UsageError
 from pc2scan.tf.options import FrameOptions
-from pc2scan.threads import MAX_JOBS
 
 from .scan_spec import ScanSpec
 
@@ -91,15 +90,9 @@ class ConvertOptions:
     repair: bool = False
 
     def __post_init__(self) -> None:
-        if self.on_error not in ("skip", "fail"):
-            raise UsageError(f"on_error is {self.on_error!r}, it must be skip or fail")
-        if self.fail_on not in ("", "empty", "warning"):
-            raise UsageError(f"fail_on is {self.fail_on!r}, it must be empty or warning")
         if not 0 <= self.min_used <= 1:
             hint = f"{self.min_used:g} % is {self.min_used / 100:g}" if 1 < self.min_used <= 100 else None
             raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1", hint=hint)
-        if not 0 <= self.jobs <= MAX_JOBS:
-            raise UsageError(f"`jobs` is {self.jobs:,}, it must be from 0 to {MAX_JOBS:,}")
         if self.only_scans and (self.keep or self.keep_clouds):
             raise UsageError("`only_scans` contradicts `keep` and `keep_clouds`")
 
