@@ -64,6 +64,8 @@ def convert(
 ) -> Report:
     """Convert recorded PointCloud2 to LaserScan, or back, as ``pc2scan convert`` does.
 
+    Parameters of the projection by name override those of ``params_file``, which override those of ``preset``.
+
     Parameters
     ----------
     sources
@@ -256,6 +258,8 @@ def view(
 ) -> Page:
     """Show a recording as an HTML page, as ``pc2scan view`` does: its clouds, and their scans with tunable parameters.
 
+    Of several outputs, the first is shown.
+
     Parameters
     ----------
     sources
@@ -304,6 +308,8 @@ def plot(
     **options: Unpack[table.Plot],
 ) -> Plotted:
     """Draw clouds from above and from the side, with the heights and the scan, as ``pc2scan plot`` does.
+
+    Of several outputs, the first is drawn.
 
     Parameters
     ----------
@@ -357,7 +363,8 @@ def map(  # noqa: A001  # the command's name
 
     This is a preview, not SLAM: no scans are matched, and no poses corrected. It shows whether heights, mounting,
     stamps and odometry fit together. A scan has the pose at its stamp; with a ``time_increment``, each beam has the
-    pose at its own time.
+    pose at its own time. ``topics`` are LaserScan or PointCloud2 topics; by default all scans, or all clouds if there
+    are no scans, or if an option is given that converts clouds. Of several outputs, the first is drawn.
 
     Parameters
     ----------
@@ -566,6 +573,10 @@ def export(
 ) -> ExportReport:
     """Write scans with poses, trajectories or clouds for learning and evaluation, as ``pc2scan export`` does.
 
+    With any parameter of the projection, clouds are converted first. Without ``topics``, all LaserScan topics are
+    exported; if clouds are exported or converted, all PointCloud2 topics. Options about transforms are also used for
+    poses.
+
     Parameters
     ----------
     sources
@@ -631,7 +642,7 @@ def scans(
 
     Scans are read one by one during the loop, in the order of log time, so memory use stays small. With ``params``,
     ``preset``, ``params_file`` or any parameter of the projection, clouds are converted instead, without writing a
-    file. The scans are identical to those that `pc2scan.convert` writes.
+    file. The scans are identical to those that `pc2scan.convert` writes; topics that share a target become one scan.
 
     Parameters
     ----------

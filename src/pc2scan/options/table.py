@@ -259,10 +259,13 @@ def spelling_of(name: str) -> str | None:
 _SPELLINGS: dict[str, str] = {}
 
 
-#: What to use instead of options that there are no more.
+#: What to use instead of options that there are no more, by command and name.
 _GONE = {
-    "each": "pc2scan batch converts each recording on its own",
-    "explain": "for differences of libm, convert again with the other `angle_rounding`",
+    ("convert", "each"): "pc2scan batch converts each recording on its own",
+    **dict.fromkeys(
+        (("diff", "explain"), ("diff", "clouds")),
+        "for differences of libm, convert again with the other `angle_rounding`",
+    ),
 }
 
 
@@ -270,8 +273,8 @@ def instead_of(command: str, name: str) -> str:
     """Return what to use instead of an option that a command does not have; empty if nothing is known."""
     if name in options_of(command):
         return ""
-    if name in _GONE:
-        return _GONE[name]
+    if (command, name) in _GONE:
+        return _GONE[command, name]
     others = [other for other in GROUPS if name in options_of(other) and not options_of(other)[name].command_only]
     if not others:
         return ""
