@@ -30,7 +30,7 @@ _FAR_NS = 1_000_000_000
 #: clock than the one before.
 _JUMP_NS = 10_000_000_000
 
-#: Maximum number of clocks that are distinguished on a topic; beyond it, the one not read for the longest time is dropped.
+#: Maximum number of clocks that are distinguished on a topic; beyond it, the one unused for longest is dropped.
 _MOST_CLOCKS = 8
 
 
