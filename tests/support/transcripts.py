@@ -9,15 +9,18 @@ A file of transcripts is about one subject; each of its cases is a heading, comm
     error: drvie.bag: does not exist
     hint: did you mean drive.bag?
 
-Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall.mcap``, ``hall``) is copied there.
+Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall.mcap``, ``hall``, or a golden case
+such as ``tf_static``) is copied there.
 ``pc2scan`` runs in this process, and every other command in a shell, where it must succeed. ``?`` is the exit status; 0
 if there is none. Each line below is in what the command printed, with any white space; a line that begins with ``!`` is
 not. ``|`` before a line is for lines that begin with one of these signs. A command that ends with 1 or 2 leaves the
-folder as it was. ``#`` is a comment.
+folder as it was; ``? 1 and writes`` is for one that
+may write before. ``#`` is a comment.
 """
 
 from __future__ import annotations
 
+import re
 import shlex
 import shutil
 import subprocess
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Case", "cases_of", "check"]
 
-FIXTURES = {path.name: path for path in (ROOT / "fixtures").glob("hall*")}
+FIXTURES = {path.name: path for pattern in ("hall*", "golden/*") for path in (ROOT / "fixtures").glob(pattern)}
 
 
 @dataclass
@@ -42,6 +45,7 @@ class Step:
 
     command: str
     status: int = 0
+    writes: bool = False
     said: list[str] = field(default_factory=list)
     not_said: list[str] = field(default_factory=list)
 
@@ -74,7 +78,8 @@ def cases_of(text: str) -> list[Case]:
         elif sign == "$":
             cases[-1].steps.append(Step(rest))
         elif sign == "?":
-            cases[-1].steps[-1].status = int(rest)
+            status, _, more = rest.partition(" ")
+            cases[-1].steps[-1].status, cases[-1].steps[-1].writes = int(status), more == "and writes"
         elif sign == "!":
             cases[-1].steps[-1].not_said.append(_flat(rest))
         else:
@@ -101,7 +106,10 @@ def check(case: Case, folder: Path) -> None:
         for text in step.not_said:
             assert text not in printed, f"said: {text}\n{where}"
         assert "Traceback" not in done.stderr, where
-        if done.status in {1, 2}:
+        # Options are spelled as they are typed; a command that cannot begin prints nothing but its error as JSON.
+        assert not re.search(r"`[a-z]\w*[=`]", done.stderr), where
+        assert not done.stderr.startswith("error: ") or done.stdout[:1] in {"", "{"}, where
+        if done.status in {1, 2} and not step.writes:
             assert sorted(_content(folder)) == before, where
 
 
