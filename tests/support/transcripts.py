@@ -20,6 +20,7 @@ may write before. ``#`` is a comment.
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
@@ -106,9 +107,13 @@ def check(case: Case, folder: Path) -> None:
         for text in step.not_said:
             assert text not in printed, f"said: {text}\n{where}"
         assert "Traceback" not in done.stderr, where
-        # Options are spelled as they are typed; a command that cannot begin prints nothing but its error as JSON.
+        # Options are spelled as they are typed.
         assert not re.search(r"`[a-z]\w*[=`]", done.stderr), where
-        assert not done.stderr.startswith("error: ") or done.stdout[:1] in {"", "{"}, where
+        if done.stderr.startswith("error: ") and done.stdout:
+            # A command that cannot begin prints nothing but its error as JSON.
+            document = json.loads(done.stdout)
+            assert document["exit_status"] == done.status, where
+            assert document["error"]["message"] in done.stderr, where
         if done.status in {1, 2} and not step.writes:
             assert sorted(_content(folder)) == before, where
 
