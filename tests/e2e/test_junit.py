@@ -1,10 +1,13 @@
-"""JUnit XML of check and diff, through the real command."""
+"""JUnit XML of check and diff."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
+import pytest
+
+import pc2scan
 from support import ROOT
 from support.command import run
 
@@ -14,42 +17,39 @@ if TYPE_CHECKING:
 HALL = ROOT / "fixtures" / "hall.bag"
 
 
-def cases(path: Path) -> dict[str, str]:
-    """Outcomes by name: the element within the case, or ``passed``."""
-    (suite,) = ET.fromstring(path.read_text("utf-8"))
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    pc2scan.convert(HALL, tmp_path / "scans.bag", min_height=-0.3)
+    pc2scan.convert(HALL, tmp_path / "other.bag", min_height=-0.2, keep_clouds=True)
+    return tmp_path
+
+
+SLAM = {"/scan for slam_toolbox": "passed", "/scan for nav2": "failure"}
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "expected"),
+    [
+        ("check scans.bag", 1, SLAM),
+        ("check scans.bag --for amcl", 0, {"/scan for amcl": "passed", "/scan: defects": "passed"}),
+        ("diff scans.bag other.bag", 1, {"/points": "failure", "/scan": "failure"}),
+        ("diff scans.bag scans.bag -q", 0, {"/scan": "passed"}),
+    ],
+)
+def test_each_consumer_or_topic_is_a_case(words: str, status: int, expected: dict[str, str], folder: Path) -> None:
+    assert run(*words.split(), "--junit", "r.xml", cwd=folder).status == status
+    (suite,) = ET.fromstring((folder / "r.xml").read_text("utf-8"))
     bad = {"failure", "error"}
-    return {str(case.get("name")): next((child.tag for child in case if child.tag in bad), "passed") for case in suite}
+    found = {str(case.get("name")): next((part.tag for part in case if part.tag in bad), "passed") for case in suite}
+    if expected is SLAM:
+        assert {"/scan for gmapping", "/scan for mrpt", "/scan: defects"} <= found.keys()
+        found = {name: outcome for name, outcome in found.items() if name in expected}
+    assert found == expected
 
 
-def test_check_has_a_case_for_each_consumer(tmp_path: Path) -> None:
-    scans, report = tmp_path / "scans.bag", tmp_path / "check.xml"
-    assert run("convert", HALL, "-o", scans, "--min-height", "-0.3").status == 0
-    done = run("check", scans, "--junit", report)
-    assert done.status == 1
-    found = cases(report)
-    assert found["/scan for slam_toolbox"] == "passed"
-    assert found["/scan for nav2"] == "failure"
-    assert {"/scan for gmapping", "/scan for mrpt", "/scan: defects"} <= found.keys()
-    assert run("check", scans, "--for", "amcl", "--junit", report).status == 0
-    assert cases(report) == {"/scan for amcl": "passed", "/scan: defects": "passed"}
-
-
-def test_diff_has_a_case_for_each_topic(tmp_path: Path) -> None:
-    one, other, report = tmp_path / "one.bag", tmp_path / "other.bag", tmp_path / "diff.xml"
-    assert run("convert", HALL, "-o", one, "--min-height", "-0.3").status == 0
-    assert run("convert", HALL, "-o", other, "--min-height", "-0.2", "--keep-clouds").status == 0
-    assert run("diff", one, other, "--junit", report).status == 1
-    assert cases(report) == {"/points": "failure", "/scan": "failure"}
-    assert run("diff", one, one, "--junit", report, "-q").status == 0
-    assert cases(report) == {"/scan": "passed"}
-
-
-def test_a_recording_is_not_written_over(tmp_path: Path) -> None:
-    scans = tmp_path / "scans.bag"
-    assert run("convert", HALL, "-o", scans, "--min-height", "-0.3").status == 0
-    before = scans.read_bytes()
-    for words in (("check", scans), ("diff", scans, HALL)):
-        done = run(*words, "--junit", scans, "--overwrite")
-        assert done.status == 2, done.stderr
-        assert scans.read_bytes() == before
-        assert run(*words, "--overwrite").status == 2
+@pytest.mark.parametrize("words", ["check scans.bag", "diff scans.bag other.bag"])
+def test_a_recording_is_not_written_over(words: str, folder: Path) -> None:
+    before = (folder / "scans.bag").read_bytes()
+    assert run(*words.split(), "--junit", "scans.bag", "--overwrite", cwd=folder).status == 2
+    assert (folder / "scans.bag").read_bytes() == before
+    assert run(*words.split(), "--overwrite", cwd=folder).status == 2
