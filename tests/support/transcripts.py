@@ -107,6 +107,8 @@ def check(case: Case, folder: Path) -> None:
         for text in step.not_said:
             assert text not in printed, f"said: {text}\n{where}"
         assert "Traceback" not in done.stderr, where
+        # Neither a progress bar nor colours: this is no terminal.
+        assert not {"\x1b", "\r"} & {*done.stdout, *done.stderr}, where
         # Options are spelled as they are typed.
         assert not re.search(r"`[a-z]\w*[=`]", done.stderr), where
         if done.stderr.startswith("error: ") and done.stdout:
