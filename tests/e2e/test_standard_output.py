@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
-import pty
 import shlex
 import shutil
-import struct
 import subprocess
 import sys
-import termios
 from pathlib import Path
 
 import pytest
@@ -22,6 +18,7 @@ from support import ROOT, sampled
 from support.builders import write_mcap
 from support.command import COMMAND, Finished, environment, run
 from support.scan_recordings import recording, scans
+from support.terminal import shown
 
 HALL = ROOT / "fixtures" / "hall.bag"
 GOLDEN = ROOT / "fixtures" / "golden"
@@ -125,34 +122,6 @@ def test_a_server_that_is_not_there_is_no_missing_file(tmp_path: Path) -> None:
 
 
 # --- Terminals ---
-
-
-def shown(*arguments: str | Path, columns: int | None = None, **variables: str) -> str:
-    """What a command prints on a pipe, or with ``columns`` on a terminal so wide."""
-    command = [*COMMAND, *map(str, arguments)]
-    env = {name: value for name, value in environment().items() if name not in ("COLUMNS", "NO_COLOR", "FORCE_COLOR")}
-    env |= {"TERM": "xterm", **variables}
-    if columns is None:
-        done = subprocess.run(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env, timeout=120, check=False
-        )
-        return done.stdout
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
-    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, env=env)
-    os.close(theirs)
-    data = b""
-    while True:
-        try:
-            piece = os.read(ours, 65536)
-        except OSError:  # the terminal was closed
-            break
-        if not piece:
-            break
-        data += piece
-    process.wait(60)
-    os.close(ours)
-    return data.decode().replace("\r\n", "\n")
 
 
 COMMANDS = [
