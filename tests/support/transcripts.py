@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Case", "cases_of", "check"]
 
-FIXTURES = {path.name: path for pattern in ("hall*", "golden/*") for path in (ROOT / "fixtures").glob(pattern)}
+FIXTURES = {path.name: path for pattern in ("hall*", "golden*/*") for path in (ROOT / "fixtures").glob(pattern)}
 
 
 @dataclass
@@ -93,7 +93,7 @@ def cases_of(text: str) -> list[Case]:
 
 def check(case: Case, folder: Path) -> None:
     """Type a case's commands in an empty folder, and hold them to what is expected."""
-    words = {word for step in case.steps for word in shlex.split(step.command)}
+    words = {word.partition("/")[0] for step in case.steps for word in shlex.split(step.command)}
     for name in FIXTURES.keys() & words:
         (shutil.copytree if FIXTURES[name].is_dir() else shutil.copyfile)(FIXTURES[name], folder / name)
     for step in case.steps:
