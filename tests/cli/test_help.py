@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import pc2scan
 from pc2scan.cli.app import COMMANDS, application
 from pc2scan.cli.examples import EXAMPLES
-from pc2scan.cli.spelling import OPTIONS, as_typed
+from pc2scan.cli.spelling import OPTIONS
 from pc2scan.core import kernel
 from support import ROOT
 from support.command import run
@@ -90,21 +90,6 @@ def test_defaults_are_for_people() -> None:
     assert "e-308" not in shown
     everything = run("--help").stdout
     assert all(f"  {name}" in everything for name in COMMANDS)
-
-
-@pytest.mark.parametrize(
-    ("text", "typed"),
-    [
-        ("`overwrite=True` replaces it", "--overwrite replaces it"),
-        ("`topics=/points:=/scan_2`", "--topic /points:=/scan_2"),
-        ("without `strict`, `angle_min=-3.14` and `scan_time`", "without --strict, --angle-min -3.14 and --scan-time"),
-        # Text in backticks that is no option is unchanged.
-        ("`ls` and `pc2scan tf` and `min height` and `", "`ls` and `pc2scan tf` and `min height` and `"),
-        ("range_max 5 m", "range_max 5 m"),
-    ],
-)
-def test_options_are_spelled_as_they_are_typed(text: str, typed: str) -> None:
-    assert as_typed(text) == typed
 
 
 def texts_of_the_library() -> Iterator[tuple[str, str]]:

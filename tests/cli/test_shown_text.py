@@ -1,54 +1,22 @@
-"""Numbers, times, names and tables as they are printed."""
+"""Tables and errors as they are printed; `tests/transcripts/shown.calls` has numbers, times and names."""
 
 from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pc2scan.bags.damage import Damage
+from pc2scan.cli.damage import show_damage, show_recovery
 from pc2scan.cli.fitting import table_lines
-from pc2scan.cli.render import count, duration, say, show_error, show_table, size, stamp
-from pc2scan.errors import DecodeError, UsageError, name_list, stamp_text, visible
+from pc2scan.cli.render import say, show_error, show_table
+from pc2scan.errors import DecodeError, UsageError
+from pc2scan.pipeline.report import Report
+from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.shown import Table
-
-
-@pytest.mark.parametrize(
-    ("shown", "expected"),
-    [
-        (visible("/sc\x1b[2Jan\r\n\x07"), "/sc\\x1b[2Jan\\r\\n\\x07"),
-        (visible("läser 点"), "läser 点"),
-        (visible("läser 点", ascii_only=True), "l\\xe4ser \\u70b9"),
-        (visible("\udcff\u202e"), "\\udcff\\u202e"),
-        (stamp_text(0), "0.000000000"),
-        (stamp_text(1604515190231374463), "1604515190.231374463"),
-        (stamp_text(-5), "-0.000000005"),
-        (stamp_text(-(10**9)), "-1.000000000"),
-        # Stamps have dates where they are times of the day.
-        (stamp(-1), "-0.000000001"),
-        (stamp(12_000_000_000), "12.000000000"),
-        (stamp(2**63 - 1), "9223372036.854775807"),
-        (stamp(1_700_000_000_999_999_999), "1700000000.999999999 (2023-11-14 22:13:20 UTC)"),
-        (count(0), "-"),
-        (count(1234567), "1,234,567"),
-        (size(0), "0 B"),
-        (size(999), "999 B"),
-        (size(1000), "1.0 kB"),
-        (size(2.5e9), "2.5 GB"),
-        (size(3e15), "3000.0 TB"),
-        (duration(0.0), "under 1 ms"),
-        (duration(0.001), "1 ms"),
-        (duration(0.9994), "999 ms"),
-        (duration(0.9996), "1.0 s"),
-        (duration(59.94), "59.9 s"),
-        (duration(59.96), "1 min 0 s"),
-        (duration(3599.6), "1 h 0 min"),
-        (duration(90061), "25 h 1 min"),
-        (name_list([]), "none"),
-        (name_list(["/a", "/b", "/c"], limit=2), "/a, /b and 1 more"),
-    ],
-)
-def test_numbers_times_and_names_are_shown_so(shown: str, expected: str) -> None:
-    assert shown == expected
 
 
 @pytest.mark.parametrize(
@@ -84,6 +52,7 @@ def test_a_table_lines_up_and_escapes(capsys: pytest.CaptureFixture[str]) -> Non
     assert capsys.readouterr().out.splitlines() == lines
 
 
+PATH = Path("drive.bag")
 CELLS = [
     ("topic", "type", "messages", "lost", "what"),
     ("/front/lidar/velodyne_points", "sensor_msgs/msg/PointCloud2", "12,000", "-", "converted with a remark of words"),
@@ -109,3 +78,54 @@ def test_a_table_that_is_too_wide_loses_no_text() -> None:
 def test_any_table_fits(rows: list[list[str]], width: int) -> None:
     cells = [["one", "two", "three", "four"], *rows]
     assert all(len(line) <= width for line in table_lines(cells, ("one", "three"), width))
+
+
+def test_many_places_are_cut_short(capsys: pytest.CaptureFixture[str]) -> None:
+    show_damage([Damage("is \x1b[2J", PATH, offset) for offset in range(1000)])
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 6
+    assert lines[0] == r"damaged: drive.bag, byte 0: is \x1b[2J"
+    assert "995 more places" in lines[-1]
+
+
+@pytest.mark.parametrize(
+    ("places", "declared", "found", "lost", "times"),
+    [
+        (
+            [(1, 100, None, 5, 9), (2, 200, None, 7, 12)],
+            1300,
+            "1,200 of the 1,300 messages that the source declares",
+            "300 B lost",
+            "messages may be missing from log time 0.000000005 to 0.000000012",
+        ),
+        (
+            [()],
+            1200,
+            "1,200 messages",
+            "it is unknown how much is lost",
+            "it is unknown at which times messages are missing",
+        ),
+        (
+            [(1, 0, 2, 5, 9), (2, 0, 0)],
+            None,
+            "1,200 messages",
+            "2 messages lost",
+            "messages may be missing from log time 0.000000005 to 0.000000009",
+        ),
+        (
+            [(1, 0, 0)],
+            None,
+            "1,200 messages",
+            "no bytes are known to be lost",
+            "no message is known to be missing",
+        ),
+    ],
+)
+def test_a_run_says_what_was_recovered(
+    places: Any, declared: int | None, found: str, lost: str, times: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damage = [Damage("x", PATH, *place) for place in places]
+    report = Report(["a"], "b", (ScanSpec(),), damage=damage, messages_read=1200, messages_declared=declared)
+    show_recovery(report)
+    assert capsys.readouterr().err.splitlines()[-1] == f"recovered: {found}; {lost}; {times}"
+    assert report.exit_status == 3
