@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,7 @@ from support.builders import (
     write_mcap,
     write_rosbag1,
 )
-from support.command import Finished, run
+from support.command import run
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,24 +75,6 @@ def changed(*beams: tuple[int, int, float]) -> Recording:
     for number, beam, value in beams:
         values[number][beam] = value
     return recording(values)
-
-
-@pytest.fixture
-def compared(tmp_path: Path) -> Any:
-    """Compares a recording with the ten scans: the only topic's difference as JSON, and the text."""
-    reference = write_mcap(tmp_path / "a.mcap", recording())
-
-    def call(other: Recording, *options: str, swapped: bool = False) -> tuple[dict[str, Any], Finished]:
-        sides = [reference, write_mcap(tmp_path / "b.mcap", other)]
-        sides = sides[::-1] if swapped else sides
-        done, again = run("diff", *sides, *options), run("diff", *sides, *options, "--json")
-        assert (done.stderr, again.stderr) == ("", "")
-        found = json.loads(again.stdout)
-        assert found["exit_status"] == done.status == again.status == (0 if found["same"] else 1)
-        (topic,) = found["topics"]
-        return topic | {"same": found["same"]}, done
-
-    return call
 
 
 # --- nothing ---
@@ -142,90 +125,90 @@ def test_scans_are_the_same_in_every_form(ros_versions: tuple[int, int], tmp_pat
 # --- scans ---
 
 
-def test_a_single_bit_is_found_and_named(compared: Any) -> None:
+def bit() -> Recording:
     values = [v.copy() for v in TEN]
     values[4].view(np.uint32)[90] ^= 1
-    topic, done = compared(recording(values))
-    assert topic["differing"] == 1
-    (only,) = topic["values"]
-    assert (only["name"], only["messages"], only["changed"], only["shifted"]) == ("ranges", 1, 1, 0)
-    assert (only["worst"]["index"], only["worst"]["stamp_ns"]) == (90, stamp_of(4))
-    assert only["worst"]["angle"] == pytest.approx(0.0, abs=1e-6)
-    for text in ("1 beam of 1,810", "beam 90 (0.00 deg)", "different: 1 of 1 topic"):
-        assert text in done.stdout
-    assert compared(recording(values), "--rtol", "1e-6")[0]["same"]
+    return recording(values)
 
 
-def test_a_shifted_beam_is_told_from_a_changed_one(compared: Any) -> None:
-    # Beam 70 had no return and takes its neighbour's.
-    assert np.isinf(TEN[2][70])
-    topic, _ = compared(changed((2, 70, TEN[2][69]), (2, 69, np.inf), (3, 50, TEN[3][50] + 1)))
-    (only,) = topic["values"]
-    assert (only["changed"], only["shifted"], only["whole_shifts"]) == (1, 2, 0)
-
-
-def test_a_whole_scan_one_beam_over_is_said(compared: Any) -> None:
-    topic, done = compared(recording([np.roll(v, 1) if step == 6 else v for step, v in enumerate(TEN)]))
-    assert topic["values"][0]["whole_shifts"] == 1
-    assert "1 whole scan shifted by one beam" in done.stdout
-
-
-@pytest.mark.parametrize("dropped", [0, 5, 9])
-@pytest.mark.parametrize("swapped", [False, True])
-def test_a_dropped_message_is_missing_or_extra(dropped: int, swapped: bool, compared: Any) -> None:
+def without(dropped: int) -> Recording:
     kept = recording()
-    topic, _ = compared(Recording(kept.streams, (*kept.items[:dropped], *kept.items[dropped + 1 :])), swapped=swapped)
-    assert (topic["matched"], topic["differing"]) == (9, 0)
-    side = topic["extra" if swapped else "missing"]
-    assert (side["count"], side["first"][0]["stamp_ns"]) == (1, stamp_of(dropped))
+    return Recording(kept.streams, (*kept.items[:dropped], *kept.items[dropped + 1 :]))
 
 
-def test_a_swapped_pair_has_moved(compared: Any) -> None:
-    order = [0, 1, 2, 4, 3, 5, 6, 7, 8, 9]
-    other = recording([TEN[k] for k in order], order)
-    topic, _ = compared(other)
-    assert (topic["moved"]["count"], topic["values"]) == (1, [])
-    assert [change["name"] for change in topic["changes"]] == ["log_time"]
-    assert compared(other, "--ignore", "order", "--ignore", "log_time")[0]["same"]
-    # Only the contents change places: both scans differ.
-    topic, _ = compared(recording([TEN[k] for k in order]))
-    assert (topic["moved"]["count"], topic["differing"]) == (0, 2)
+def later(log_ns: int, stamps: int | None = None) -> Recording:
+    """Recorded later, with the same stamps, or with others, a nanosecond apart."""
+
+    def of(step: int) -> Item:
+        stamp_ns = stamp_of(step) if stamps is None else T0 + stamps + step
+        return scan_item(TEN[step], T0 + log_ns + step * SECOND // 10, stamp_ns=stamp_ns)
+
+    return Recording((SCANS,), tuple(map(of, range(10))))
 
 
-def test_the_allowed_share_is_of_all_beams(compared: Any) -> None:
-    other = changed((1, 1, TEN[1][1] + 1), (1, 2, TEN[1][2] + 1), (7, 1, TEN[7][1] + 5))
-    assert not compared(other, "--allow-beams", str(2.9 / 1810))[0]["same"]
-    topic, done = compared(other, "--allow-beams", str(3 / 1810))
-    assert topic["same"]
-    assert topic["values"][0]["allowed"]
-    assert "within the allowed" in done.stdout
-    # The worst scan has the most beams that differ, the worst beam differs most.
-    assert topic["worst"]["stamp_ns"] == stamp_of(1)
-    assert topic["values"][0]["worst"]["index"] == 1
-    assert compared(other, "--allow-beams", "1")[0]["same"]
-
-
-def test_what_a_new_recording_changes_is_pointed_out(compared: Any) -> None:
-    items = [scan_item(v, T0 + 5 + step * SECOND // 10, stamp_ns=stamp_of(step)) for step, v in enumerate(TEN)]
-    later = Recording((SCANS,), tuple(items))
-    topic, done = compared(later)
-    assert not topic["same"]
-    assert "--ignore log_time" in done.stdout
-    assert compared(later, "--ignore", "log_time")[0]["same"]
-
-
-def test_two_drives_have_no_stamp_in_common(compared: Any) -> None:
-    items = [scan_item(v, T0 + step, stamp_ns=T0 + step) for step, v in enumerate(TEN)]
-    _, done = compared(Recording((SCANS,), tuple(items)))
-    for text in ("only in A  10 scans: ", " and 7 more", "hint: no stamp is on both sides"):
-        assert text in done.stdout
-
-
-def test_a_topic_of_another_type_differs(compared: Any) -> None:
+def clouds() -> Recording:
     stream = Stream("/scan", POINTS.msgtype)
-    _, done = compared(Recording((stream,), (item(stream, T0, lambda g, s: cloud(points_of(s), g)),)))
-    assert done.status == 1
-    assert "sensor_msgs/msg/LaserScan in A, sensor_msgs/msg/PointCloud2 in B" in done.stdout
+    return Recording((stream,), (item(stream, T0, lambda g, s: cloud(points_of(s), g)),))
+
+
+SWAPPED = [0, 1, 2, 4, 3, 5, 6, 7, 8, 9]
+ROLLED = [np.roll(v, 1) if step == 6 else v for step, v in enumerate(TEN)]
+THREE = changed((1, 1, TEN[1][1] + 1), (1, 2, TEN[1][2] + 1), (7, 1, TEN[7][1] + 5))
+#: Beam 70 had no return and takes its neighbour's: it has shifted.
+SHIFTED = changed((2, 70, TEN[2][69]), (2, 69, np.inf), (3, 50, TEN[3][50] + 1))
+
+ONE_BIT = "same=False differing=1 values.0.name=ranges values.0.messages=1 values.0.changed=1 values.0.shifted=0"
+WORST = f"values.0.worst.index=90 values.0.worst.stamp_ns={stamp_of(4)} values.0.worst.angle=0.0"
+ALLOWED = f"same=True values.0.allowed=True worst.stamp_ns={stamp_of(1)} values.0.worst.index=1"
+
+#: Another recording, options, what the JSON says of the only topic, and what the text says.
+CHANGES: list[tuple[Recording, str, str, str]] = [
+    (bit(), "", f"{ONE_BIT} {WORST}", "1 beam of 1,810|beam 90 (0.00 deg)|different: 1 of 1 topic"),
+    (bit(), "--rtol 1e-6", "same=True", "same"),
+    (SHIFTED, "", "values.0.changed=1 values.0.shifted=2 values.0.whole_shifts=0", ""),
+    (recording(ROLLED), "", "values.0.whole_shifts=1", "1 whole scan shifted by one beam"),
+    (recording([TEN[k] for k in SWAPPED], SWAPPED), "", "moved.count=1 values=[] changes.0.name=log_time", ""),
+    (recording([TEN[k] for k in SWAPPED], SWAPPED), "--ignore order --ignore log_time", "same=True", ""),
+    # Only the contents change places: both scans differ.
+    (recording([TEN[k] for k in SWAPPED]), "", "moved.count=0 differing=2", ""),
+    # The allowed share is of all beams. The worst scan has the most that differ, the worst beam differs most.
+    (THREE, f"--allow-beams {2.9 / 1810}", "same=False", ""),
+    (THREE, f"--allow-beams {3 / 1810}", ALLOWED, "within the allowed"),
+    (THREE, "--allow-beams 1", "same=True", ""),
+    # What a new recording changes is pointed out.
+    (later(5), "", "same=False", "--ignore log_time"),
+    (later(5), "--ignore log_time", "same=True", ""),
+    (later(0, stamps=0), "", "matched=0", "only in A  10 scans: | and 7 more|hint: no stamp is on both sides"),
+    (clouds(), "", "same=False", "sensor_msgs/msg/LaserScan in A, sensor_msgs/msg/PointCloud2 in B"),
+    *((without(k), "", f"matched=9 missing.count=1 missing.first.0.stamp_ns={stamp_of(k)}", "") for k in (0, 5, 9)),
+]
+
+
+def value_at(document: Any, path: str) -> str:
+    for step in path.split("."):
+        document = document[int(step)] if step.isdecimal() else document[step]
+    return str(round(document, 6) if isinstance(document, float) else document)
+
+
+@pytest.mark.parametrize(("other", "options", "expected", "said"), CHANGES)
+def test_what_differs_is_found_and_said(
+    other: Recording, options: str, expected: str, said: str, tmp_path: Path
+) -> None:
+    sides = write_mcap(tmp_path / "a.mcap", recording()), write_mcap(tmp_path / "b.mcap", other)
+    done, again = (run("diff", *sides, *options.split(), *more) for more in ([], ["--json"]))
+    assert (done.stderr, again.stderr) == ("", "")
+    found = json.loads(again.stdout)
+    assert found["exit_status"] == done.status == again.status == (0 if found["same"] else 1)
+    (topic,) = found["topics"]
+    topic |= {"same": found["same"]}
+    assert [f"{path}={value_at(topic, path)}" for path in re.findall(r"(\S+)=", expected)] == expected.split()
+    assert [text for text in said.split("|") if text not in done.stdout] == []
+
+
+def test_what_is_missing_on_one_side_is_extra_on_the_other(tmp_path: Path) -> None:
+    sides = write_mcap(tmp_path / "a.mcap", without(5)), write_mcap(tmp_path / "b.mcap", recording())
+    (topic,) = pc2scan.diff(*sides).topics
+    assert (topic.matched, topic.differing, topic.missing.count, topic.extra.count) == (9, 0, 0, 1)
 
 
 def test_a_recording_with_an_unset_clock(tmp_path: Path) -> None:
