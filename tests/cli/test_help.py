@@ -114,6 +114,7 @@ OPTIONS_BELOW = {
 }
 
 
+@pytest.mark.slow
 def test_the_library_names_options_and_the_command_spells_them() -> None:
     group = get_command(application())
     known = {name for command in COMMANDS for each in group.commands[command].params for name in each.opts}  # type: ignore[attr-defined]

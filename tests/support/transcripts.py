@@ -9,8 +9,8 @@ A file of transcripts is about one subject; each of its cases is a heading, comm
     error: drvie.bag: does not exist
     hint: did you mean drive.bag?
 
-Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall.mcap``, ``hall``, or a golden case
-such as ``tf_static``) is copied there.
+Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall.mcap``, ``hall``, a golden case such as
+``tf_static``, or one of `tests/transcripts/files`) is copied there.
 ``pc2scan`` runs in this process, and every other command in a shell, where it must succeed. ``?`` is the exit status; 0
 if there is none. Each line below is in what the command printed, with any white space; a line that begins with ``!`` is
 not. ``|`` before a line is for lines that begin with one of these signs. A command that ends with 1 or 2 leaves the
@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Case", "cases_of", "check"]
 
-FIXTURES = {path.name: path for pattern in ("hall*", "golden*/*") for path in (ROOT / "fixtures").glob(pattern)}
+PATTERNS = ("fixtures/hall*", "fixtures/golden*/*", "tests/transcripts/files/*")
+FIXTURES = {path.name: path for pattern in PATTERNS for path in ROOT.glob(pattern)}
 
 
 @dataclass
