@@ -9,7 +9,6 @@ import pytest
 
 import pc2scan
 from support import ROOT, sampled
-from support.builders import CLOUD, POINTS, SCAN, T0, Item, Recording, Stream, cloud, item, points_of, scan, write_mcap
 from support.command import run
 
 if TYPE_CHECKING:
@@ -73,41 +72,3 @@ def test_clouds_are_moved_by_the_transforms_of_their_recording(case: str, tmp_pa
     assert same.libm is not None
     assert (same.libm.explained, same.libm.glibc) == (0, "")
     assert same.libm.beams > 1000
-
-
-SCANS = Stream("/scan", SCAN, "/scanner")
-OTHERS = Stream("/others", CLOUD, "/other_driver")
-
-
-def recording(path: Path, shift: float, *streams: Stream, frame_id: str = "laser") -> Path:
-    """Scans with stamps 0, 1 and 2; clouds with stamps 1 and 2."""
-    beams = points_of(0, 100)[10:, 0]
-
-    def scan_of(step: int) -> Item:
-        return item(SCANS, T0 + step, lambda ros_version, _: scan(beams + shift, ros_version, stamp_ns=1000 + step))
-
-    def cloud_of(stream: Stream, step: int) -> Item:
-        def encoded(ros_version: int, _: int) -> bytes:
-            return cloud(points_of(step), ros_version, stamp_ns=1000 + step, frame_id=frame_id)
-
-        return item(stream, T0 + step, encoded)
-
-    items = [scan_of(step) for step in range(3)] + [cloud_of(stream, step) for stream in streams for step in (1, 2)]
-    return write_mcap(path, Recording((SCANS, *streams), tuple(items)))
-
-
-def test_why_scans_are_not_compared_with_clouds(tmp_path: Path) -> None:
-    a, b = recording(tmp_path / "a.mcap", 0.0), recording(tmp_path / "b.mcap", 0.001)
-    clouds = recording(tmp_path / "clouds.mcap", 0.0, POINTS, OTHERS)
-    _, libm = explained(a, b, "--clouds", clouds)
-    assert libm["reasons"] == {"there is no cloud with its stamp": 1}
-    assert (libm["clouds"]["scans"], libm["scans_alone"]["scans"]) == (2, 1)
-    assert libm["clouds"]["explained"] == 0
-    elsewhere = recording(tmp_path / "elsewhere.mcap", 0.0, POINTS, frame_id="lidar")
-    _, libm = explained(a, b, "--clouds", elsewhere)
-    (reason,) = [reason for reason in libm["reasons"] if "stamp" not in reason]
-    assert "frame 'laser'" in reason
-    assert libm["reasons"][reason] == 2
-    done = run("diff", a, b, "--clouds", a)
-    assert (done.status, done.stdout) == (2, "")
-    assert "a.mcap: has no clouds: there is no PointCloud2 topic" in done.stderr
