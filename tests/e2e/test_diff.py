@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import pc2scan
-from support import RECORDINGS, ROOT, needs_shared, sampled
+from support import RECORDINGS, needs_shared, sampled
 from support.builders import (
     BATTERY,
     CONTENT,
@@ -230,29 +230,6 @@ def test_seq_counts_between_ros1_recordings_only(tmp_path: Path) -> None:
 # --- topics ---
 
 
-def test_two_topics_of_one_recording(tmp_path: Path) -> None:
-    second = Stream("/scan2", SCAN)
-    items = recording([TEN[0], TEN[1] + np.float32(0.25), TEN[2]], stream=second).items
-    path = write_mcap(tmp_path / "a.mcap", Recording((SCANS, second), (*recording(TEN[:3]).items, *items)))
-    done = run("diff", path, "--topic", "/scan:=/scan2")
-    assert done.status == 1
-    assert "/scan and /scan2" in done.stdout
-    assert run("diff", path, "--topic", "/scan:=/scan2", "--atol", "0.2501").status == 0
-    for options in ((), ("--topic", "/scan")):
-        done = run("diff", path, *options)
-        assert done.status == 2
-        assert "--topic /scan:=/scan2" in done.stderr
-
-
-def test_a_topic_under_another_name_is_suspected(tmp_path: Path) -> None:
-    reference = write_mcap(tmp_path / "a.mcap", recording())
-    path = write_mcap(tmp_path / "b.mcap", recording(stream=Stream("/front/scan", SCAN)))
-    done = run("diff", reference, path)
-    assert done.status == 1
-    assert "hint: the same under another name? --topic /scan:=/front/scan" in done.stdout
-    assert run("diff", reference, path, "--topic", "/scan:=/front/scan").status == 0
-
-
 def changed_content(topic: str, ros_version: int, data: bytes) -> Recording:
     """The common content with another last message on a topic."""
     items = list(CONTENT.items)
@@ -327,30 +304,6 @@ def test_recordings_without_scans_and_clouds_need_all_topics(tmp_path: Path) -> 
     done = run("diff", talk, talk)
     assert (done.status, done.stdout) == (2, "")
     assert "--all-topics" in done.stderr
-
-
-@pytest.mark.parametrize(("values", "status"), [(TEN, 0), (TEN[1:], 1)])
-def test_quiet_tells_by_the_status_alone(values: list[Ranges], status: int, tmp_path: Path) -> None:
-    sides = write_mcap(tmp_path / "a.mcap", recording()), write_mcap(tmp_path / "b.mcap", recording(values))
-    assert run("diff", *sides, "--quiet") == (0 if values is TEN else 1, "", "") == (status, "", "")
-
-
-def test_names_from_a_recording_are_escaped(tmp_path: Path) -> None:
-    sides = [
-        write_mcap(tmp_path / f"{side}.mcap", Recording((SCANS,), (scan_item(TEN[0], frame_id=frame),)))
-        for side, frame in enumerate(("a\x1b[2J", "b"))
-    ]
-    done = run("diff", *sides)
-    assert done.status == 1
-    assert "\x1b" not in done.stdout
-
-
-def test_conversions_of_every_kind_are_the_same(tmp_path: Path) -> None:
-    outputs = []
-    for name, options in (("a.bag", {}), ("b.mcap", {"jobs": 1}), ("c", {"storage": "sqlite3"})):
-        outputs.append(tmp_path / name)
-        pc2scan.convert(ROOT / "fixtures" / "hall.bag", outputs[-1], min_height=-0.3, **options)
-    assert all(pc2scan.diff(outputs[0], other, all_topics=True).same for other in outputs[1:])
 
 
 @needs_shared
