@@ -139,7 +139,7 @@ def test_a_hint_is_in_the_traceback() -> None:
 # --- counts ---
 
 
-def test_more_than_there_is_takes_no_more_memory_and_says_the_same() -> None:
+def test_more_samples_than_clouds_change_nothing() -> None:
     few = str(pc2scan.info(HALL, samples=5))
     peaks = []
     for samples in (5, 3_000_000):
