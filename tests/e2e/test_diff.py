@@ -98,7 +98,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             *((kind, "bag-lz4") for kind in SOURCES),
             *((kind, "mcap-zstd") for kind in ("mcap-none", "mcap-ros1", "mcap-ros2idl", "rosbag2-sqlite3-split")),
         ],
-        8,
+        9,
     ),
 )
 def test_the_form_makes_no_difference(kind: str, against: str, folder: Path) -> None:

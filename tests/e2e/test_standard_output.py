@@ -234,10 +234,15 @@ def test_check_and_diff_have_the_progress_bar(command: str, tmp_path: Path) -> N
 
 def test_how_far_a_comparison_is(tmp_path: Path) -> None:
     many = write_mcap(tmp_path / "many.mcap", recording({"/scan": scans(200)}))
+    both = write_mcap(tmp_path / "both.mcap", recording({"/a": scans(96), "/b": scans(96)}))
     told: list[tuple[int, int, int]] = []
-    assert diff(many, many, progress=lambda *step: told.append(step)).same
-    assert all(0 <= done <= total for done, total, _ in told)
-    assert [messages for _, _, messages in told] == [32, 64, 96, 128, 160, 192]
+    for path, topics in ((many, 1), (both, 2)):
+        told.clear()
+        assert diff(path, path, progress=lambda *step: told.append(step)).same
+        assert [messages for _, _, messages in told] == [32, 64, 96, 128, 160, 192]
+        assert {total for _, total, _ in told} == {2 * topics * path.stat().st_size}
+        assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
+        assert all(0 < done <= total for done, total, _ in told)
     told.clear()
     check(many, progress=lambda *step: told.append(step))
     assert [messages for _, _, messages in told] == [0, 64, 128, 192]
