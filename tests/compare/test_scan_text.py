@@ -164,6 +164,7 @@ CLOUD_TEXT = render_messages([message(cloud(np.full((2, 3), 2.5, np.float32), 2)
         (CLOUD_TEXT, "point_step 12", "point_step 8", ""),
         (CLOUD_TEXT, "0 float32 1", "0 float32 99999999999", ""),
         (CLOUD_TEXT, "0 float32 1", "-4 float32 1", ""),
+        (CLOUD_TEXT, "field 4 float32", "fold 4 float32", "fold"),
         (CLOUD_TEXT, "points 2", "points 0", ""),
         (CLOUD_TEXT, "points 2", "points 99999999999", ""),
         (CLOUD_TEXT, "0: 2.5 ", "0: 1e300 ", ""),
