@@ -120,13 +120,7 @@ def test_many_places_are_cut_short(capsys: pytest.CaptureFixture[str]) -> None:
             "2 messages lost",
             "messages may be missing from log time 0.000000005 to 0.000000009",
         ),
-        (
-            [(1, 0, 0)],
-            None,
-            "1,200 messages",
-            "no bytes are known to be lost",
-            "no message is known to be missing",
-        ),
+        ([(1, 0, 0)], None, "1,200 messages", "no bytes are known to be lost", "no message is known to be missing"),
     ],
 )
 def test_a_run_says_what_was_recovered(

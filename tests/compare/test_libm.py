@@ -46,11 +46,7 @@ NO_CLOUDS = "there are no clouds (`clouds` names some)"
     ("pairs", "tolerance", "expected"),
     [
         ([((1, 2, 3, 4), (1, 2, 3, 4))], 0.0, (0, 0, 0, 0, 0, {})),
-        (
-            [((9, 2, 5, 9), (9, 5, 2, 9)), ((4, 4, 4, 4), (4, 3, 4, 4))],
-            0.0,
-            (2, 3, 2, 0, 0, {NO_CLOUDS: 2}),
-        ),
+        ([((9, 2, 5, 9), (9, 5, 2, 9)), ((4, 4, 4, 4), (4, 3, 4, 4))], 0.0, (2, 3, 2, 0, 0, {NO_CLOUDS: 2})),
         # What is within the tolerance does not differ.
         ([((1, 2, 3, 4), (1.2, 2, 9, 4))], 0.5, (1, 1, 0, 1, 0, {NO_CLOUDS: 1})),
     ],

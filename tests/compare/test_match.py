@@ -90,11 +90,7 @@ def test_a_clock_that_jumps_back_after_a_gap() -> None:
     ("a", "b", "pairs"),
     [
         # Without a stamp by log time. The second is missing: those after it keep their partners all the same.
-        (
-            stream([0, 0, 0, 0], [10, 20, 30, 40]),
-            stream([0, 0, 0], [10, 30, 40]),
-            {(0, 0), (1, None), (2, 1), (3, 2)},
-        ),
+        (stream([0, 0, 0, 0], [10, 20, 30, 40]), stream([0, 0, 0], [10, 30, 40]), {(0, 0), (1, None), (2, 1), (3, 2)}),
         (stream([None, None], [1, 2]), stream([None, None], [1, 2]), {(0, 0), (1, 1)}),
         # A stamp is no log time.
         (stream([0], [500]), stream([500], [500]), {(0, None), (None, 0)}),
@@ -158,10 +154,7 @@ class Counted:
         self.reads = 0
 
     def messages(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
+        self, connections: Collection[Connection] | None = None, start_ns: int | None = None, stop_ns: int | None = None
     ) -> Iterator[RawMessage]:
         self.reads += 1
         return iter(()) if self.lost and start_ns is not None else self.source.messages(connections, start_ns, stop_ns)

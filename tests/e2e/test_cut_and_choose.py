@@ -246,10 +246,7 @@ DAMAGES: dict[str, tuple[Recording, tuple[str, ...]]] = {
         damaged(lambda g, s: cloud(points_of(1), g, seq=s, stamp_ns=STAMP, names=("x", "y", "intensity"))),
         ("z", "intensity"),
     ),
-    "its data is short": (
-        damaged(lambda g, s: cloud(points_of(1), g, seq=s, stamp_ns=STAMP, cut=100)),
-        ("620", "720"),
-    ),
+    "its data is short": (damaged(lambda g, s: cloud(points_of(1), g, seq=s, stamp_ns=STAMP, cut=100)), ("620", "720")),
 }
 
 
