@@ -10,7 +10,7 @@ A file of transcripts is about one subject; each of its cases is a heading, comm
     hint: did you mean drive.bag?
 
 Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall.mcap``, ``hall``, a golden case such as
-``tf_static``, or one of `tests/transcripts/files`) is copied there.
+``tf_static``, or one of `tests/transcripts/files`) is copied there, or made (`support.made`).
 ``pc2scan`` runs in this process, and every other command in a shell, where it must succeed. ``?`` is the exit status; 0
 if there is none. Each line below is in what the command printed, with any white space; a line that begins with ``!`` is
 not. ``|`` before a line is for lines that begin with one of these signs. A command that ends with 1 or 2 leaves the
@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 
 from support import ROOT
 from support.command import Finished, run
+from support.made import MADE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -97,6 +98,8 @@ def check(case: Case, folder: Path) -> None:
     words = {word.partition("/")[0] for step in case.steps for word in shlex.split(step.command)}
     for name in FIXTURES.keys() & words:
         (shutil.copytree if FIXTURES[name].is_dir() else shutil.copyfile)(FIXTURES[name], folder / name)
+    for name in MADE.keys() & words:
+        MADE[name](folder / name)
     for step in case.steps:
         before = sorted(_content(folder))
         done = _typed(step.command, folder)

@@ -1,0 +1,94 @@
+"""Recordings that a case of a transcript may name, made when it does: those of `support.builders`, and spoilt ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from support.builders import (
+    CLOUD,
+    CONTENT,
+    POINTS,
+    SCAN,
+    SECOND,
+    SOURCES,
+    T0,
+    Item,
+    Recording,
+    Stream,
+    cloud,
+    item,
+    points_of,
+    scan,
+    write_mcap,
+    write_rosbag1,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+__all__ = ["MADE"]
+
+
+def _second_cloud(make: Callable[[int, int], bytes]) -> Recording:
+    """The common content, the second cloud replaced."""
+    second = CONTENT.of("/points")[1]
+    bad = item(POINTS, second.log_time_ns, make, seq=1)
+    return Recording(CONTENT.streams, tuple(bad if entry is second else entry for entry in CONTENT.items))
+
+
+def _spoilt(**how: object) -> Recording:
+    stamp_ns = T0 + SECOND // 10
+    return _second_cloud(lambda g, s: cloud(points_of(1), g, seq=s, stamp_ns=stamp_ns, **how))  # type: ignore[arg-type]
+
+
+def _two_lidars() -> Recording:
+    rear = Stream("/rear/points", CLOUD)
+    more = item(rear, T0 + 9, lambda g, s: cloud(points_of(9), g, seq=s))
+    return Recording((*CONTENT.streams, rear), (*CONTENT.items, more))
+
+
+def _one_of_many() -> Recording:
+    """150 clouds without z, and one that has it."""
+
+    def made(step: int) -> Item:
+        names = ("x", "y", "z" if step == 150 else "i")
+        return item(POINTS, T0 + step, lambda g, s: cloud(points_of(0, 5), g, seq=s, names=names), step)
+
+    return Recording((POINTS,), tuple(map(made, range(151))))
+
+
+def _short_scan() -> Recording:
+    """Two scans, and one whose data is short."""
+    stream = Stream("/base_scan", SCAN)
+    ranges = np.full(31, 2.0, np.float32)
+    whole = [item(stream, T0 + step, lambda g, s: scan(ranges, g, seq=s), step) for step in range(2)]
+    short = replace(whole[0], log_time_ns=T0 + 5, data={1: whole[0].data[1][:-40]})
+    return Recording((stream,), (*whole, short))
+
+
+def _built(kind: str) -> Callable[[Path], object]:
+    return lambda path: SOURCES[kind](path.parent, CONTENT).rename(path)
+
+
+NO_Z, SHORT = _spoilt(names=("x", "y", "intensity")), _spoilt(cut=100)
+
+#: What makes a recording at a path, by its name.
+MADE: dict[str, Callable[[Path], object]] = {
+    "content.bag": lambda path: write_rosbag1(path, CONTENT),
+    "content_of_ros1.mcap": _built("mcap-ros1"),
+    "content.mcap": _built("mcap-lz4"),
+    "content.db3": _built("db3"),
+    "content_of_sqlite3": _built("rosbag2-sqlite3-v8"),
+    "content_of_mcap": _built("rosbag2-mcap-v8"),
+    "two_lidars.bag": lambda path: write_rosbag1(path, _two_lidars()),
+    "no_z.bag": lambda path: write_rosbag1(path, NO_Z),
+    "no_z.mcap": lambda path: write_mcap(path, NO_Z),
+    "short.bag": lambda path: write_rosbag1(path, SHORT),
+    "short.mcap": lambda path: write_mcap(path, SHORT),
+    "one_of_many.bag": lambda path: write_rosbag1(path, _one_of_many()),
+    "short_scan.bag": lambda path: write_rosbag1(path, _short_scan()),
+}
