@@ -13,7 +13,6 @@ import pytest
 import pc2scan
 from support import RECORDINGS, needs_shared, sampled
 from support.builders import (
-    BATTERY,
     CONTENT,
     POINTS,
     SCAN,
@@ -28,7 +27,6 @@ from support.builders import (
     item,
     points_of,
     scan,
-    string,
     write_mcap,
     write_rosbag1,
 )
@@ -228,82 +226,6 @@ def test_seq_counts_between_ros1_recordings_only(tmp_path: Path) -> None:
 
 
 # --- topics ---
-
-
-def changed_content(topic: str, ros_version: int, data: bytes) -> Recording:
-    """The common content with another last message on a topic."""
-    items = list(CONTENT.items)
-    place = max(k for k, entry in enumerate(items) if entry.stream.topic == topic)
-    items[place] = item(items[place].stream, items[place].log_time_ns, lambda g, _: data if g == ros_version else b"")
-    return Recording(CONTENT.streams, tuple(items))
-
-
-@pytest.mark.parametrize("against", ["bag-none", "mcap-zstd"])
-def test_other_topics_are_compared_by_bytes(against: str, folder: Path, tmp_path: Path) -> None:
-    sides = source(against, folder), write_mcap(tmp_path / "b", changed_content("/chatter", 2, string("hello 3", 2)))
-    assert pc2scan.diff(*sides).same
-    differing = {topic.name: topic for topic in pc2scan.diff(*sides, all_topics=True).topics if not topic.same}
-    assert {name: (topic.matched, topic.differing) for name, topic in differing.items()} == {"/chatter": (3, 1)}
-    # By name, without the others.
-    assert [topic.name for topic in pc2scan.diff(*sides, topics=["/tf"]).topics] == ["/tf"]
-
-
-def test_named_topics_and_all_others(folder: Path) -> None:
-    a, b = source("bag-lz4", folder), source("mcap-zstd", folder)
-    # One topic of A against two of B, and against one of another type.
-    found = pc2scan.diff(a, b, topics=["/imu", "/imu:=/battery", "/chatter:=/chatter", "/points"])
-    assert [(topic.name, topic.same, topic.matched) for topic in found.topics] == [
-        ("/imu", True, 3),
-        ("/imu and /battery", False, 0),
-        ("/chatter", True, 3),
-        ("/points", True, 3),
-    ]
-    assert list(found.topics[1].changes) == ["type"]
-    found = pc2scan.diff(a, b, topics=["/points", "/imu"], all_topics=True)
-    assert [topic.name for topic in found.topics] == ["/points", "/imu", "/battery", "/chatter", "/tf", "/tf_static"]
-    assert found.same
-
-
-def test_dropped_messages_of_other_topics(folder: Path, tmp_path: Path) -> None:
-    kept = [
-        entry for entry in CONTENT.items if entry.stream.msgtype != BATTERY or entry.log_time_ns < T0 + SECOND // 10
-    ]
-    other = write_mcap(tmp_path / "b.mcap", Recording(CONTENT.streams, tuple(kept)))
-    found = pc2scan.diff(source("mcap-zstd", folder), other, all_topics=True)
-    (battery,) = [topic for topic in found.topics if not topic.same]
-    assert (battery.name, battery.missing.count, battery.matched) == ("/battery", 2, 1)
-
-
-def test_a_point_of_a_cloud_is_found(folder: Path, tmp_path: Path) -> None:
-    points = points_of(2)
-    points[11, 2] += np.float32(0.5)
-    data = cloud(points, 2, seq=2, stamp_ns=T0 + 2 * SECOND // 10)
-    sides = source("bag-lz4", folder), write_mcap(tmp_path / "b.mcap", changed_content(POINTS.topic, 2, data))
-    ((only,),) = [topic.values.values() for topic in pc2scan.diff(*sides).topics]
-    assert only.worst is not None
-    assert (only.name, only.changed, only.worst.index) == ("z", 1, 11)
-    assert only.worst.difference == pytest.approx(0.5, abs=1e-6)
-    # A field's own tolerance beats that of all.
-    for options, status in (
-        ("--atol 0.6", 0),
-        ("--atol 0.6 --atol z=1e-6", 1),
-        ("--atol x=0.6", 1),
-        ("--atol z=0.6", 0),
-    ):
-        assert run("diff", *sides, *options.split()).status == status, options
-
-
-# --- what is said ---
-
-
-def test_recordings_without_scans_and_clouds_need_all_topics(tmp_path: Path) -> None:
-    stream = Stream("/chatter", "std_msgs/msg/String")
-    talk = write_mcap(
-        tmp_path / "talk.mcap", Recording((stream,), (item(stream, T0, lambda g, _: string("hello", g)),))
-    )
-    done = run("diff", talk, talk)
-    assert (done.status, done.stdout) == (2, "")
-    assert "--all-topics" in done.stderr
 
 
 @needs_shared

@@ -14,6 +14,7 @@ from support.builders import (
     SCAN,
     SECOND,
     SOURCES,
+    STRING,
     T0,
     Item,
     Recording,
@@ -22,6 +23,7 @@ from support.builders import (
     item,
     points_of,
     scan,
+    string,
     write_mcap,
     write_rosbag1,
 )
@@ -70,6 +72,30 @@ def _short_scan() -> Recording:
     return Recording((stream,), (*whole, short))
 
 
+def _last_changed(topic: str, data: bytes) -> Recording:
+    """The common content with another last message on a topic, in ROS 2."""
+    last = CONTENT.of(topic)[-1]
+    return replace(
+        CONTENT, items=tuple(replace(each, data={2: data}) if each is last else each for each in CONTENT.items)
+    )
+
+
+def _raised_point() -> bytes:
+    """The last cloud of the common content, a point half a metre higher."""
+    points = points_of(2)
+    points[11, 2] += np.float32(0.5)
+    return cloud(points, 2, seq=2, stamp_ns=T0 + 2 * SECOND // 10)
+
+
+def _fewer_batteries() -> Recording:
+    return replace(CONTENT, items=tuple(each for each in CONTENT.items if each not in CONTENT.of("/battery")[1:]))
+
+
+def _talk() -> Recording:
+    stream = Stream("/chatter", STRING)
+    return Recording((stream,), (item(stream, T0, lambda g, _: string("hello", g)),))
+
+
 def _built(kind: str) -> Callable[[Path], object]:
     return lambda path: SOURCES[kind](path.parent, CONTENT).rename(path)
 
@@ -90,5 +116,9 @@ MADE: dict[str, Callable[[Path], object]] = {
     "short.bag": lambda path: write_rosbag1(path, SHORT),
     "short.mcap": lambda path: write_mcap(path, SHORT),
     "one_of_many.bag": lambda path: write_rosbag1(path, _one_of_many()),
+    "other_chatter.mcap": lambda path: write_mcap(path, _last_changed("/chatter", string("hello 3", 2))),
+    "raised_point.mcap": lambda path: write_mcap(path, _last_changed("/points", _raised_point())),
+    "fewer_batteries.mcap": lambda path: write_mcap(path, _fewer_batteries()),
+    "talk.mcap": lambda path: write_mcap(path, _talk()),
     "short_scan.bag": lambda path: write_rosbag1(path, _short_scan()),
 }
