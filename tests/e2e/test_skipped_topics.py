@@ -7,12 +7,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from mcap.writer import IndexType
-from mcap.writer import Writer as McapLibraryWriter
 
 from support import sampled
-from support.builders import CONTENT, SECOND, SOURCES, T0, write_rosbag1
+from support.builders import CONTENT, SECOND, SOURCES, T0
 from support.command import run
+from support.made import FORMS, write_json
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,30 +20,6 @@ if TYPE_CHECKING:
 
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 STEP = SECOND // 10
-
-#: Ways to write an MCAP file, from counted in its statistics to counted nowhere.
-FORMS: list[dict[str, Any]] = [
-    {},
-    {"use_statistics": False},
-    {"use_chunking": False, "use_statistics": False},
-    {"use_statistics": False, "index_types": IndexType.NONE},
-]
-
-
-def write_json(path: Path, form: dict[str, Any], *, messages: int = 40, text: str = "/text") -> Path:
-    """Write /state and /log in JSON, which a bag cannot hold, /empty in JSON without messages, and a topic of ROS 1."""
-    with path.open("wb") as file:
-        writer = McapLibraryWriter(file, chunk_size=200, **form)
-        writer.start("ros1", "tests")
-        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
-        ids = [writer.register_channel(topic, "json", 0, {}) for topic in ("/state", "/log", "/empty")]
-        ros1 = writer.register_channel(text, "ros1", schema, {})
-        for number in range(messages):
-            writer.add_message(ids[number % 4 == 0], T0 + number * STEP, b'{"n": %d}' % number, T0, number)
-        for number in range(7):
-            writer.add_message(ros1, T0 + (messages + number) * STEP, b"\x01\0\0\0a", T0, number)
-        writer.finish()  # type: ignore[no-untyped-call]
-    return path
 
 
 def reported(folder: Path, *words: str | Path) -> tuple[Finished, list[dict[str, Any]]]:
@@ -57,38 +32,10 @@ def counts(topics: list[dict[str, Any]]) -> list[tuple[str, int, int, int]]:
     return [(entry["topic"], entry["messages_in"], entry["messages_out"], entry["skipped"]) for entry in topics]
 
 
-@pytest.mark.parametrize("form", FORMS, ids=str)
-def test_messages_that_a_container_cannot_hold_are_counted(form: dict[str, Any], tmp_path: Path) -> None:
-    source = write_json(tmp_path / "drive.mcap", form)
-    done, topics = reported(tmp_path, "repair", source, "-o", tmp_path / "out.bag", "-q")
-    assert done.status == 3
-    assert sorted(counts(topics)) == [
-        ("/empty", 0, 0, 0),
-        ("/log", 10, 0, 10),
-        ("/state", 30, 0, 30),
-        ("/text", 7, 7, 0),
-    ]
-    (warning,) = done.stderr.splitlines()
-    begin = "warning: 40 messages of 2 topics are skipped: /state (30: json messages can only be stored in"
-    assert warning.startswith(begin)
-    assert "/log (10:" in warning
-    shown = run("repair", source, "-o", tmp_path / "again.bag")
-    (row,) = [line.split() for line in shown.stdout.splitlines() if line.startswith("/state")]
-    assert row[:5] == ["/state", "-", "30", "-", "30"]
-    assert "more (--verbose" not in shown.stderr
-
-
-def test_a_topic_without_messages_is_no_loss(tmp_path: Path) -> None:
-    source = write_json(tmp_path / "drive.mcap", {}, messages=0)
-    done, topics = reported(tmp_path, "repair", source, "-o", tmp_path / "out.bag", "-q")
-    assert (done.status, done.stderr) == (0, "")
-    assert [entry["lost"] for entry in topics if entry["topic"] == "/state"] == [True]
-
-
-@pytest.mark.parametrize("form", FORMS, ids=str)
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(("start", "end"), sampled([(0.3, 3.75), (1.25, None), (None, 2.0)], 1))
 def test_only_messages_of_the_cut_are_counted(
-    form: dict[str, Any], start: float | None, end: float | None, tmp_path: Path
+    form: str, start: float | None, end: float | None, tmp_path: Path
 ) -> None:
     (first, *_) = CONTENT.of("/points")
     items = [replace(first, log_time_ns=T0 + number * 5 * STEP) for number in range(8)]
@@ -132,20 +79,3 @@ def test_dropped_topics_are_counted_and_no_loss(name: str, cut: bool, tmp_path: 
         (topic, sum(first <= item.log_time_ns < high for item in CONTENT.of(topic)), 0, 0)
         for topic, first in lows.items()
     ]
-
-
-def test_a_topic_in_two_encodings_has_two_rows(tmp_path: Path) -> None:
-    source = write_json(tmp_path / "drive.mcap", {}, messages=1, text="/log")
-    done, topics = reported(tmp_path, "repair", source, "-o", tmp_path / "out.bag")
-    assert done.status == 3
-    rows = [(entry["action"], entry["messages_out"], entry["skipped"]) for entry in topics if entry["topic"] == "/log"]
-    assert sorted(rows) == [("passed", 7, 0), ("skipped", 0, 1)]
-
-
-@pytest.mark.parametrize(("messages", "status"), [(0, 0), (40, 1)])
-def test_on_error_fail_is_about_messages(messages: int, status: int, tmp_path: Path) -> None:
-    source = write_json(tmp_path / "drive.mcap", {}, messages=messages)
-    clouds = write_rosbag1(tmp_path / "clouds.bag", CONTENT)
-    done = run("convert", source, clouds, "-o", tmp_path / "out.bag", "--on-error", "fail", *HEIGHTS)
-    assert done.status == status
-    assert ("/state" in done.stderr) == bool(messages)

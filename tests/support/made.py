@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from mcap.writer import IndexType
+from mcap.writer import Writer as McapLibraryWriter
 
 from support.builders import (
     CLOUD,
@@ -32,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["MADE"]
+__all__ = ["FORMS", "MADE", "write_json"]
 
 
 def _second_cloud(make: Callable[[int, int], bytes]) -> Recording:
@@ -102,6 +105,31 @@ def _built(kind: str) -> Callable[[Path], object]:
 
 NO_Z, SHORT = _spoilt(names=("x", "y", "intensity")), _spoilt(cut=100)
 
+#: Ways to write an MCAP file, from counted in its statistics to counted nowhere.
+FORMS: dict[str, dict[str, Any]] = {
+    "counted": {},
+    "indexed": {"use_statistics": False},
+    "unchunked": {"use_chunking": False, "use_statistics": False},
+    "unindexed": {"use_statistics": False, "index_types": IndexType.NONE},
+}
+
+
+def write_json(path: Path, form: str = "counted", *, messages: int = 40, text: str = "/text") -> Path:
+    """Write /state and /log in JSON, which a bag cannot hold, /empty in JSON without messages, and a topic of ROS 1."""
+    with path.open("wb") as file:
+        writer = McapLibraryWriter(file, chunk_size=200, **FORMS[form])
+        writer.start("ros1", "tests")
+        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        ids = [writer.register_channel(topic, "json", 0, {}) for topic in ("/state", "/log", "/empty")]
+        ros1 = writer.register_channel(text, "ros1", schema, {})
+        for number in range(messages):
+            writer.add_message(ids[number % 4 == 0], T0 + number * SECOND // 10, b'{"n": %d}' % number, T0, number)
+        for number in range(7):
+            writer.add_message(ros1, T0 + (messages + number) * SECOND // 10, b"\x01\0\0\0a", T0, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
 #: What makes a recording at a path, by its name.
 MADE: dict[str, Callable[[Path], object]] = {
     "content.bag": lambda path: write_rosbag1(path, CONTENT),
@@ -121,4 +149,7 @@ MADE: dict[str, Callable[[Path], object]] = {
     "fewer_batteries.mcap": lambda path: write_mcap(path, _fewer_batteries()),
     "talk.mcap": lambda path: write_mcap(path, _talk()),
     "short_scan.bag": lambda path: write_rosbag1(path, _short_scan()),
+    **{f"json_{form}.mcap": partial(write_json, form=form) for form in FORMS},
+    "json_without_messages.mcap": partial(write_json, messages=0),
+    "json_and_ros1.mcap": partial(write_json, messages=1, text="/log"),
 }
