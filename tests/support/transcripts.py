@@ -11,21 +11,24 @@ A file of transcripts is about one subject; each of its cases is a heading, comm
 
 Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall.mcap``, ``hall``, a golden case such as
 ``tf_static``, or one of `tests/transcripts/files`) is copied there, or made (`support.made`).
+
 ``pc2scan`` runs in this process, and every other command in a shell, where it must succeed. ``?`` is the exit status; 0
 if there is none. Each line below is in what the command printed, with any white space; a line that begins with ``!`` is
 not. ``|`` before a line is for lines that begin with one of these signs. A command that ends with 1 or 2 leaves the
-folder as it was; ``? 1 and writes`` is for one that
-may write before. ``#`` is a comment.
+folder as it was; ``? 1 and writes`` is for one that may write before. ``#`` is a comment.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import shutil
 import subprocess
+import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from support import ROOT
@@ -34,7 +37,6 @@ from support.made import MADE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 __all__ = ["Case", "cases_of", "check"]
 
@@ -128,7 +130,10 @@ def _typed(command: str, folder: Path) -> Finished:
     program, *words = shlex.split(command)
     if program == "pc2scan":
         return run(*words, cwd=folder)
-    done = subprocess.run(["sh", "-ec", command], cwd=folder, capture_output=True, text=True, timeout=60, check=False)
+    env = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["sh", "-ec", command], cwd=folder, env=env, capture_output=True, text=True, timeout=60, check=False
+    )
     assert done.returncode == 0, f"$ {command}\n{done.stderr}"
     return Finished(done.returncode, done.stdout, done.stderr)
 
