@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import closing
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +24,7 @@ def no_transforms(path: Path) -> Any:
     raise AssertionError(path)
 
 
-def scan(ranges: list[float], **changes: Any) -> LaserScan:
+def scan(ranges: Sequence[float], **changes: Any) -> LaserScan:
     values: dict[str, Any] = {
         "sequence": 0, "stamp_ns": 5, "frame_id": "lidar", "angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.5,
         "time_increment": 0.0, "scan_time": 0.1, "range_min": 0.0, "range_max": 30.0, "ranges": np.array(ranges, "<f4"),
@@ -40,21 +39,24 @@ def explained(*pairs: tuple[LaserScan, LaserScan], rules: Rules | None = None) -
     return explainer.found
 
 
-def test_equal_scans_need_no_explanation() -> None:
-    found = explained((scan([1, 2, 3, 4]), scan([1, 2, 3, 4])))
-    assert (found.scans, found.scans_alone, found.beams, found.beams_alone, found.reasons) == (0, 0, 0, 0, {})
+NO_CLOUDS = "there are no clouds (`clouds` names some)"
 
 
-def test_by_scans_alone() -> None:
-    found = explained((scan([9, 2, 5, 9]), scan([9, 5, 2, 9])), (scan([4, 4, 4, 4]), scan([4, 3, 4, 4])))
-    assert (found.scans_alone, found.beams_alone, found.in_neighbour, found.hidden) == (2, 3, 2, 0)
-    assert (found.scans, found.explained, found.glibc) == (0, 0, "")
-    assert found.reasons == {"there are no clouds (`clouds` names some)": 2}
-
-
-def test_what_is_within_the_tolerance_does_not_differ() -> None:
-    rules = Rules(atol={"ranges": 0.5})
-    assert explained((scan([1, 2, 3, 4]), scan([1.2, 2, 9, 4])), rules=rules).beams_alone == 1
+@pytest.mark.parametrize(
+    ("pairs", "tolerance", "expected"),
+    [
+        ([((1, 2, 3, 4), (1, 2, 3, 4))], 0.0, (0, 0, 0, 0, 0, {})),
+        ([((9, 2, 5, 9), (9, 5, 2, 9)), ((4, 4, 4, 4), (4, 3, 4, 4))], 0.0, (2, 3, 2, 0, 0, {NO_CLOUDS: 2})),
+        # What is within the tolerance does not differ.
+        ([((1, 2, 3, 4), (1.2, 2, 9, 4))], 0.5, (1, 1, 0, 1, 0, {NO_CLOUDS: 1})),
+    ],
+)
+def test_beams_are_explained_by_scans_alone(pairs: Any, tolerance: float, expected: tuple[Any, ...]) -> None:
+    rules = Rules(atol={"ranges": tolerance})
+    found = explained(*((scan(a), scan(b)) for a, b in pairs), rules=rules)
+    sums = (found.scans_alone, found.beams_alone, found.in_neighbour, found.hidden, found.beams_not_judged)
+    assert (*sums, found.reasons) == expected
+    assert (found.scans, found.beams, found.explained, found.glibc) == (0, 0, 0, "")
 
 
 def test_beams_that_look_elsewhere_are_not_judged() -> None:
@@ -81,11 +83,6 @@ def test_all_returns_decide_which_side_has_which_angles(a: tuple[int, int], b: t
     found.fitting[:, CORRECT], found.fitting[:, GLIBC] = (a[0], b[0]), (a[1], b[1])
     assert found.glibc == glibc
     assert found.explained == {"a": 3, "b": 4, "": 0}[glibc]
-
-
-def test_a_recording_without_clouds_has_none() -> None:
-    source: Any = SimpleNamespace(connections=[SimpleNamespace(topic="/scan", ros_type="sensor_msgs/msg/LaserScan")])
-    assert not CloudsByStamp([source], no_transforms)
 
 
 @pytest.mark.parametrize("order", [range(12), range(11, -1, -1), (3, 3, 0, 7, 6, 11, 2)])

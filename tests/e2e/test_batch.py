@@ -21,10 +21,10 @@ from typer.testing import CliRunner
 
 import pc2scan
 from batch.datasets import HEIGHTS, contents, make_dataset
-from e2e.test_screen import shown
 from pc2scan.cli.app import application
 from support.builders import CONTENT, write_mcap, write_rosbag1, write_rosbag2
 from support.command import COMMAND, environment, run
+from support.terminal import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -33,30 +33,26 @@ def rows() -> list[tuple[str, str, str]]:
 ROWS = rows()
 
 
-def path_of(name: str, folder: str) -> Path:
-    places = [path for path in (TESTS / name, TESTS / folder / name) if path.is_file()]
-    assert places, f"{name} is not there"
-    return places[0]
-
-
-def names_in(path: Path) -> set[str]:
-    return set(re.findall(r"^\s*def (test_\w+)", path.read_text("utf-8"), re.MULTILINE))
+def names_in(file: str, folder: str) -> set[str]:
+    """The tests of a file, or the cases of a text."""
+    places = [path for path in (TESTS / file, TESTS / folder / file) if path.is_file()]
+    assert places, f"{file} is not there"
+    pattern = r"^\s*def (test_\w+)" if file.endswith(".py") else r"^== (.*)"
+    return set(re.findall(pattern, places[0].read_text("utf-8"), re.MULTILINE))
 
 
 @pytest.mark.parametrize(("folder", "fault", "tests"), ROWS, ids=[fault for _, fault, _ in ROWS])
 def test_the_tests_of_a_fault_are_there(folder: str, fault: str, tests: str) -> None:
     words = re.findall(r"`([^`]+)`", tests)
     assert words, f"no test for: {fault}"
-    assert words[0].endswith(".py"), f"tests of no file: {words[0]}"
-    files: list[Path] = []
+    assert words[0].endswith((".py", ".txt")), f"tests of no file: {words[0]}"
     # Files, then the tests that each of them has.
-    for are_files, group in groupby(words, key=lambda word: word.endswith(".py")):
+    for are_files, group in groupby(words, key=lambda word: word.endswith((".py", ".txt"))):
         if are_files:
-            files = [path_of(word, folder) for word in group]
+            files = {word: names_in(word, folder) for word in group}
             continue
         for name in group:
-            for file in files:
-                assert name in names_in(file), f"{file.name} has no {name}"
+            assert [file for file, names in files.items() if name not in names] == [], name
 
 
 def test_every_section_is_read() -> None:
