@@ -6,6 +6,8 @@ import json
 import os
 import random
 import sqlite3
+import subprocess
+import sys
 import tracemalloc
 from collections import Counter
 from contextlib import closing
@@ -18,11 +20,13 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as TheirWriter
 
+import pc2scan.bags
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import RecordingError, UsageError
 from pc2scan.model import Attachment, Definition, Metadata
 from support import RECORDINGS, needs_shared, sampled
 from support.builders import CONTENT, IDL, SOURCES, Recording, definition, ros_version_of, write_db3, write_mcap
+from support.command import environment
 from support.containers import FORMATS, KINDS, Row, read, recorded
 from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
 from support.outputs import opened
@@ -99,7 +103,7 @@ def test_recordings_of_others_are_read(name: str, tmp_path: Path) -> None:
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*")} == before
     with closing(open_recording(path)) as reader:
         assert {c.serialization for c in reader.connections} == {"ros1" if ros_version == 1 else "cdr"}
-        if name not in {"rosbag2-sqlite3-v2"}:
+        if name != "rosbag2-sqlite3-v2":
             assert {c.topic for c in reader.connections if c.latching} == {"/tf_static"}
         for stream in CONTENT.streams:
             found = [c for c in reader.connections if c.topic == stream.topic]
@@ -332,8 +336,8 @@ DATA = random.Random(1).randbytes(900_000)
 
 
 def long_recording(name: str, folder: Path) -> Path:
-    """Ten messages, each of which has a chunk of its own, ten nanoseconds apart."""
-    return recorded(LONG[name], folder, [("/a", 10 * number, DATA) for number in range(10)])
+    """Ten messages of five topics, each of which has a chunk of its own, ten nanoseconds apart."""
+    return recorded(LONG[name], folder, [(f"/{number % 5}", 10 * number, DATA) for number in range(10)])
 
 
 @pytest.mark.parametrize("name", LONG)
@@ -357,6 +361,8 @@ def test_chunks_are_read_when_they_are_due(name: str, tmp_path: Path) -> None:
         before = reader.bytes_read
         assert list(reader.messages([])) == list(reader.messages(start_ns=91)) == []
         assert reader.bytes_read - before < part
+        assert len(list(reader.messages(reader.connections[1:2]))) == 2
+        assert reader.bytes_read - before < 2.5 * part
 
 
 @pytest.mark.parametrize("name", LONG)
@@ -383,6 +389,17 @@ def test_a_file_that_shrinks_while_it_is_read_is_an_error(name: str, tmp_path: P
         os.truncate(path if path.is_file() else path / "out_0.mcap", 1_000_000)
         with pytest.raises(RecordingError, match=r"ended at byte 1000000 while it was read"):
             list(messages)
+
+
+def test_importing_loads_no_other_package() -> None:
+    program = "import sys, pc2scan.bags; print(*sys.modules)"
+    heavy = {"rosbags", "mcap", "sqlite3", "bz2", "lz4.frame", "zstandard", "ruamel.yaml"}
+    for modules in ("", ", pc2scan.bags.rosbag1.reader, pc2scan.bags.rosbag1.writer"):
+        words = [sys.executable, "-c", program.replace("; ", f"{modules}; ")]
+        done = subprocess.run(words, capture_output=True, text=True, check=True, env=environment())
+        assert heavy.isdisjoint(done.stdout.split())
+    for name in pc2scan.bags.__all__:
+        assert hasattr(pc2scan.bags, name)
 
 
 def test_opening_and_counting_read_no_messages(tmp_path: Path) -> None:

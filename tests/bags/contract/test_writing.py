@@ -100,7 +100,7 @@ def test_connections_are_kept_as_they_are(kind: Any, tmp_path: Path) -> None:
 TWINS: dict[str, Callable[[Path], Writer]] = {
     "bag": lambda path: Rosbag1Writer(path, "lz4", 1),
     "mcap": lambda path: McapWriter(path, compression="lz4", chunk_size=1),
-    "sqlite3": lambda path: Sqlite3Writer(path),
+    "sqlite3": Sqlite3Writer,
 }
 
 
