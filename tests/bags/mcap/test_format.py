@@ -14,7 +14,6 @@ from pc2scan.bags.mcap import index as mcap_index
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import MAGIC
 from support.mcap_files import (
-    BODY,
     LIBRARY_OPTIONS,
     SAMPLE,
     altered_index,
@@ -29,7 +28,6 @@ from support.mcap_files import (
     read,
     record,
     write,
-    zstd,
 )
 
 if TYPE_CHECKING:
@@ -47,19 +45,6 @@ def test_data_are_views_of_their_chunk(tmp_path: Path) -> None:
     assert isinstance(first, memoryview)
     assert isinstance(second, memoryview)
     assert first.obj is second.obj
-
-
-def test_records_may_be_unknown_or_have_further_fields(tmp_path: Path) -> None:
-    odd = record(0x80, b"application") + record(0x7F, b"")
-    channel = record(4, raw_channel()[9:] + b"new")
-    chunk = raw_chunk(odd + raw_message() + odd)
-    assert len(read(raw_file(tmp_path / "a.mcap", odd, channel, raw_message(), odd, chunk))) == 2
-
-
-def test_a_zstd_frame_may_omit_its_size(tmp_path: Path) -> None:
-    """Streaming compressors (Go's) do not know it beforehand."""
-    path = raw_file(tmp_path / "a.mcap", raw_chunk(BODY, compression="zstd", packed=zstd(BODY, size=False)))
-    assert [m[4] for m in read(path)] == [b"data"]
 
 
 def test_chunks_may_have_no_messages(tmp_path: Path) -> None:
