@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.bags.opening import open_recording
-from pc2scan.model import Connection, Definition
+from pc2scan.model import Attachment, Connection, Definition
 from support.rosbag2_files import QOS_NUMBERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from pc2scan.model import Attachment, Metadata, Writer
+    from pc2scan.model import Metadata, Writer
 
 __all__ = ["ATTACHMENTS", "FORMATS", "KINDS", "METADATA", "Kind", "Row", "connection_for", "read", "recorded"]
 
@@ -102,7 +102,10 @@ def recorded(
             handles[topic] = writer.add_connection(connection_for(kind.ros_version, topic))
         writer.write(handles[topic], time_ns, data, time_ns)
     for each in extras:
-        (writer.add_attachment if hasattr(each, "data") else writer.add_metadata)(each)  # type: ignore[operator]
+        if isinstance(each, Attachment):
+            writer.add_attachment(each)
+        else:
+            writer.add_metadata(each)
     writer.finish()
     return folder / kind.name
 

@@ -134,8 +134,8 @@ def test_all_is_kept_from_container_to_container(name: str, kind_name: str, turn
             path, destination, params=PARAMS, keep_clouds=clouds, jobs=number % 3, **kind.options
         ).as_dict()
     else:
-        words = (*HEIGHTS, *kind.arguments(), *["--keep-clouds"] * clouds, "--report", tmp_path / "report.json")
-        done = run("convert", path, "-o", destination, *words)
+        words = (*HEIGHTS, *kind.arguments(), *["--keep-clouds"] * clouds)
+        done = run("convert", path, "-o", destination, "--report", tmp_path / "report.json", *words)
         report = json.loads((tmp_path / "report.json").read_text())
         assert done.status == report["exit_status"], done.stderr
     assert report["exit_status"] == (3 if lost else 0)

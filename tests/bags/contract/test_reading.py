@@ -254,7 +254,7 @@ def test_files_compressed_as_a_whole_are_read(kind: str, tmp_path: Path, monkeyp
         assert "zstd" in summary.compression
         assert "none" not in summary.compression
         assert 0 <= reader.bytes_read <= summary.size_bytes
-        assert list(reader.attachments()) == list(reader.metadata()) == []
+        assert [*reader.attachments(), *reader.metadata()] == []
     assert not list(temporary.iterdir())
     packed.write_bytes(zstandard.compress(made.read_bytes()[:600]))
     with pytest.raises(RecordingError):

@@ -91,7 +91,7 @@ def test_every_schema_version_is_read(version: int, index: bool, tmp_path: Path)
             ((None, -(2**70), 10), [5]),
             (([],), []),
         ):
-            assert [m.log_time_ns for m in reader.messages(*selection)] == times  # type: ignore[arg-type]
+            assert [m.log_time_ns for m in reader.messages(*selection)] == times
         messages = reader.messages()
         next(messages)
     # As an error does whose traceback outlives the reader: Python would complain on stderr.
