@@ -137,3 +137,9 @@ def test_more_messages_than_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         few = unit._replace(extent=unit.extent._replace(length=80))
         with pytest.raises(RecordingError, match="more messages than bytes"):
             list(in_time_order([few]))
+
+
+def test_small_recordings_may_have_more_messages_than_bytes(tmp_path: Path) -> None:
+    path = mcap_files.write(tmp_path / "a.mcap", [(0, 1, b"")] * 20_000, topics=1)
+    with closing(open_recording(path)) as reader:
+        assert len(list(reader.messages())) == 20_000

@@ -149,6 +149,12 @@ def test_what_lasts_is_repeated_at_the_time_of_the_part(tmp_path: Path) -> None:
     assert files.split.parts[1].counts == {0: 1, 1: 2, 2: 1}
 
 
+def test_of_very_many_static_transforms_the_last_are_repeated(tmp_path: Path) -> None:
+    files = Files(tmp_path, Cut(duration_ns=10, repeats=True), STATIC)
+    _, second = files.write(*((0, 0, b"%d" % number) for number in range(1_005)), (0, 10, b"new"))
+    assert [row[2] for row in second] == [*(b"%d" % number for number in range(5, 1_005)), b"new"]
+
+
 def test_every_part_has_connections_ids_and_threads(tmp_path: Path) -> None:
     files = Files(tmp_path, Cut(duration_ns=10))
     files.split.keep_ids([MAP, PLAIN])

@@ -120,6 +120,9 @@ def test_every_part_stands_alone_with_what_lasts(name: str, form: dict[str, Any]
         assert file["message_count"] == len(part)
         assert file["starting_time"]["nanoseconds_since_epoch"] == min(times)
         assert file["duration"]["nanoseconds"] == max(times) - min(times)
+    first_ns, last_ns = parts[0][0][1], parts[-1][-1][1]
+    assert metadata["starting_time"]["nanoseconds_since_epoch"] == first_ns
+    assert metadata["duration"]["nanoseconds"] == last_ns - first_ns
     topics = [topic for part in parts for topic, _, _ in part]
     with Rosbag2Reader(tmp_path / "out") as reader:
         assert reader.message_count == len(topics)

@@ -136,6 +136,16 @@ def test_a_flipped_bit_in_a_chunk_is_refused(compression: str, tmp_path: Path) -
             assert len(content(reader)) == 1
 
 
+def test_the_data_of_a_file_without_chunks_have_a_crc(tmp_path: Path) -> None:
+    path = library_file(tmp_path / "a.mcap", SAMPLE, use_chunking=False, enable_data_crcs=True)
+    data = bytearray(path.read_bytes())
+    data[data.index(SAMPLE[40][2])] ^= 1
+    path.write_bytes(data)
+    failing(path, "the data section")
+    with closing(McapReader(path, verify=False)) as reader:
+        assert len(content(reader)) == len(SAMPLE)
+
+
 def test_a_damaged_attachment_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     writer = McapWriter(path)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import struct
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from mcap.records import ChunkIndex, DataEnd, Footer
+from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 
 from pc2scan.bags.mcap import index as mcap_index
@@ -148,6 +150,23 @@ def test_no_more_is_decompressed_to_open_than_needed(
     path = library_file(tmp_path / "a.mcap", SAMPLE, chunk_size=300, **LIBRARY_OPTIONS[case])
     McapReader(path).close()
     assert len(loads) == loaded
+
+
+def test_contents_of_chunks_are_skipped_without_a_summary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    options = LIBRARY_OPTIONS["no summary but message indexes"] | {"compression": CompressionType.NONE}
+    messages = [(0, time_ns, bytes(900_000)) for time_ns in range(10)]
+    path = library_file(tmp_path / "a.mcap", messages, chunk_size=500_000, **options)
+    sizes: list[int] = []
+    real = os.pread
+
+    def counted(fd: int, size: int, offset: int) -> bytes:
+        sizes.append(size)
+        return real(fd, size, offset)
+
+    monkeypatch.setattr(os, "pread", counted)
+    McapReader(path).close()
+    # One chunk has the channels.
+    assert sum(sizes) < 2_000_000
 
 
 def test_only_chunks_with_wanted_messages_are_read(tmp_path: Path, loads: list[Segment]) -> None:
