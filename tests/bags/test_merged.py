@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import pytest
@@ -101,10 +102,10 @@ def test_a_source_is_not_read_before_its_time(tmp_path: Path) -> None:
     # One unit more is asked for, to know how long this one goes on.
     assert [next(messages).log_time_ns for _ in range(3)] == [0, 1, 2]
     assert log == ["open early"]
-    assert [message.log_time_ns for message in messages] == [3, 4, 100]
+    assert [message.log_time_ns for message in islice(messages, 9)] == [3, 4, 100]
     assert log == ["open early", "close early", "open late", "close late"]
     log.clear()
-    assert len(list(reader.messages(stop_ns=100))) == 5
+    assert len(list(islice(reader.messages(stop_ns=100), 9))) == 5
     assert log == ["open early", "close early"]
 
 
