@@ -26,7 +26,7 @@ __all__ = ["ATTACHMENTS", "FORMATS", "KINDS", "METADATA", "Kind", "Row", "connec
 #: Topic, log time and data of a message.
 Row = tuple[str, int, bytes]
 
-#: As MCAP's library takes them: name, media type, create time, log time and data; and name and entries.
+#: As `support.builders.Mcap` takes them: name, media type, log time, creation time and data; and name and entries.
 ATTACHMENTS = [("map.pgm", "image/x-portable-graymap", 5, 7, bytes(range(256))), ("notes.txt", "text/plain", 9, 0, b"")]
 METADATA = [("calibration", {"lidar": "2023-11-14", "by": "hand"}), ("empty", {})]
 

@@ -35,7 +35,7 @@ from support.builders import (
     write_mcap,
 )
 from support.command import run
-from support.containers import ATTACHMENTS, KINDS, METADATA, read
+from support.containers import ATTACHMENTS, KINDS, METADATA, read, recorded
 from support.npm import needs_npm, node
 from support.outputs import opened, physical_order
 from support.rosbag1_files import ROSBAG, ros1, ros1_missing, ros1_read
@@ -219,10 +219,11 @@ def test_the_command_looks_at_content_not_at_names(name: str, misleading: str, t
 # --- The readers of ROS 1 and of web tools ---
 
 
-def digests(output: Output) -> Counter[tuple[str, int, str]]:
-    return Counter(
-        (found.topic, found.log_time_ns, hashlib.sha256(found.data).hexdigest()) for found in output.messages
-    )
+MCAP_READER = ROOT / "tests" / "bags" / "mcap_reader.mjs"
+
+
+def sha(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 @pytest.mark.skipif(bool(ros1_missing()), reason="needs ROS 1's rosbag (Debian: python3-rosbag)")
@@ -254,17 +255,50 @@ def test_rosbag_check_has_nothing_to_migrate(name: str, tmp_path: Path) -> None:
 
 @needs_npm("@mcap/core", "@mcap/support")
 @pytest.mark.parametrize(
-    ("name", "compression"), [("mcap-unchunked", "none"), ("bag-lz4", "lz4"), ("rosbag2-sqlite3-split", "zstd")]
+    ("name", "compression"),
+    [("extras", "lz4"), ("mcap-unchunked", "none"), ("bag-lz4", "lz4"), ("rosbag2-sqlite3-split", "zstd")],
 )
 def test_the_npm_reader_of_mcap_agrees(name: str, compression: str, tmp_path: Path) -> None:
+    if name == "extras":
+        form = Mcap(attachments=ATTACHMENTS, metadata=METADATA)
+        source = write_mcap(tmp_path / "drive.mcap", CONTENT, form)
+    else:
+        source = SOURCES[name](tmp_path, CONTENT)
     destination = tmp_path / "out.mcap"
-    pc2scan.convert(SOURCES[name](tmp_path, CONTENT), destination, params=PARAMS, compression=compression)
-    found = node(ROOT / "tests" / "bags" / "mcap_reader.mjs", destination)
-    topics = {channel[0]: channel[2] for channel in found["indexed"]["channels"]}
-    for messages in (found["indexed"]["messages"], found["streamed"]["messages"]):
-        rows = Counter((topics[channel], int(log_time), sha) for channel, _, log_time, _, sha in messages)
-        assert rows == digests(opened(destination))
+    pc2scan.convert(source, destination, params=PARAMS, compression=compression, profile="ros2")
+    found = node(MCAP_READER, destination)
+    indexed, expected = found["indexed"], opened(destination)
+    topics = {channel[0]: channel[2] for channel in indexed["channels"]}
+    rows = Counter(
+        (m.topic, m.sequence, str(m.log_time_ns), str(m.publish_time_ns), sha(m.data)) for m in expected.messages
+    )
+    for messages in (indexed["messages"], found["streamed"]["messages"]):
+        assert Counter((topics[channel], *row) for channel, *row in messages) == rows
     assert found["streamed"]["done"]
+    assert (indexed["profile"], indexed["library"]) == ("ros2", "pc2scan")
+    schemas = {schema[0]: schema[1:] for schema in indexed["schemas"]}
+    declared = [(channel[2], *schemas[channel[1]]) for channel in indexed["channels"]]
+    assert sorted(declared) == sorted(
+        (p.topic, p.msgtype, p.encoding, sha(p.definition.encode())) for p in expected.publishers
+    )
+    assert {channel[3] for channel in indexed["channels"]} == {"cdr"}
+    assert int(indexed["statistics"][0]) == len(expected.messages)
+    extras = name == "extras"
+    assert indexed["metadata"] == [[name, entries] for name, entries in METADATA] * extras
+    written = [[name, kind, str(log), str(made), sha(data)] for name, kind, log, made, data in ATTACHMENTS]
+    assert indexed["attachments"] == written * extras
+    assert indexed["summaryOffsets"] == 4 + 2 * extras
+
+
+@needs_npm("@mcap/core", "@mcap/support")
+def test_the_npm_reader_of_mcap_finds_damage(tmp_path: Path) -> None:
+    """Without this its agreement would say little."""
+    path = recorded(KINDS["mcap-ros2-none"], tmp_path, [("/a", 1, bytes(5000))])
+    data = bytearray(path.read_bytes())
+    data[3000] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(AssertionError, match=r"(?i)crc"):
+        node(MCAP_READER, path)
 
 
 @needs_npm("@foxglove/rosbag", "@foxglove/wasm-lz4", "@foxglove/wasm-bz2")
@@ -274,7 +308,7 @@ def test_the_npm_reader_of_rosbags_agrees(name: str, compression: str, tmp_path:
     pc2scan.convert(SOURCES[name](tmp_path, CONTENT), destination, params=PARAMS, compression=compression)
     found = node(ROOT / "tests" / "e2e" / "rosbag_reader.mjs", destination)
     rows = Counter((topic, int(time), sha) for topic, time, sha in found["messages"])
-    assert rows == digests(opened(destination))
+    assert rows == Counter((m.topic, m.log_time_ns, sha(m.data)) for m in opened(destination).messages)
     types = {connection["topic"]: connection["type"] for connection in found["connections"]}
     assert types["/scan"] == "sensor_msgs/LaserScan"
     assert types["/battery"] == BATTERY.replace("/msg/", "/")

@@ -24,12 +24,10 @@ import pc2scan.bags
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import RecordingError, UsageError
 from pc2scan.model import Attachment, Definition, Metadata
-from support import RECORDINGS, needs_shared, sampled
 from support.builders import CONTENT, IDL, SOURCES, Recording, definition, ros_version_of, write_db3, write_mcap
 from support.command import environment
 from support.containers import FORMATS, KINDS, Row, read, recorded
 from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
-from support.outputs import opened
 from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing, string
 from support.rosbag2_files import STORE, STRING, text
 
@@ -189,31 +187,6 @@ def test_what_ros1_writes_is_read(compression: str, tmp_path: Path) -> None:
         first = reader.connections[0]
         assert (first.msgtype, first.callerid) == ("std_msgs/String", None)
         assert reader.summary.compression == (compression,)
-
-
-@needs_shared
-@pytest.mark.parametrize(
-    "name",
-    sampled(
-        ["ouster_os1_32.mcap", "d435_depth.mcap", "luminar_highway.bag", "guardian_pallet.bag",
-         "jarvis_two_lasers.bag", "velodyne_vlp32.bag"], 1,
-    ),
-)  # fmt: skip
-def test_real_recordings_are_read_as_others_read_them(name: str) -> None:
-    path = RECORDINGS / name
-    assert sniff(path) == {".bag": "rosbag1", ".mcap": "mcap"}[path.suffix]
-    try:
-        theirs = opened(path)
-    except AssertionError:
-        pytest.skip(f"rosbags cannot read {name}")
-    with closing(open_recording(path, strict=True)) as reader:
-        found = selected(reader)
-        assert [row[1] for row in found] == sorted(row[1] for row in found)
-        for topic in {row[0] for row in found}:
-            assert [row for row in found if row[0] == topic] == [(m[0], m[1], m[2]) for m in theirs.of(topic)]
-        assert len(found) == len(theirs.messages)
-        own = [(c.topic, c.ros_type, c.definition.text) for c in reader.connections]
-        assert sorted(own) == sorted((p.topic, p.msgtype, p.definition) for p in theirs.publishers)
 
 
 # --- Opening ---

@@ -10,8 +10,7 @@ import struct
 import sys
 import tempfile
 from collections import Counter
-from contextlib import closing, suppress
-from dataclasses import replace
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.mcap.writer import McapWriter
-from pc2scan.bags.opening import open_recording
+from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.bags.rosbag1.writer import Rosbag1Writer
 from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
 from pc2scan.errors import DestinationError, OutputError, RecordingError, UnwritableError
@@ -370,26 +369,40 @@ def test_ros1_reads_what_is_written(compression: str, tmp_path: Path) -> None:
     assert check.returncode == 0, check.stdout + check.stderr
 
 
-REAL = {"luminar_highway.bag": "bag-lz4", "ouster_os1_32.mcap": "mcap-ros2-lz4", "d435_depth.mcap": "mcap-ros2-zstd"}
+#: The kind in which each is written again.
+REAL = {
+    "luminar_highway.bag": "bag-lz4",
+    "velodyne_vlp32.bag": "bag-none",
+    "ouster_os1_32.mcap": "mcap-ros2-lz4",
+    "d435_depth.mcap": "mcap-ros2-zstd",
+    "jarvis_two_lasers.bag": "bag-bz2",
+    "guardian_pallet.bag": "mcap-ros1-lz4",
+}
 
 
 @needs_shared
-@pytest.mark.parametrize("name", sampled(REAL, 1))
+@pytest.mark.parametrize("name", sampled(REAL, 2))
 def test_a_rewritten_real_recording_is_read_by_others(name: str, tmp_path: Path) -> None:
     kind = KINDS[REAL[name]]
-    with closing(open_recording(RECORDINGS / name)) as reader:
+    assert sniff(RECORDINGS / name) == {".bag": "rosbag1", ".mcap": "mcap"}[Path(name).suffix]
+    with closing(open_recording(RECORDINGS / name, strict=True)) as reader:
         writer = kind.writer(tmp_path)
         handles = {each.id: writer.add_connection(each) for each in reader.connections}
         for message in reader.messages():
             writer.write(handles[message.connection.id], *message[1:5])
         writer.finish()
         with closing(open_recording(tmp_path / kind.name, strict=True)) as again:
-            assert [replace(own, schema_id=0) for own in again.connections] == [
-                replace(own, schema_id=0) for own in reader.connections
-            ]
+            kept = ("topic", "ros_type", "serialization", "definition", "digest", "callerid", "latching", "qos")
+            found, given = ([[getattr(c, key) for key in kept] for c in r.connections] for r in (again, reader))
+            assert found == given
             assert again.summary.message_count == reader.summary.message_count
             assert [c.latching for c in reader.connections if c.topic == "/tf_static"] in ([], [True])
-    before, after = opened(RECORDINGS / name), opened(tmp_path / kind.name)
-    assert after.messages == before.messages
-    with suppress(AttributeError):
-        assert after.publishers == before.publishers
+    try:
+        before = opened(RECORDINGS / name)
+    except AssertionError:
+        pytest.skip(f"rosbags cannot read {name}")
+    after = opened(tmp_path / kind.name)
+    # Only MCAP has publish times and sequence numbers.
+    width = 5 if kind.container == "mcap" and name.endswith(".mcap") else 3
+    assert [row[:width] for row in after.messages] == [row[:width] for row in before.messages]
+    assert after.publishers == before.publishers

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 import itertools
-import os
 import struct
 from contextlib import closing
 from typing import TYPE_CHECKING, Any
@@ -18,10 +16,8 @@ from mcap.stream_reader import StreamReader
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.errors import OutputError
-from pc2scan.model import Attachment, Definition, Metadata
-from support import ROOT
+from pc2scan.model import Definition, Metadata
 from support.mcap_files import CLOUD, COMPRESSIONS, QOS, SAMPLE, connection, encoded, streamed, write
-from support.npm import needs_npm, node
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -202,65 +198,3 @@ def test_there_is_room_for_65535_channels(tmp_path: Path) -> None:
     with closing(McapReader(path)) as reader:
         assert len(reader.connections) == 65535
         assert [m.connection.id for m in reader.messages()] == [65535]
-
-
-# --- The reader of web tools ---
-
-NPM = ROOT / "tests" / "bags" / "mcap_reader.mjs"
-
-
-def sha(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-@needs_npm("@mcap/core", "@mcap/support")
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_the_npm_reader_agrees(compression: str, tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    writer = McapWriter(path, compression=compression, chunk_size=1000)
-    connections = [
-        connection("/tf_static", qos=QOS),
-        connection("/tf_static", msgtype="tf2_msgs/msg/TFMessage", metadata={"publisher": "b"}),
-        connection("/json", msgtype="", serialization="json", definition=Definition()),
-        connection("/unused", definition=Definition()),
-    ]
-    handles = [writer.add_connection(each) for each in connections]
-    messages = [*SAMPLE, (2, 1_700_000_000_123_456_789, b"{}"), (0, 1500, os.urandom(90_000))]
-    for sequence, (i, log_time, data) in enumerate(messages):
-        writer.write(handles[i], log_time, data, log_time + 7, sequence)
-    writer.add_attachment(Attachment("a.bin", "x/y", 3, 4, bytes(range(256))))
-    writer.add_metadata(Metadata("robot", {"name": "ü"}))
-    writer.finish()
-    theirs = node(NPM, path)
-    written = [[handles[i], n, str(t), str(t + 7), sha(data)] for n, (i, t, data) in enumerate(messages)]
-    indexed = theirs["indexed"]
-    assert indexed["messages"] == sorted(written, key=lambda message: int(str(message[2])))
-    assert theirs["streamed"] == {"done": True, "messages": written}
-    assert (indexed["profile"], indexed["library"]) == ("ros2", "pc2scan")
-    assert [c[2:] for c in indexed["channels"]] == [
-        ["/tf_static", "cdr", {"offered_qos_profiles": QOS}],
-        ["/tf_static", "cdr", {"publisher": "b"}],
-        ["/json", "json", {}],
-        ["/unused", "cdr", {}],
-    ]
-    text = sha(b"uint8[] data")
-    assert [s[1:] for s in indexed["schemas"]] == [
-        [CLOUD, "ros2msg", text],
-        ["tf2_msgs/msg/TFMessage", "ros2msg", text],
-        [CLOUD, "", sha(b"")],
-    ]
-    assert indexed["attachments"] == [["a.bin", "x/y", "3", "4", sha(bytes(range(256)))]]
-    assert indexed["metadata"] == [["robot", {"name": "ü"}]]
-    assert indexed["summaryOffsets"] == 6
-    assert int(indexed["statistics"][0]) == len(messages)
-
-
-@needs_npm("@mcap/core", "@mcap/support")
-def test_the_npm_reader_finds_damage(tmp_path: Path) -> None:
-    """Without this its agreement would say little."""
-    path = write(tmp_path / "a.mcap", [(0, 1, os.urandom(5000))], compression="none")
-    data = bytearray(path.read_bytes())
-    data[3000] ^= 1
-    path.write_bytes(data)
-    with pytest.raises(AssertionError, match=r"(?i)crc"):
-        node(NPM, path)
