@@ -107,7 +107,7 @@ def test_what_overlaps_beyond_the_bound_is_loaded_again() -> None:
     assert max(len(calls(made)) for made in units) > 1
 
 
-def test_a_unit_that_declares_more_than_it_holds_drives_no_other_out() -> None:
+def test_a_unit_that_declares_too_much_drives_no_other_out() -> None:
     """One damaged chunk made every message load a chunk again."""
     liar = unit(0, [0, 50, 100], size=1 << 60)
     units = [liar, *(unit(number, [number, 100 + number]) for number in range(1, 9))]

@@ -274,7 +274,7 @@ def test_garbage_between_chunks_is_stepped_over(tmp_path: Path) -> None:
     assert (gap.offset, gap.bytes_lost, gap.first_ns, gap.last_ns) == (FIRST_CHUNK + len(first), 333, 5, 9)
 
 
-def test_of_an_uncompressed_chunk_without_a_header_the_messages_are_found(tmp_path: Path) -> None:
+def test_messages_of_a_chunk_without_a_header_are_found(tmp_path: Path) -> None:
     body = connection_record() + b"".join(message(t, bytes([t]) * 30) for t in range(1, 9))
     broken = bytearray(chunk(body))
     broken[0:4] = b"\xff\xff\xff\xff"
