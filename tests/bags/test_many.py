@@ -18,6 +18,7 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
 from pc2scan.bags.units import Extent, Unit, in_time_order
 from pc2scan.errors import RecordingError
+from pc2scan.model import StoredChunk
 from support import mcap_files, rosbag1_files
 
 if TYPE_CHECKING:
@@ -104,6 +105,9 @@ def test_the_messages_are_the_same(
     assert read(path, *cut) == expected
     assert any(len(each) > 7 for each in made)
     assert expected[0]
+    with closing(open_recording(path)) as reader:
+        loaded = [unit.load(lambda message: message, whole=False) for unit in reader.units(None, *cut)]
+    assert {isinstance(each, Many) for each in loaded if not isinstance(each, StoredChunk) and len(each) > 7} == {True}
 
 
 def test_items_of_one_time_stay_in_their_order() -> None:

@@ -538,3 +538,11 @@ def test_a_message_that_looks_like_records_is_kept(tmp_path: Path, whole: bool) 
     times, said = repaired(path)
     assert times == [5, 6, 7]
     assert "has opcode 0" in said
+
+
+def test_a_false_message_of_an_unknown_channel_is_none(tmp_path: Path) -> None:
+    """Among bytes that are no records; its length would cover a message that is there."""
+    head = struct.pack("<BQHIQQ", 5, 22 + len(raw_message(1, 6)), 9, 0, 5, 5)
+    body = raw_channel() + raw_message(1, 5) + bytes(13) + head + raw_message(1, 6) + raw_message(1, 7)
+    path = raw_file(tmp_path / "a.mcap", raw_chunk(body, message_start_time=5, message_end_time=7))
+    assert repaired(path)[0] == [5, 6, 7]
