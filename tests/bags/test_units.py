@@ -116,8 +116,8 @@ def test_a_unit_that_declares_too_much_drives_no_other_out() -> None:
 
 
 def test_what_would_be_loaded_again_and_again_is_refused() -> None:
-    times = list(range(0, 4000, 2))
-    units = [unit(number, [time + number for time in times], size=1 << 20) for number in range(2)]
+    times = list(range(0, 400, 2))
+    units = [unit(number, [time + number for time in times], size=1 << 26) for number in range(2)]
     with pytest.raises(RecordingError, match="overlap in time"):
         list(in_time_order(units, max_open_bytes=1))
 
