@@ -1,11 +1,9 @@
-"""``--split``: recordings in several files, read by the readers of others."""
+"""``--split``: recordings in several files; what is typed and said is in ``tests/transcripts/split.txt``."""
 
 from __future__ import annotations
 
-import json
 import os
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,14 +14,14 @@ from ruamel.yaml import YAML
 
 import pc2scan
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import DestinationError, OutputError, UsageError
+from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files import staged_parts
 from pc2scan.files.staging import rename_file
 from support import ROOT, sampled
-from support.command import run
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from pc2scan.pipeline.report import Report
 
@@ -149,49 +147,6 @@ def state(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_existing_parts_are_refused_before_writing(existing: Path) -> None:
-    before = state(existing.parent)
-    for dry_run in (False, True):
-        with pytest.raises(DestinationError, match="exists already") as caught:
-            convert(existing, dry_run=dry_run)
-        assert caught.value.path == existing.with_name("out_0.bag")
-    # Even one that would not be written over: it would be read as a part.
-    for number in (0, 1):
-        existing.with_name(f"out_{number}.bag").unlink()
-    with pytest.raises(DestinationError, match="exists already"):
-        convert(existing)
-    assert state(existing.parent).items() <= before.items()
-
-
-def test_only_what_is_written_is_replaced_if_asked(existing: Path) -> None:
-    for dry_run in (True, False):
-        report = convert(existing, overwrite=True, dry_run=dry_run)
-        # No record says that the last one is ours: it is a name that rosbag gives, too.
-        (warning,) = (text for text in report.warnings if "out_7.bag" in text)
-        assert "it stays" in warning
-    assert sorted(state(existing.parent)) == NAMES
-    assert existing.with_name("out_7.bag").read_text() == "old 7"
-    assert len(messages(existing.with_name("out_2.bag"))) == 2
-
-
-def test_a_directory_of_files_is_replaced_as_a_whole(tmp_path: Path) -> None:
-    convert(tmp_path / "out", "0.1s")
-    assert len(parts_of(tmp_path)) == 5
-    convert(tmp_path / "out", overwrite=True)
-    assert len(parts_of(tmp_path)) == 3
-    (tmp_path / "out" / "notes.txt").write_text("mine")
-    with pytest.raises(DestinationError, match="notes"):
-        convert(tmp_path / "out", overwrite=True)
-
-
-def test_a_source_is_never_replaced(tmp_path: Path) -> None:
-    convert(tmp_path / "drive.bag", keep_clouds=True)
-    before = state(tmp_path)
-    with pytest.raises(DestinationError, match="is a source"):
-        pc2scan.convert(parts_of(tmp_path), tmp_path / "drive.bag", split="0.1s", overwrite=True, topics="/points:=/b")
-    assert state(tmp_path) == before
-
-
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_all_parts_appear_or_none(overwrite: bool, existing: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if not overwrite:
@@ -245,36 +200,3 @@ def test_the_next_run_puts_right_what_a_killed_one_left(number: int, existing: P
     found = {name: data for name, data in state(tmp_path).items() if not name.endswith(".lock")}
     is_new = sorted(found) == NAMES and found["out_0.bag"] != b"old 0" and found["out_7.bag"] == b"old 7"
     assert found == before or is_new, sorted(found)
-
-
-# --- asking ---
-
-
-@pytest.mark.parametrize("split", ["60", "0s", "ten", "5 parsecs", "-3s", ""])
-def test_what_is_no_time_and_no_size_is_refused(split: str, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="a time or a size") as caught:
-        convert(tmp_path / "out.bag", split)
-    assert "60s" in str(caught.value.hint)
-
-
-def test_repeating_needs_splitting(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="`repeat_latched` needs `split`"):
-        convert(tmp_path / "out.bag", None, repeat_latched=True)
-
-
-@pytest.mark.parametrize("name", ["out.bag", "out"])
-def test_the_command_names_the_files(name: str, tmp_path: Path) -> None:
-    words = ("convert", HALL, "-o", tmp_path / name, "--min-height", "-0.3", "--split")
-    done = run(*words, "200ms", "--dry-run")
-    assert done.status == 0, done.stderr
-    assert "3 files" in done.stdout
-    assert not list(tmp_path.iterdir())
-    done = run(*words, "200ms", "--report", tmp_path / "report.json")
-    assert done.status == 0, done.stderr
-    files = json.loads((tmp_path / "report.json").read_text())["files"]
-    assert f"\n{tmp_path / name}: 3 files, {files[0]} to {files[2]}: " in done.stdout
-    assert [Path(file).is_file() for file in files] == [True] * 3
-    if name == "out.bag":
-        assert done.stdout.splitlines()[-1] == f"next: rosbag play --clock {' '.join(files)}"
-    done = run(*words, "60")
-    assert (done.status, "--split is '60'" in done.stderr) == (2, True)
