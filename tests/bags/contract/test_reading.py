@@ -22,7 +22,7 @@ from rosbags.rosbag2 import Writer as TheirWriter
 
 import pc2scan.bags
 from pc2scan.bags.opening import open_recording, sniff
-from pc2scan.errors import RecordingError, UsageError
+from pc2scan.errors import RecordingError
 from pc2scan.model import Attachment, Definition, Metadata
 from support.builders import CONTENT, IDL, SOURCES, Recording, definition, ros_version_of, write_db3, write_mcap
 from support.command import environment
@@ -189,7 +189,7 @@ def test_what_ros1_writes_is_read(compression: str, tmp_path: Path) -> None:
         assert reader.summary.compression == (compression,)
 
 
-# --- Opening ---
+# --- Opening: what is refused is in ``tests/transcripts/opening.txt`` ---
 
 
 MADE = {"rosbag1": "bag-lz4", "mcap": "mcap-zstd", "rosbag2": "rosbag2-mcap-v8", "sqlite3": "db3"}
@@ -236,44 +236,18 @@ def test_files_compressed_as_a_whole_are_read(kind: str, tmp_path: Path, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (b"", "is empty"),
-        (b"#ROSBAG V1.2\n", r"version '1\.2', only 2\.0 can be read"),
-        (b"#ROSBAG V2.", "is cut off after 11 bytes: there is nothing to recover"),
-        (b"\x89MC", "is cut off after 3 bytes"),
-        (b"\x1b[31mred\x00\xff", r"begins with '\\x1b\[31mred\\x00\\xff'"),
-        (b"\x1f\x8b\x08\x00", "gzip-compressed"),
-        (b"PK\x03\x04rest", "a ZIP archive"),
-        (b"version https://git-lfs.github.com/spec/v1", "Git LFS pointer"),
-        (b"rosbag2_bagfile_information:\n  version: 5", r"metadata\.yaml of a rosbag2"),
-        (b"\x89MCAP1\r\n", "unknown version"),
-        (zstandard.compress(b"PK\x03\x04rest"), r"a ZIP archive \(after zstd"),
-        (zstandard.compress(b""), r"is empty \(after zstd"),
-        (b"\x28\xb5\x2f\xfdgarbage", "cannot be decompressed"),
-    ],
+    ("content", "message"), [(b"PK\x03\x04rest", r"a ZIP archive \(after zstd"), (b"", r"is empty \(after zstd")]
 )
-def test_what_is_no_recording_is_refused(content: bytes, message: str, tmp_path: Path) -> None:
+def test_what_is_no_recording_after_zstd_is_refused(content: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "x.bag"
-    path.write_bytes(content)
+    path.write_bytes(zstandard.compress(content))
     with pytest.raises(RecordingError, match=message) as caught:
         open_recording(path)
     assert caught.value.path == path
-    assert str(caught.value).isprintable()
-    if "begins" in message:
-        for word in ("ROS 1 bags", "rosbag2", ".db3", "MCAP"):
-            assert word in (caught.value.hint or "")
 
 
-def test_what_cannot_be_opened_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_may_not_be_read_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "x.bag"
-    with pytest.raises(RecordingError, match="does not exist"):
-        open_recording(path)
-    os.mkfifo(path)
-    for special in (path, Path("/dev/null")):
-        with pytest.raises(RecordingError, match="neither a file nor a directory"):
-            open_recording(special)
-    path.unlink()
     path.touch(mode=0)
     if os.access(path, os.R_OK):
         # Root may read everything.
@@ -283,23 +257,6 @@ def test_what_cannot_be_opened_is_refused(tmp_path: Path, monkeypatch: pytest.Mo
         monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(RecordingError, match="Permission denied"):
         open_recording(path)
-
-
-def test_directories_with_no_or_several_recordings(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="without a rosbag2 recording"):
-        sniff(tmp_path)
-    SOURCES["bag-none"](tmp_path, CONTENT)
-    with pytest.raises(RecordingError) as caught:
-        sniff(tmp_path)
-    assert "drive.bag" in (caught.value.hint or "")
-    SOURCES["mcap-none"](tmp_path, CONTENT)
-    with pytest.raises(UsageError, match=r"holds 2 recordings, not one: drive\.bag, drive\.mcap"):
-        sniff(tmp_path)
-    (tmp_path / "drive.bag").unlink()
-    assert sniff(tmp_path) == "rosbag2"
-    (tmp_path / "drive.mcap").unlink()
-    (tmp_path / "metadata.yaml").touch()
-    assert sniff(tmp_path) == "rosbag2"
 
 
 # --- Harmlessness ---
