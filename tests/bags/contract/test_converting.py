@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from base64 import b64decode
 from collections import Counter
 from functools import cache
 from typing import TYPE_CHECKING, Any
@@ -234,11 +235,21 @@ def sha(data: bytes) -> str:
 def test_ros1_itself_reads_every_message(name: str, compression: str, tmp_path: Path) -> None:
     destination = tmp_path / "out.bag"
     pc2scan.convert(SOURCES[name](tmp_path, CONTENT), destination, params=PARAMS, compression=compression)
-    rows = ros1_read(destination)
-    mine = [(found.topic, found.log_time_ns) for found in opened(destination).messages]
-    assert Counter((row[0], row[1]) for row in rows) == Counter(mine)
+    rows, output = ros1_read(destination), opened(destination)
+    found = Counter((row[0], row[1], b64decode(row[5])) for row in rows)
+    assert found == Counter((m.topic, m.log_time_ns, m.data) for m in output.messages)
     assert len(rows) == len(CONTENT.items)
-    assert {row[4].get("latching") for row in rows if row[0] == "/tf_static"} == {"1"}
+    publishers = {publisher.topic: publisher for publisher in output.publishers}
+    for topic, _, msgtype, digest, header, _ in rows:
+        publisher = publishers[topic]
+        assert publisher.msgtype == msgtype.replace("/", "/msg/")
+        given = {"topic": topic, "type": msgtype, "md5sum": digest, "message_definition": publisher.definition}
+        assert given.items() <= header.items()
+        assert (header.get("latching") == "1") == publisher.latched
+        assert ("callerid" in header) == bool(publisher.callerid)
+    info = ros1(ROSBAG, "info", "--yaml", destination)
+    assert f"messages: {len(rows)}\n" in info.stdout, info.stderr
+    assert f"compression: {compression}\n" in info.stdout
 
 
 @pytest.mark.slow

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 import errno
 import os
 import resource
 import struct
 import sys
 import tempfile
-from collections import Counter
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +25,6 @@ from pc2scan.model import Attachment, Definition, Metadata
 from support import RECORDINGS, needs_shared, sampled
 from support.containers import FORMATS, KINDS, connection_for, read, recorded
 from support.outputs import opened
-from support.rosbag1_files import ROSBAG, ros1, ros1_missing, ros1_read
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,8 +38,6 @@ SMALL = [(("/a", "/b")[n % 2], T0 + (n * 37) % 50, b"\0\1\0\0" + bytes([n]) * (n
 LARGE = ("/a", T0 + 60, b"\0\1\0\0" + b"large" * 200_000)
 ROWS = [*SMALL[:50], LARGE, *SMALL[50:]]
 BY_TIME = sorted(ROWS, key=lambda row: row[1])
-
-needs_ros1 = pytest.mark.skipif(bool(ros1_missing()), reason="needs ROS 1's rosbag (Debian: python3-rosbag)")
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -338,35 +333,6 @@ def test_what_a_writer_cannot_hold_is_refused(tmp_path: Path) -> None:
     closed.abort()
     with pytest.raises(OutputError, match="closed"):
         closed.finish()
-
-
-# --- ROS 1's own tools ---
-
-
-@pytest.mark.slow
-@needs_ros1
-@pytest.mark.parametrize("compression", ["none", "lz4", "bz2"])
-def test_ros1_reads_what_is_written(compression: str, tmp_path: Path) -> None:
-    """Its own reader, not one of others: this is the only independent one that checks md5 sums and times."""
-    twins = [connection_for(1, "/a", callerid="/n"), connection_for(1, "/b", latching=True, metadata={"tcp": "1"})]
-    # It compares times as floats of seconds, and does not sort chunks that overlap.
-    spread = [(topic, (1 + time_ns - T0) * 1_000_000_000, data) for topic, time_ns, data in [*SMALL, LARGE]]
-    rows = [(topic, time_ns, struct.pack("<I", len(data)) + data) for topic, time_ns, data in spread]
-    path = recorded(KINDS[f"bag-{compression}"], tmp_path, rows, twins)
-    found = ros1_read(path)
-    expected = Counter(rows)
-    assert Counter((row[0], row[1], base64.b64decode(row[5])) for row in found) == expected
-    assert [row[1] for row in found] == sorted(row[1] for row in rows)
-    assert {(row[2], row[3]) for row in found} == {("std_msgs/String", twins[0].digest)}
-    headers = {row[0]: row[4] for row in found}
-    common = {"md5sum": twins[0].digest, "message_definition": "string data\n", "type": "std_msgs/String"}
-    assert headers["/a"] == {**common, "topic": "/a", "callerid": "/n"}
-    assert headers["/b"] == {**common, "topic": "/b", "latching": "1", "tcp": "1"}
-    info = ros1(ROSBAG, "info", "--yaml", path)
-    assert f"messages: {len(rows)}\n" in info.stdout, info.stderr
-    assert f"compression: {compression}\n" in info.stdout
-    check = ros1(ROSBAG, "check", path)
-    assert check.returncode == 0, check.stdout + check.stderr
 
 
 #: The kind in which each is written again.
