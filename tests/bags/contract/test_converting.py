@@ -252,9 +252,8 @@ def test_ros1_itself_reads_every_message(name: str, compression: str, tmp_path: 
     assert f"compression: {compression}\n" in info.stdout
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(bool(ros1_missing()), reason="needs ROS 1's rosbag (Debian: python3-rosbag)")
-@pytest.mark.parametrize("name", ["hall.bag", "hall.mcap", "hall"])
+@pytest.mark.parametrize("name", sampled(["hall", "hall.mcap", "hall.bag"], 1))
 def test_rosbag_check_has_nothing_to_migrate(name: str, tmp_path: Path) -> None:
     destination = tmp_path / "out.bag"
     done = run("convert", ROOT / "fixtures" / name, "-o", destination, "--min-height", "-0.3", "--keep-clouds")
