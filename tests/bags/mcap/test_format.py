@@ -8,7 +8,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from mcap.records import ChunkIndex, DataEnd, Footer
+from mcap.records import ChunkIndex, DataEnd, Footer, Schema
 from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 
@@ -61,6 +61,14 @@ def test_chunks_may_have_no_messages(tmp_path: Path) -> None:
     with closing(McapReader(path)) as reader:
         assert len(content(reader)) == 1
         assert (reader.summary.start_ns, reader.summary.end_ns) == (9, 9)
+
+
+def test_a_schema_without_an_id_is_nobodys(tmp_path: Path) -> None:
+    schema = encoded(Schema(id=0, name="a/B", encoding="ros2msg", data=b""))
+    with closing(
+        McapReader(raw_file(tmp_path / "a.mcap", schema, raw_channel(), raw_message()), strict=True)
+    ) as reader:
+        assert [connection.msgtype for connection in reader.connections] == [""]
 
 
 def test_messages_beside_indexed_chunks_are_found(tmp_path: Path) -> None:
