@@ -100,6 +100,13 @@ def test_chunks_without_messages_are_passed_over(counts: dict[int, int], tmp_pat
         assert list(reader.messages()) == []
 
 
+def test_a_chunk_may_have_very_many_index_records(tmp_path: Path) -> None:
+    rows = [(number, number, b"x" * number) for number in range(400)]
+    path = write(tmp_path / "a.bag", [connection(f"/{number}") for number in range(400)], rows, chunk_size=1 << 24)
+    with closing(Rosbag1Reader(path, strict=True)) as reader:
+        assert len(list(reader.messages())) == 400
+
+
 def test_lying_lengths_of_index_records_do_no_harm(tmp_path: Path) -> None:
     path = write(tmp_path / "a.bag", [connection()], [(0, 1, b"a"), (0, 2, b"b")], "none")
     raw = bytearray(path.read_bytes())

@@ -282,3 +282,11 @@ def test_messages_of_a_chunk_without_a_header_are_found(tmp_path: Path) -> None:
     path.write_bytes(bag_header(0, 0, 0) + bytes(broken))
     rows, _ = recovered(path)
     assert [row[1] for row in rows] == list(range(1, 9))
+
+
+def test_a_bag_may_end_with_a_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    path.write_bytes(bag_header(0, 0, 0) + chunk(connection_record() + message(5)))
+    rows, (damage,) = recovered(path)
+    assert [row[1] for row in rows] == [5]
+    assert "was never closed" in damage.what
