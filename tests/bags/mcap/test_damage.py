@@ -222,6 +222,16 @@ def test_a_chunk_index_that_lies_is_refused(attribute: str, delta: int, told: st
     failing(altered_index(path, "ChunkIndex", change, times=1 if attribute else 2), told)
 
 
+def test_wrong_channels_in_the_index_lose_no_message(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", SAMPLE)
+
+    def change(index: Any) -> None:
+        index.message_index_offsets = {7: min(index.message_index_offsets.values())}
+
+    with closing(McapReader(altered_index(path, "ChunkIndex", change))) as reader:
+        assert len(content(reader)) == len(content(reader, connections=reader.connections)) == len(SAMPLE)
+
+
 @pytest.mark.parametrize(
     ("inside", "told"),
     [

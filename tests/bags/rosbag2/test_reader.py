@@ -11,7 +11,7 @@ import zstandard
 from ruamel.yaml import YAML
 
 from pc2scan.bags.mcap.writer import McapWriter
-from pc2scan.bags.rosbag2.metadata import storage_files
+from pc2scan.bags.rosbag2.metadata import recorded_in, storage_files
 from pc2scan.bags.rosbag2.reader import Rosbag2Reader
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import Attachment, Metadata
@@ -194,6 +194,20 @@ def test_metadata_that_cannot_be_understood_is_refused(changes: dict[str, Any] |
         Rosbag2Reader(bag, strict=True)
     assert caught.value.path == bag / "metadata.yaml"
     assert caught.value.hint
+
+
+def test_a_disk_that_fails_is_no_damage(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_storage(bag / "bag_0.db3", [("/a", 3)])
+    write_metadata(bag, 8, ["bag_0.db3"])
+
+    def failing(_: Path) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("pc2scan.bags.rosbag2.metadata.opened_text", failing)
+    # Neither is the recording read without it, nor taken for one of somebody else, to be replaced.
+    for read_it in (Rosbag2Reader, recorded_in):
+        with pytest.raises(RecordingError, match="cannot be read: Input/output error"):
+            read_it(bag)
 
 
 def test_directories_without_one_recording_are_refused(bag: Path) -> None:
