@@ -14,6 +14,7 @@ from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
 from pc2scan.bags.rosbag1 import reader as rosbag1_reader
 from pc2scan.bags.rosbag1.reader import Rosbag1Reader
 from pc2scan.errors import DamageError
+from support import sampled, stepped
 from support.rosbag1_files import (
     COMPRESSIONS,
     FIRST_CHUNK,
@@ -90,15 +91,15 @@ def _stored(path: Path, offset: int, length: int, compression: str) -> bytes:
     return decompressed_prefix(path.read_bytes()[offset : offset + length], compression, 0)
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_cut_at_every_byte(tmp_path: Path, compression: str) -> None:
+@pytest.mark.parametrize(("compression", "step"), stepped(COMPRESSIONS, 37))
+def test_cut_at_every_byte(tmp_path: Path, compression: str, step: int) -> None:
     data, places = contents(tmp_path / "a.bag", compression)
     complete, damage = recovered(tmp_path / "a.bag")
     assert damage == ()
     path = tmp_path / "b.bag"
     most = 0
     # The header's padding is all alike.
-    for size in (*range(13, 150), *range(4100, len(data))):
+    for size in (*range(13, 150, step), *range(4100, len(data) - 1, step), len(data) - 1):
         path.write_bytes(data[:size])
         rows, damage = recovered(path)
         assert damage, size
@@ -107,26 +108,27 @@ def test_cut_at_every_byte(tmp_path: Path, compression: str) -> None:
         assert {data for _, stop, inner in places if stop <= size for data in inner} <= found, size
         assert len(rows) >= most, size
         most = len(rows)
-        if size % 10 == 0:
+        if size % 10 == 0 or step > 1:
             with pytest.raises(DamageError), closing(Rosbag1Reader(path, strict=True)) as strict:
                 list(strict.messages())
     assert most == len(ROWS)
 
 
-def test_a_cut_loses_only_the_message_it_cuts(tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", sampled([7, 1], 1))
+def test_a_cut_loses_only_the_message_it_cuts(tmp_path: Path, step: int) -> None:
     data = write(tmp_path / "a.bag", CONNECTIONS, ROWS, "none").read_bytes()
     ends = sorted(data.index(body) + len(body) for _, _, body in ROWS)
-    for size in range(ends[0], ends[-1] + 1):
+    for size in {*range(ends[0], ends[-1] + 1, step), *ends, *(end - 1 for end in ends[1:])}:
         (tmp_path / "b.bag").write_bytes(data[:size])
         rows, _ = recovered(tmp_path / "b.bag")
         assert len(rows) == sum(end <= size for end in ends), size
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_any_byte_flipped(tmp_path: Path, compression: str) -> None:
+@pytest.mark.parametrize(("compression", "step"), stepped(COMPRESSIONS, 37))
+def test_any_byte_flipped(tmp_path: Path, compression: str, step: int) -> None:
     data, places = contents(tmp_path / "a.bag", compression)
     path = tmp_path / "b.bag"
-    for position in (*range(13, 150), *range(4100, len(data))):
+    for position in (*range(13, 150, step), *range(4100, len(data), step)):
         flipped = bytearray(data)
         flipped[position] ^= 0xFF if position % 2 else 0x01
         path.write_bytes(flipped)
@@ -272,7 +274,7 @@ def test_garbage_between_chunks_is_stepped_over(tmp_path: Path) -> None:
     assert (gap.offset, gap.bytes_lost, gap.first_ns, gap.last_ns) == (FIRST_CHUNK + len(first), 333, 5, 9)
 
 
-def test_of_an_uncompressed_chunk_without_a_header_the_messages_are_found(tmp_path: Path) -> None:
+def test_messages_of_a_chunk_without_a_header_are_found(tmp_path: Path) -> None:
     body = connection_record() + b"".join(message(t, bytes([t]) * 30) for t in range(1, 9))
     broken = bytearray(chunk(body))
     broken[0:4] = b"\xff\xff\xff\xff"
@@ -280,3 +282,11 @@ def test_of_an_uncompressed_chunk_without_a_header_the_messages_are_found(tmp_pa
     path.write_bytes(bag_header(0, 0, 0) + bytes(broken))
     rows, _ = recovered(path)
     assert [row[1] for row in rows] == list(range(1, 9))
+
+
+def test_a_bag_may_end_with_a_chunk(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    path.write_bytes(bag_header(0, 0, 0) + chunk(connection_record() + message(5)))
+    rows, (damage,) = recovered(path)
+    assert [row[1] for row in rows] == [5]
+    assert "was never closed" in damage.what
