@@ -6,6 +6,7 @@ import json
 import warnings
 from contextlib import closing
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from support import sampled
 from support.command import run
 from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 
@@ -215,44 +217,49 @@ def test_several_scanners_become_one_scan_in_another_frame(tmp_path: Path) -> No
     assert done.topic("/flat")["points"]["height"] == 0
 
 
-def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
-    source = write_world(tmp_path / "w.mcap", [FRONT, REAR, FLAT], seconds=1.0)
-    for options in (
-        (*two_topics("/flat"), *MOVED, "--deskew"),
-        ("--topic", "/front", *MOVED, "--accumulate", "0.3"),
-        ("--topic", "/front:=/s1", "--topic", "/rear:=/s1", *MOVED, "--every", "0.25"),
-        ("--rebin",),
-    ):
-        found = set()
-        for jobs in ("1", "2", "5"):
-            converted(source, *options, jobs=jobs)
-            found.add((tmp_path / "out.mcap").read_bytes())
-        assert len(found) == 1
+@pytest.mark.parametrize("jobs", ["2", "5"])
+@pytest.mark.parametrize(
+    "options",
+    sampled(
+        [
+            [*two_topics("/flat"), *MOVED, "--deskew"],
+            ["--topic", "/front", *MOVED, "--accumulate", "0.3"],
+            [*two_topics(), *MOVED, "--every", "0.25"],
+            ["--rebin"],
+        ],
+        1,
+    ),
+)
+def test_any_number_of_jobs_gives_the_same_bytes(options: list[str], jobs: str, tmp_path: Path) -> None:
+    source = write_world(tmp_path / "w.mcap", [FRONT, REAR, FLAT], seconds=0.5)
+    found = set()
+    for each in ("1", jobs):
+        converted(source, *options, jobs=each)
+        found.add((tmp_path / "out.mcap").read_bytes())
+    assert len(found) == 1
 
 
-@pytest.mark.parametrize("phase", [0.037, 0.063])
-def test_points_that_wait_in_borrowed_memory_are_those_that_were_read(
-    phase: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("phase", "options"),
+    sampled(
+        product((0.037, 0.063), ({}, {"deskew": True}, {"reduce": "max"}, {"intensity_field": "intensity"})),
+        1,
+    ),
+)
+def test_points_that_wait_are_those_that_were_read(
+    phase: float, options: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     front = Lidar("/front", "front", FRONT.mount, columns=4000)
     rear = Lidar("/rear", "rear", REAR.mount, columns=4000, phase=phase)
     source = write_world(tmp_path / "w.mcap", [front, rear], seconds=1.0, compression="none")
-    for options in ({}, {"deskew": True}, {"reduce": "max"}, {"intensity_field": "intensity"}):
-        found = set()
-        for held in (64 << 20, 0):
-            monkeypatch.setattr("pc2scan.files.borrowed._MAX_KEPT", held)
-            for jobs in (1, 3):
-                done = pc2scan.convert(
-                    source,
-                    tmp_path / "out.mcap",
-                    jobs=jobs,
-                    overwrite=True,
-                    **BOTH,
-                    **options,
-                )
-                found.add((tmp_path / "out.mcap").read_bytes())
-        assert len(found) == 1
-        assert sum(topic.messages_out for topic in done.topics if topic.target == "/scan") >= 18
+    found = set()
+    for held in (64 << 20, 0):
+        monkeypatch.setattr("pc2scan.files.borrowed._MAX_KEPT", held)
+        for jobs in (1, 3):
+            done = pc2scan.convert(source, tmp_path / "out.mcap", jobs=jobs, overwrite=True, **BOTH, **options)
+            found.add((tmp_path / "out.mcap").read_bytes())
+    assert len(found) == 1
+    assert sum(topic.messages_out for topic in done.topics if topic.target == "/scan") >= 18
 
 
 @pytest.mark.parametrize(
@@ -281,7 +288,7 @@ def test_probable_mistakes_draw_a_warning(tmp_path: Path, options: tuple[str, ..
     assert said in " ".join(done.stderr.split())
 
 
-@pytest.mark.parametrize("name", ["every", "accumulate"])
+@pytest.mark.parametrize("name", sampled(["every", "accumulate"], 1))
 def test_milliseconds_as_seconds_are_noticed_in_long_recordings(tmp_path: Path, name: str) -> None:
     source = write_world(tmp_path / "w.mcap", [Lidar("/front", "front", columns=20, elevations=(0.0,))], seconds=40)
     options = ("--topic", "/front", *MOVED, "--min-height", "0.1")
@@ -415,18 +422,19 @@ def test_pages_of_scans_of_several_clouds_are_refused_with_what_to_do(tmp_path: 
 
 @pytest.mark.parametrize(
     "options",
-    [
-        {"topics": ["/front:=/scan", "/rear:=/scan", "/flat:=/scan"], "deskew": True, "fixed_frame": "odom"},
-        {"topics": ["/front:=/scan", "/rear:=/scan"], "lead": "/rear", "window": "60ms"},
-        {"topics": ["/front:=/a", "/rear:=/a", "/front:=/b"], "fixed_frame": "odom"},
-        {"topics": "/front", "accumulate": 0.3, "fixed_frame": "odom"},
-        {"topics": "/front:=/s", "every": "250ms", "level": True, "fixed_frame": "odom"},
-        {"topics": "/flat", "rebin": True, "preset": "slam_toolbox"},
-    ],
+    sampled(
+        [
+            {"topics": ["/front:=/scan", "/rear:=/scan"], "lead": "/rear", "window": "60ms"},
+            {"topics": ["/front:=/scan", "/rear:=/scan", "/flat:=/scan"], "deskew": True, "fixed_frame": "odom"},
+            {"topics": ["/front:=/a", "/rear:=/a", "/front:=/b"], "fixed_frame": "odom"},
+            {"topics": "/front", "accumulate": 0.3, "fixed_frame": "odom"},
+            {"topics": "/front:=/s", "every": "250ms", "level": True, "fixed_frame": "odom"},
+            {"topics": "/flat", "rebin": True, "preset": "slam_toolbox"},
+        ],
+        2,
+    ),
 )
-def test_scans_exports_and_maps_of_several_messages_are_those_of_their_conversion(
-    tmp_path: Path, options: dict[str, Any]
-) -> None:
+def test_scans_exports_and_maps_are_those_of_the_conversion(tmp_path: Path, options: dict[str, Any]) -> None:
     source = write_world(tmp_path / "w.mcap", [FRONT, REAR, FLAT], seconds=1.0)
     if not options.get("rebin"):
         options = {"target_frame": "base_link", "min_height": 0.1, **options}

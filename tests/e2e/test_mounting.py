@@ -17,7 +17,7 @@ from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions
 from pc2scan.pipeline.run import run as convert
 from pc2scan.pipeline.scan_spec import ScanSpec
-from support import RECORDINGS, ROOT, needs_shared
+from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.command import run
 from support.outputs import opened
 from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
@@ -78,7 +78,7 @@ MOUNTINGS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", MOUNTINGS)
+@pytest.mark.parametrize("case", sampled(MOUNTINGS, 1))
 def test_a_frame_that_is_not_level_is_reported_with_what_makes_it_level(case: str, tmp_path: Path) -> None:
     arguments, told = MOUNTINGS[case]
     source = recorded(tmp_path / "drive it.mcap", **arguments)
@@ -160,12 +160,15 @@ def test_a_topic_that_is_taken_is_avoided_and_several_are_named(tmp_path: Path) 
 @needs_shared
 @pytest.mark.parametrize(
     ("name", "floor", "warned"),
-    [
-        ("d435_depth.mcap", 0.0, "is an optical frame: z points forward, and up is -y"),
-        ("luminar_highway.bag", -3.7, ""),
-        ("ouster_os1_32.mcap", -1.85, ""),
-        ("velodyne_vlp32.bag", -0.3, ""),
-    ],
+    sampled(
+        [
+            ("velodyne_vlp32.bag", -0.3, ""),
+            ("d435_depth.mcap", 0.0, "is an optical frame: z points forward, and up is -y"),
+            ("luminar_highway.bag", -3.7, ""),
+            ("ouster_os1_32.mcap", -1.85, ""),
+        ],
+        1,
+    ),
 )
 def test_real_recordings(name: str, floor: float, warned: str, tmp_path: Path) -> None:
     done = run("info", RECORDINGS / name)
@@ -180,8 +183,8 @@ def test_real_recordings(name: str, floor: float, warned: str, tmp_path: Path) -
     assert topic["points"]["used"] > 0.05 * topic["points"]["total"]
 
 
-@pytest.mark.parametrize("case", MOUNTINGS)
-def test_convert_warns_of_a_frame_that_is_not_level_and_its_advice_works(case: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("case", sampled(reversed(MOUNTINGS), 1))
+def test_convert_says_what_makes_a_frame_level(case: str, tmp_path: Path) -> None:
     arguments, told = MOUNTINGS[case]
     source = recorded(tmp_path / "a.mcap", **arguments)
     done = run("convert", source, "-o", tmp_path / "b.mcap", "--min-height", "-5", "--max-height", "5")
@@ -263,7 +266,7 @@ def test_limits_that_do_not_suit_the_clouds(args: Sequence[str], told: str, tmp_
     assert told in done.stderr
 
 
-@pytest.mark.parametrize("limit", ["100", "1000", "999"])
+@pytest.mark.parametrize("limit", sampled(["1000", "100", "999"], 1))
 def test_no_limit_is_no_mistaken_unit(limit: str, tmp_path: Path) -> None:
     args = ("--min-height", f"-{limit}", "--max-height", limit)
     assert "metres" not in run("convert", recorded(tmp_path / "a.mcap"), "-o", tmp_path / "b.mcap", *args).stderr
@@ -289,7 +292,7 @@ def test_a_floor_within_the_heights(args: Sequence[str], warning: str, tmp_path:
         assert run("convert", HALL, "-o", tmp_path / "b.mcap", *args, *words).stderr == ""
 
 
-@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("place", sampled(PLACES, 2))
 def test_the_advised_heights_draw_no_warning_of_a_floor(place: str, tmp_path: Path) -> None:
     for height in PLACES[place].heights:
         source = recorded(tmp_path / f"{height}.mcap", place=place, height=height)
@@ -316,7 +319,7 @@ def test_scans_of_a_frame_that_the_robot_moves_in(tmp_path: Path) -> None:
 @needs_shared
 @pytest.mark.parametrize(
     ("name", "frame", "height"),
-    [("ouster_os1_32.mcap", "os_lidar", "1.8"), ("velodyne_vlp32.bag", "velodyne_front", "0.3")],
+    sampled([("velodyne_vlp32.bag", "velodyne_front", "0.3"), ("ouster_os1_32.mcap", "os_lidar", "1.8")], 1),
 )
 def test_a_static_transform_in_the_wrong_order(name: str, frame: str, height: str, tmp_path: Path) -> None:
     args = ("--target-frame", "base_link", "--min-height", "0.1", "--static-tf")
@@ -354,7 +357,7 @@ def test_points_at_the_sensor(tf: Sequence[Any], tmp_path: Path) -> None:
 def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:
     tilted = cloud(PLACES["hall"], "32 rings", mounted(20, 0), 0.6)
     level = cloud(PLACES["hall"], "32 rings", mounted(0, 0), 0.6)
-    source = write_clouds(tmp_path / "a.mcap", [tilted] * 4 + [level] * 300)
+    source = write_clouds(tmp_path / "a.mcap", [tilted] * 4 + [level] * 150)
     told: list[tuple[str, int]] = []
     read = [0]
 
@@ -384,7 +387,14 @@ def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:
 @needs_shared
 @pytest.mark.parametrize(
     ("name", "heights"),
-    [("luminar_highway.bag", (-4.2, -1.5)), ("ouster_os1_32.mcap", (-1.7, 0.5)), ("velodyne_vlp32.bag", (-0.2, 1.2))],
+    sampled(
+        [
+            ("velodyne_vlp32.bag", (-0.2, 1.2)),
+            ("luminar_highway.bag", (-4.2, -1.5)),
+            ("ouster_os1_32.mcap", (-1.7, 0.5)),
+        ],
+        1,
+    ),
 )
 def test_real_recordings_get_heights_of_their_own(name: str, heights: tuple[float, float], tmp_path: Path) -> None:
     done = run("convert", RECORDINGS / name, "-o", tmp_path / "a.mcap")

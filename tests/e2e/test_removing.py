@@ -16,6 +16,7 @@ from pc2scan.cli.spelling import as_typed
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
 from pc2scan.messages.laserscan import decode_laserscan
+from support import sampled
 from support.worlds.labelled import labelled
 from support.worlds.mounted import write_clouds
 from support.worlds.veiled import LIDARS, PLANS, Kind, Scan, Veiled, scan_of, veiled
@@ -68,7 +69,7 @@ def converted(recording: Path, beams: int, *options: str) -> Converted:
     return Converted(scans, warnings, topic["removed_beams"])
 
 
-@pytest.mark.parametrize("plan", sorted(PLANS.keys() - CROWDED))
+@pytest.mark.parametrize("plan", sampled(sorted(PLANS.keys() - CROWDED), 1))
 def test_shadows_keep_clean_walls_and_posts(plan: str, tmp_path: Path) -> None:
     clouds = [veiled(plan, lidar, noise=noise) for lidar in LIDARS for noise in (0.0, 0.02)]
     recording = written(tmp_path, *clouds)
@@ -82,11 +83,12 @@ def test_shadows_keep_clean_walls_and_posts(plan: str, tmp_path: Path) -> None:
             assert not gone[kinds == Kind.POST].any()
 
 
-def test_shadows_remove_most_mixed_pixels(tmp_path: Path) -> None:
+@pytest.mark.parametrize("numbers", sampled([[720], [360, 720]], 1))
+def test_shadows_remove_most_mixed_pixels(numbers: list[int], tmp_path: Path) -> None:
     clouds = [veiled(plan, lidar, noise=0.02, mixed=True) for plan in PLANS for lidar in ("16 rings", "1 ring")]
     recording = written(tmp_path, *clouds)
     mixed, true = np.zeros(2, int), np.zeros(2, int)
-    for beams in BEAMS:
+    for beams in numbers:
         for cloud, scan in zip(clouds, converted(recording, beams, "--remove", "shadows").scans, strict=True):
             kinds, gone = expected(cloud, beams).kinds, ~np.isfinite(scan)
             mixed += [gone[kinds == Kind.MIXED].sum(), np.count_nonzero(kinds == Kind.MIXED)]
@@ -148,7 +150,7 @@ def test_scans_whose_every_beam_is_sparse_are_explained(tmp_path: Path) -> None:
     assert "720 of 720 beams (100%) were removed as sparse; they have fewer returns than --min-points" in ended.messages
 
 
-@pytest.mark.parametrize(("lidar", "height"), [("16 rings", 1.0), ("32 rings", 1.8), ("64 rings", 1.8)])
+@pytest.mark.parametrize(("lidar", "height"), sampled([("16 rings", 1.0), ("32 rings", 1.8), ("64 rings", 1.8)], 1))
 def test_beams_end_on_boxes_where_the_ground_is_removed(lidar: str, height: float, tmp_path: Path) -> None:
     cloud = labelled("boxes of 0.3 m", lidar, lidar=height)
     high = ~cloud.ground & (cloud.above > 0.16 + 0.008 * np.hypot(cloud.points[:, 0], cloud.points[:, 1]))

@@ -6,7 +6,7 @@ import math
 from contextlib import suppress
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.errors import ParameterError, visible
@@ -109,7 +109,6 @@ def test_a_value_that_is_no_yaml_is_refused_with_its_origin(value: str) -> None:
     assert err.name == "target_frame"
 
 
-@settings(deadline=None, max_examples=300)
 @given(text=st.one_of(yaml_like, st.text()))
 def test_no_param_whatever_raises_anything_else(text: str) -> None:
     with suppress(ParameterError):

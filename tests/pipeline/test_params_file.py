@@ -530,7 +530,7 @@ def test_the_merge_key_is_named(load: Load) -> None:
     assert "merge key" in str(err.hint)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=400)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(text=st.one_of(yaml_like, st.text(), st.binary(max_size=60)))
 def test_no_text_whatever_raises_anything_else(load: Load, text: str | bytes) -> None:
     with suppress(ParameterError):
@@ -633,7 +633,7 @@ def any_params(draw: st.DrawFn) -> ProjectionParams:
     )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(params=any_params())
 def test_a_rendered_file_reads_back_to_the_bit(tmp_path: Path, params: ProjectionParams) -> None:
     file = reread(render_params_file(params), tmp_path / "params.yaml")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.core.params import ProjectionParams
@@ -86,7 +86,6 @@ def same(one: Result, other: Result) -> None:
     assert one.empty == other.empty
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     st.integers(0, 2**32),
     st.sampled_from(
