@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .streams_of_stamps import Group, Stream
 
 RULES: dict[str, Rule] = {
-    "nearest": Nearest(windows_ns=(0, 50 * MS, 65 * MS)),
+    "nearest": Nearest(windows_ns=(0, 90 * MS, 50 * MS)),
     "recent": Recent(span_ns=300 * MS),
     "few": Recent(count=4),
     "interval": Interval(250 * MS),
@@ -286,7 +286,7 @@ def test_a_scan_waits_a_second_for_a_silent_topic() -> None:
 @pytest.mark.parametrize(
     # A second, and what comes after the lead: twice the largest window, or the rest of the interval.
     ("kind", "wait"),
-    {"nearest": 1_150, "recent": 1_050, "few": 1_050, "interval": 1_300, "some": 1_300}.items(),
+    {"nearest": 1_200, "recent": 1_050, "few": 1_050, "interval": 1_300, "some": 1_300}.items(),
 )
 def test_stamps_that_stand_still_are_waited_for_in_vain(kind: str, wait: int) -> None:
     run = Run(RULES[kind], 3).all(Message(number % 2, 0, number * 50 * MS, 0, number // 2) for number in range(100))
@@ -540,17 +540,20 @@ def test_a_silent_topic_makes_no_scan_wait_for_more_memory(monkeypatch: pytest.M
     assert (lonely.groups, lonely.counts[1].unmatched) == ([], 100)
 
 
-def test_an_old_series_gives_its_memory_to_the_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("old", [15, 1])
+def test_an_old_series_gives_its_memory_to_the_new_one(old: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
-    stamps = [*range(0, 150, 10), *range(1_000_000, 1_000_150, 10)]
+    new = 35 - old if old > 1 else 20
+    stamps = [*range(0, 10 * old, 10), *range(1_000_000, 1_000_000 + 10 * new, 10)]
     run = Run(Recent(span_ns=SECOND), 1)
     most = []
     for number, stamp in enumerate(stamps):
         run.add(Message(0, stamp * MS, number * 10 * MS))
         most.append(len(run.held))
-    assert most == [*range(1, 21), *range(6, 16)]
+    assert most == [*range(1, 21), *range(21 - old, new + 1)]
+    assert run.series == 1
     run.finish()
-    assert run.sizes == [*range(1, 16)] * 2
+    assert run.sizes == [*range(1, old + 1), *range(1, new + 1)]
 
 
 def test_an_old_series_that_is_full_ends_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
