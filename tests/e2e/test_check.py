@@ -140,15 +140,6 @@ def test_beams_that_mrpt_misreads_are_counted(tmp_path: Path) -> None:
     assert "allowed: angle_min -1.57079768, angle_max 1.5707953\n" in done.stdout
 
 
-def test_a_sector_to_one_side_cannot_be_made_for_mrpt(tmp_path: Path) -> None:
-    done = run(
-        "convert", HALL, "-o", tmp_path / "out.mcap", "--preset", "mrpt", "--angle-min", "0", "--angle-max", "1.5"
-    )
-    assert done.status == 2
-    assert "not symmetric around 0" in done.stderr
-    assert "--angle-min -1.5 --angle-max 1.5" in done.stderr
-
-
 @pytest.mark.parametrize("name", ["out.bag", "out.mcap", "out"])
 def test_convert_warns_and_check_says_why(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
@@ -202,19 +193,3 @@ def test_nothing_is_warned_of_where_nobody_refuses(tmp_path: Path) -> None:
     assert (done.status, done.stderr) == (0, "")
     done = run("convert", tmp_path / "out.bag", "-o", tmp_path / "back.bag", "--reverse", "--quiet")
     assert (done.status, done.stderr) == (0, "")
-
-
-def test_wrong_usage(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", *scans(2))
-    unknown = run("check", path, "--for", "hector")
-    assert unknown.status == 2
-    assert "slam_toolbox" in unknown.stderr
-    assert run("check").status == 2
-    missing = run("check", path, "--topic", "/scam")
-    assert missing.status == 2
-    assert "did you mean /scan?" in missing.stderr
-    clouds = run("check", HALL)
-    assert clouds.status == 2
-    assert "pc2scan convert" in clouds.stderr
-    gone = run("check", tmp_path / "gone.bag")
-    assert (gone.status, "Traceback" in gone.stderr) == (2, False)

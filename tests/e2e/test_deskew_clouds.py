@@ -79,30 +79,6 @@ def test_where_nothing_moves_deskewing_changes_nothing_but_the_last_bits(tmp_pat
     assert motion["largest_m"] < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--deskew"], "--deskew of clouds needs a frame that does not move: --fixed-frame"),
-        (["--fixed-frame", "odom"], "--fixed-frame needs --deskew or --level of clouds"),
-        (
-            ["--deskew", "--fixed-frame", "odom", "--point-time", "rnig:s"],
-            "--point-time is 'rnig:s', which the clouds",
-        ),
-        (["--deskew", "--fixed-frame", "odom", "--point-time", "azimuth:fast"], "'fast' is not the time of a turn"),
-        (
-            ["--deskew", "--fixed-frame", "odom", "--point-time", "azimuth", "--end", "0.25"],
-            "there are 3 different stamps in the first 3 clouds, at least 4 are needed",
-        ),
-        (["--deskew", "--fixed-frame", "odom", "--point-time", "time:h"], "it must be a field, or a field and a unit"),
-    ],
-)
-def test_what_cannot_be_is_wrong_usage(tmp_path: Path, options: list[str], said: str) -> None:
-    done, scans, _ = converted(tmp_path, *options)
-    assert done.status == 2
-    assert said in " ".join(done.stderr.split())
-    assert not scans
-
-
 def test_the_turn_of_a_lidar_is_measured(tmp_path: Path) -> None:
     moved = ("--deskew", "--fixed-frame", "odom")
     _, timed, _ = converted(tmp_path, *moved)

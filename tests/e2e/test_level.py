@@ -240,30 +240,6 @@ def test_filters_see_the_level_frame(tmp_path: Path, world: Path) -> None:
     assert counts[1]["min_height_slope"] > 1000
 
 
-@pytest.mark.parametrize(
-    ("options", "message", "hint"),
-    [
-        (
-            ("--level",),
-            "--level needs a source of the direction of up",
-            "--fixed-frame odom; or an IMU: --imu /imu/data",
-        ),
-        (("--imu", "/imu"), "--imu needs --level", ""),
-        (("--level", "--imu", "/imu:"), "it must be a topic, or a topic and a frame", "--imu /imu/data:imu_link"),
-        (("--level", "--imu", "/imu"), "no topic /imu in the recording", "Imu topics: none"),
-        (("--level", "--imu", "/points"), "topic /points is sensor_msgs/msg/PointCloud2", "Imu topics: none"),
-        (("--level", "--fixed-frame", "map"), "--fixed-frame is 'map', which is in no transform", "--static-tf"),
-    ],
-)
-def test_what_cannot_be_says_what_to_type(
-    tmp_path: Path, world: Path, options: tuple[str, ...], message: str, hint: str
-) -> None:
-    done = converted(tmp_path, world, *options).done
-    assert done.status == 2
-    assert message in done.stderr
-    assert hint in done.stderr
-
-
 def test_an_imu_whose_mount_is_not_known(tmp_path: Path, world: Path, imu: Path) -> None:
     done = converted(tmp_path, world, imu, "--level", "--imu", "/imu").done
     assert done.status != 0
@@ -304,12 +280,6 @@ def test_a_dry_run_tells_of_the_transforms(tmp_path: Path, world: Path) -> None:
     )  # fmt: skip
     assert done.status == 0, done.stderr
     assert "from --level" in done.stdout
-
-
-def test_clouds_are_not_made_level(tmp_path: Path, world: Path) -> None:
-    done = run("convert", world, "-o", tmp_path / "b.mcap", "--reverse", "--level", "--fixed-frame", "odom")
-    assert done.status == 2
-    assert "--level makes scans level, but --reverse makes clouds" in done.stderr
 
 
 def test_info_says_which_imus_make_scans_level(world: Path, imu: Path) -> None:

@@ -127,24 +127,6 @@ def test_frames_that_nothing_connects(count: int, options: tuple[str, ...], fold
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap", "rosbag2"])
-@pytest.mark.parametrize(
-    ("cut", "words"),
-    [
-        (("--start", "3600"), "the cut is outside of the recording: --start is "),
-        (("--end", "@1000000000"), "the cut is outside of the recording: --end is 1000000000.000000000"),
-        (("--start", "0.21"), "the cut is outside of the recording: --start"),
-        (("--start", "0.12", "--end", "0.15"), "no messages on /points in the cut"),
-    ],
-)
-def test_a_cut_without_clouds(kind: str, cut: tuple[str, ...], words: str, tmp_path: Path) -> None:
-    source = SOURCES[kind]
-    WRITERS[kind](tmp_path / source, CONTENT)
-    done, report = convert(tmp_path, *cut, status=2, source=source)
-    assert words in done.stderr
-    assert report["error"]["exit_status"] == 2
-
-
-@pytest.mark.parametrize("kind", ["bag", "mcap", "rosbag2"])
 def test_a_topic_without_messages(kind: str, tmp_path: Path) -> None:
     source = SOURCES[kind]
     WRITERS[kind](tmp_path / source, silent("/points"))
@@ -220,12 +202,6 @@ def test_a_share_of_the_points_can_be_demanded(share: str, status: int, folder: 
     if status:
         assert "of the points of /points are in the scans on /scan, less than" in done.stderr
         assert report["error"]["class"] == "ResultError"
-
-
-@pytest.mark.parametrize("share", ["1.5", "-1", "200%", "half", "nan", "%"])
-def test_shares_that_cannot_be(share: str, folder: Path) -> None:
-    done, _ = convert(folder, f"--min-used={share}", status=2)
-    assert "--min-used" in done.stderr
 
 
 # --- The report of a run that failed ---

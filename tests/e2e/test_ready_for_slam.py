@@ -174,28 +174,6 @@ def test_beams_have_the_times_of_their_points(tmp_path: Path) -> None:
         assert scan.time_increment == pytest.approx(-0.1 / 360, rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--beams", "360", "--angle-increment", "0.1"), "set the same thing in two ways; give one of them"),
-        (("--preset", "slamtoolbox"), "there is no preset 'slamtoolbox'; did you mean slam_toolbox?"),
-        (("--no-return", "range-max-plus"), "which needs a finite range_max"),
-        (("--intensity-field", "i"), "which the clouds on /points do not have (from --intensity-field)"),
-        (("--scan-time", "soon"), "scan_time: expected a number or auto, got 'soon' (from --scan-time)"),
-        (("--reverse", "--preset", "amcl"), "laserscan_to_pointcloud has no parameter 'geometry' (from --preset amcl)"),
-        (("--reverse", "--beams", "3"), "laserscan_to_pointcloud has no parameter 'beams' (from --beams)"),
-    ],
-)
-def test_what_cannot_be_is_said_before_anything_is_written(
-    options: tuple[str, ...], message: str, tmp_path: Path
-) -> None:
-    done = run("convert", HALL, "-o", tmp_path / "out.mcap", *options)
-    assert done.status == 2
-    assert message in done.stderr
-    assert "Traceback" not in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_the_closest_surface_is_read_and_a_mean_is_warned_of(tmp_path: Path) -> None:
     readings = {}
     for how in ("min", "surface", "mean"):

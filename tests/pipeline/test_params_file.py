@@ -221,126 +221,36 @@ def test_angles_in_a_ros2_file(load: Load, written: str) -> None:
     assert params_of(load(ros2(angle_max=written))).angle_max == math.pi / 2
 
 
-NO_ANGLES = (
-    "rad(1/0)|rad(e)|rad(2**9)|rad(__import__('os').getcwd())|rad(lambda:1)|rad(True)|rad('1')|rad(1j)|rad()|rad(1,2)"
-    f"|rad({'(' * 60}1{')' * 60})|rad({'9*' * 500}9)|deg(x)|!degrees x|!radians pi pi"
-).split("|")
 BACK: Direction = "laserscan_to_pointcloud"
 
-#: Files, parts of what is said, and the hint.
+#: Files that no transcript has, parts of what is said, and of the hint.
 REFUSED: list[tuple[str | bytes, str, str]] = [
-    *((f"range_min: 1\nangle_max: {each}", "angle_max: expected a number, got ", "") for each in NO_ANGLES),
-    # Which node.
+    (f"range_min: 1\nangle_max: rad({'9*' * 500}9)", "angle_max: expected a number, got ", ""),
     (TWO, f"several nodes match: /a{HERE}, /b{HERE}", f"`node=/a{HERE}`"),
     (ros2() + ros2(BACK), f"{HERE}, /{BACK}", ""),
-    (
-        ros2("camera", fps=30) + ros2("/ns/slam", rate=1),
-        f"no section is named {P2L} or {BACK}, and none has only their parameters; found /camera, /ns/slam",
-        "",
-    ),
-    ("camera: {fps: 30}", "found /camera", ""),
-    ("".join(ros2(f"camera{i:02}", fps=1) for i in range(12)), "/camera09 and 2 more", ""),
     (
         ros2("front", min_height=1) + ros2("rear", min_height=2),
         "several have only their parameters; found /front, /rear",
         "choose one, for example `node=/front`",
     ),
-    (
-        f"{BACK}:\n  ros__parameters:\n    min_height: -1.0",
-        f"{BACK} has no parameter 'min_height' (from ...params.yaml, line 3, {BACK}.ros__parameters.min_height)",
-        "the parameters are target_frame, transform_tolerance, queue_size",
-    ),
-    # No YAML of parameters.
-    ("", "params.yaml: the file is empty", ""),
-    ("# only a comment\n", "params.yaml: the file is empty", ""),
-    ("{}", "params.yaml: the file is empty", ""),
-    ("- 1\n", "params.yaml: expected parameters as 'name: value', got a list", ""),
-    ("range_min 5", "params.yaml: expected parameters as 'name: value', got only a text", ""),
-    ("a: 1\n---\nb: 2\n", "params.yaml, line 2, column 1: not valid YAML: but found another document", ""),
-    ("a: b: c", "params.yaml, line 1, column 5: not valid YAML: mapping values are not allowed here", ""),
-    ("range_min: [1", "params.yaml, line 1, column 14: not valid YAML: ", ""),
-    ("range_min: *x", "params.yaml, line 1, column 12: not valid YAML: found undefined alias 'x'", ""),
-    ("a: 1\nb: \x00", "params.yaml, line 2, column 4: not valid YAML: special characters are not allowed", ""),
-    (b"a: 1\nb: \xff\xfe", "params.yaml, line 2: byte 0xff is not UTF-8 text", ""),
-    ("a: 1".encode("utf-16"), "params.yaml, line 1: byte 0xff is not UTF-8 text", ""),
-    ("a: 1\na: 2\n", "params.yaml, line 2, column 1: 'a' is given twice, first in line 1", ""),
-    ("n: {ros__parameters: {a: 1,\n 'a': 2}}", "params.yaml, line 2, column 2: 'a' is given twice", ""),
-    ("? [a]\n: 1\n", "params.yaml, line 1, column 3: a name must be plain text", ""),
-    ("a: &a {b: *a}", "nested more than 50 levels deep", ""),
-    ("[" * 500, "params.yaml: nested too deeply", ""),
-    ("a: {" * 60 + "b: 1" + "}" * 60, "params.yaml, line 1, column ", ""),
     ("x" * 1_000_001, "params.yaml: larger than 1,000,000 bytes", ""),
-    ("\tmin_height: 1\n", "not valid YAML", "indent with spaces, not with tabs"),
-    (f"{P2L}:\n\tmin_height: 1\n", "not valid YAML", "indent with spaces, not with tabs"),
-    (
-        "\n".join(["a0: &a0 {x: 1, y: 2}", *(f"a{i}: &a{i} {{p: *a{i - 1}, q: *a{i - 1}}}" for i in range(1, 40))]),
-        "its aliases multiply",
-        "",
-    ),
+    ("".join(f"a{i}: &a{i} {{p: *a{i - 1}, q: *a{i - 1}}}\n" for i in range(40)).replace("*a-1", "x"), "multiply", ""),
     # Lists are never expanded.
     (
-        "a0: &a0 [1, 2]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 40)) + "range_min: *a39",
+        "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(40)).replace("*a-1", "1") + "range_min: *a39",
         "unknown parameter 'a0'",
         "",
     ),
-    (f"d: &d {{min_height: 1}}\n{P2L}:\n  <<: *d\n  max_height: 2\n", "unknown parameter '<</min_height'", "merge key"),
-    (ros2(min_height=1) + "range_min: 5\n", "'range_min' is outside of any ros__parameters (from ", ""),
-    (f"{P2L}:\n  ros__parameters: 5\n", "line 2, column 20: expected parameters below", ""),
-    (f"{P2L}:\n  ros__parameters: [range_min]\n", "line 2, column 20: expected parameters", ""),
-    # Wrong values.
-    *((f"use_inf: {each}", "use_inf: expected true or false", "") for each in ("2", "-1", "1.0", "'true'", "maybe")),
-    (ros2(use_inf=1), "use_inf: expected true or false, got 1 (from ", "write true or false"),
     ("range_min: !!python/object/apply:os.system [ls]", "range_min: expected a number, got a list (from ", ""),
-    ("target_frame: !!python/name:os.system x", "the YAML tag !!python/name:os.system is not supported", ""),
-    ("target_frame: !env HOME", "target_frame: the YAML tag !env is not supported (from ", ""),
-    ("target_frame: !!binary aGk=", "target_frame: the YAML tag !!binary is not supported (from ", ""),
-    (ros2(angle_min="!degrees 5"), "angle_min: the YAML tag !degrees is not supported (from ", ""),
-    ("range_min: {a: 1}", "range_min: expected a number, got a mapping (from ", ""),
-    (ros2(range_min="{a: 1}"), "range_min: expected a number, got a mapping (from ", ""),
-    (ros2(range_min="[1.0]"), "range_min: expected a number, got a list (from ", ""),
-    (ros2(range_min=""), "range_min: expected a number, got nothing", ""),
-    ("range_max: 5\n\nrange_min: abc\n", "expected a number, got 'abc' (from ...params.yaml, line 3, range_min)", ""),
-    # Unknown names.
-    (ros2(filter="{size: 1}"), "unknown parameter 'filter.size'", ""),
-    ("min_height: 1\nfilter: {size: 1}", "unknown parameter 'filter/size'", ""),
-    (f"{P2L}: {{min_height: 1, filter: {{a: {{b: 1}}}}}}", "unknown parameter 'filter/a/b'", ""),
-    *(
-        (text, f"unknown parameter '{name}' (from ...; did you mean '{meant}'?", "the parameters are target_frame, ")
-        for name, meant in (
-            ("min_heigth", "min_height"),
-            ("range-min", "range_min"),
-            ("rangemax", "range_max"),
-            ("concurency_level", "concurrency_level"),
-        )
-        for text in (
-            ros2(range_max=5, **{name: 1}),
-            f"range_max: 5\n{name}: 1",
-            ros2("/**", **{name: 1}, range_max=5),
-        )
-    ),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("text", "message", "hint"), REFUSED, ids=range(len(REFUSED)))
 def test_what_is_wrong_is_refused_with_its_place(load: Load, text: str | bytes, message: str, hint: str) -> None:
     err = failure(lambda: params_of(load(text)))
-    begin, _, end = message.partition("...")
-    assert begin in str(err)
-    assert end in str(err)
+    assert message in str(err)
     assert "params.yaml" in str(err)
     assert hint in (err.hint or "")
-
-
-@pytest.mark.parametrize("node", ["/c", "c", "/laserscan", "a"])
-def test_a_node_that_is_not_there(load: Load, node: str) -> None:
-    err = failure(load, TWO, node)
-    assert f"no section is for the node {node!r} (from `node`); found /a{HERE}, /b/" in str(err)
-
-
-def test_a_name_that_two_nodes_have(load: Load) -> None:
-    err = failure(load, TWO, P2L)
-    assert f"several nodes are named '{P2L}': /a/" in str(err)
-    assert "`node`" in str(err.hint)
 
 
 def test_the_way_back_has_parameters_of_its_own(load: Load) -> None:
@@ -364,14 +274,6 @@ def test_the_place_of_a_value_in_nested_names(load: Load) -> None:
 def test_no_text_whatever_raises_anything_else(load: Load, text: str | bytes) -> None:
     with suppress(ParameterError):
         params_of(load(text if isinstance(text, bytes) else text.encode("utf-8", "replace")))
-
-
-def test_files_that_are_not_there(tmp_path: Path) -> None:
-    missing = failure(load_params_file, tmp_path / "none.yaml")
-    assert (str(missing), missing.exit_status) == (f"{tmp_path / 'none.yaml'}: does not exist", 2)
-    assert str(failure(load_params_file, tmp_path)) == f"{tmp_path}: this is a directory, not a parameter file"
-    (tmp_path / "file").touch()
-    assert "cannot be read: Not a directory" in str(failure(load_params_file, tmp_path / "file" / "params.yaml"))
 
 
 # Writing

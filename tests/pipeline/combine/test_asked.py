@@ -33,14 +33,8 @@ def test_times_and_numbers_of_clouds(asked: dict[str, Any], read: Combining) -> 
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"accumulate": "soon"}, "`accumulate` is 'soon', which is not a time"),
         ({"accumulate": True}, "`accumulate` is True, which is not a time"),
-        ({"accumulate": "0clouds"}, "it must be 1 to 100,000 clouds"),
-        ({"every": 0}, "it must be more than 0"),
         ({"every": float("nan")}, "it must be more than 0"),
-        ({"window": "-1"}, "it must be more than 0"),
-        ({"window": "3 days"}, "which is not a time"),
-        ({"every": 1e6}, "at most 86400 s"),
     ],
 )
 def test_what_cannot_be_names_the_option(asked: dict[str, Any], said: str) -> None:

@@ -119,46 +119,6 @@ def test_rows_with_gaps_have_masks_of_their_shape() -> None:
     assert Where("ring % 2 == 0")(points(ring=ring)).tolist() == [[True, False, True, False]] * 3
 
 
-@pytest.mark.parametrize(
-    ("condition", "column", "what"),
-    [
-        ("ring = 3", 6, "unexpected '='"),
-        ("ring == 3 & ring == 4", 11, "unexpected '&'"),
-        ("ring == 'a'", 9, 'unexpected "\'"'),
-        ("ring in 3", 9, "expected '(', not '3'"),
-        ("ring in ()", 10, "expected a number, not ')'"),
-        ("ring in (ring)", 10, "expected a number, not 'ring'"),
-        ("ring in (3", 11, "expected ')', not the end"),
-        ("ring", 1, "expected a comparison; this is a number"),
-        ("ring > 3 and intensity", 14, "expected a comparison; this is a number"),
-        ("(ring > 3) + 1 > 2", 1, "expected a number; this is a condition"),
-        ("abs(ring > 3) > 1", 5, "expected a number; this is a condition"),
-        ("not ring", 5, "expected a comparison; this is a number"),
-        ("ring >", 7, "expected a field or a number, not the end"),
-        ("", 1, "expected a field or a number, not the end"),
-        ("ring > 3 4", 10, "expected and, or, or the end, not '4'"),
-        ("ring > 3)", 9, "expected and, or, or the end, not ')'"),
-        ("and", 1, "expected a field or a number, not 'and'"),
-        ("1 < 2", 1, "it names no field"),
-        ("__import__('os')", 12, "unexpected"),
-        ("__import__(ring)", 1, "expected a comparison"),
-        ("ring.real > 3", 5, "unexpected '.'"),
-        ("ring > 3 and " + "(" * 60 + "ring > 3" + ")" * 60, 65, "more than 50 levels"),
-        ("not " * 60 + "ring > 3", 205, "more than 50 levels"),
-    ],
-)
-def test_errors_name_the_column(condition: str, column: int, what: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        Where(condition)
-    assert caught.value.message.startswith(f"`where`: column {column} of {condition!r}: ")
-    assert what in caught.value.message
-
-
-def test_conditions_have_a_length() -> None:
-    with pytest.raises(UsageError, match="3,000 characters, at most 2,000"):
-        Where("r" * 3000)
-
-
 def test_fields_are_those_that_the_condition_names_once() -> None:
     assert Where("ring > 3 and (x < 1 or ring == 0)").fields == ("ring", "x")
 
@@ -166,3 +126,16 @@ def test_fields_are_those_that_the_condition_names_once() -> None:
 def test_a_field_that_a_cloud_lacks_is_an_error() -> None:
     with pytest.raises(DecodeError, match="no field 'reflectivity'; the cloud's fields are: ring, intensity, far"):
         Where("reflectivity > 3")(points())
+
+
+@pytest.mark.parametrize(
+    ("condition", "what"),
+    [
+        ("ring > 3 and " + "(" * 60 + "ring > 3" + ")" * 60, "`where`: column 65 of .*: more than 50 levels"),
+        ("not " * 60 + "ring > 3", "`where`: column 205 of .*: more than 50 levels"),
+        ("r" * 3000, "3,000 characters, at most 2,000"),
+    ],
+)
+def test_conditions_are_not_endless(condition: str, what: str) -> None:
+    with pytest.raises(UsageError, match=what):
+        Where(condition)
