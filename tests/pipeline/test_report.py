@@ -1,43 +1,123 @@
+"""The report of a conversion: what it counts, and its warnings, which name the cause and the parameter."""
+
 from __future__ import annotations
 
 import json
 import math
+import re
+from typing import Any
 
+import pytest
+
+from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
-from pc2scan.pipeline.report import MAX_LISTED, Skipped
+from pc2scan.pipeline.report import MAX_LISTED, Report, Skipped
+from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.topic_report import TopicReport
-from pipeline.reports import report
+
+#: A box around the sensor: heights that are given.
+GIVEN = ProjectionParams(min_height=-9.0)
 
 
-def test_skipped_messages_are_all_counted_and_the_first_ones_listed() -> None:
+def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
+    """A concluded report of one topic with these counts of points and scans."""
+    own = {name: counts.pop(name) for name in ("messages_out", "empty_scans", "advice", "motions") if name in counts}
+    moved: dict[str, Any] = (
+        {"deskew": True, "fixed_frame": "odom"} if {"no_time", "no_transform"} & counts.keys() else {}
+    )
+    spec = ScanSpec(params=params or ProjectionParams(), **moved)
+    made = Report(["a.bag"], "b.bag", (spec,))
+    points = PointCounts(**{"total": 100, "used": 0, **counts})
+    made.topics.append(
+        TopicReport(
+            "/points", "a/msg/B", "/scan", "converted", messages_in=4, points=points, **{"messages_out": 4, **own}
+        )
+    )
+    made.conclude()
+    return made
+
+
+@pytest.mark.parametrize(
+    ("params", "counts", "start", "words"),
+    [
+        (None, {"empty_scans": 2, "height": 60}, "2 of 4 scans", "min_height"),
+        (None, {"empty_scans": 2, "range": 60, "height": 40}, "2 of 4 scans", "range_min"),
+        (None, {"empty_scans": 2, "angle": 60, "height": 40}, "2 of 4 scans", "angle_min"),
+        (None, {"empty_scans": 2, "nan": 60, "height": 40}, "2 of 4 scans", "NaN"),
+        (None, {"empty_scans": 2, "total": 0}, "2 of 4 scans", "no points"),
+        (ProjectionParams(min_height=1.0), {"empty_scans": 4, "height": 100}, "4 of 4 scans", "target_frame"),
+        # The default of min_height is named only if it rejects many points.
+        (None, {"used": 51, "height": 49}, "", "z <= 0; `min_height` sets it"),
+        (None, {"used": 51, "height": 49, "advice": "`min_height=-3.7`"}, "", ": `min_height=-3.7`"),
+        (None, {"total": 0, "messages_out": 0}, "no message of /points could be converted", ""),
+        # Points that cannot be placed, more than a tenth.
+        (GIVEN, {"used": 89, "no_transform": 11}, "/scan: 11 of 100 points (11%) were ", "`tf_from`"),
+        (GIVEN, {"used": 89, "no_time": 11}, "/scan: 11 of 100 points (11%) were ", "`deskew`"),
+        (
+            None,
+            {"used": 100, "motions": [(0.1, 0.01, 0.02), (0.3, 0.02, 0.3), (0.2, 0.03, 0.02)]},
+            "/scan: while clouds were measured, transforms to `fixed_frame` were missing for up to 0.3",
+            "",
+        ),
+    ],
+)
+def test_a_warning_names_the_cause(
+    params: ProjectionParams | None, counts: dict[str, Any], start: str, words: str
+) -> None:
+    (warning,) = report(params, **counts).warnings
+    assert warning.startswith(start)
+    assert words in warning
+    # The numbers are those of the recording, never a constant.
+    assert "advice" in counts or not re.search(r"min_height=-?\d", warning)
+    assert params is None or "default" not in warning
+
+
+@pytest.mark.parametrize(
+    ("params", "counts"),
+    [
+        (None, {"used": 100}),
+        (None, {"used": 90, "height": 10}),
+        (ProjectionParams(min_height=-0.5), {"used": 51, "height": 49}),
+        (GIVEN, {"used": 90, "no_transform": 10}),
+        (GIVEN, {"used": 90, "no_time": 10}),
+        (None, {"used": 100, "motions": [(0.1, 0.01, 0.02), (0.3, 0.02, 0.1), (0.2, 0.03, 0.02)]}),
+        *(
+            (GIVEN, {"used": 10, name: 90})
+            for name in ("where", "exclude_box", "ground", "min_height_slope", "range", "nan")
+        ),
+    ],
+)
+def test_what_is_as_it_should_be_draws_no_warning(params: ProjectionParams | None, counts: dict[str, Any]) -> None:
+    made = report(params, **counts)
+    assert (made.warnings, made.exit_status) == ([], 0)
+
+
+def test_the_motion_of_a_topic_is_summed_up() -> None:
+    made = report(used=100, motions=[(0.1, 0.01, 0.02), (0.3, 0.02, 0.3), (0.2, 0.03, 0.02)])
+    degrees = {"largest_deg": math.degrees(0.03), "median_deg": math.degrees(0.02)}
+    expected = {"largest_m": 0.3, "median_m": 0.2, **degrees, "longest_gap_s": 0.3}
+    assert made.topics[0].motion == pytest.approx(expected)
+
+
+def test_skipped_messages_are_all_counted_and_some_listed() -> None:
     made = report(used=100)
     for i in range(MAX_LISTED + 7):
         made.list_skipped(Skipped("/points", i, i, "reason"))
     made.topics[0].skipped = MAX_LISTED + 7
-    assert made.skipped_count == MAX_LISTED + 7
-    assert len(made.skipped) == MAX_LISTED
-    assert made.exit_status == 3
+    assert (made.skipped_count, len(made.skipped), made.exit_status) == (MAX_LISTED + 7, MAX_LISTED, 3)
 
 
-def test_a_topic_that_cannot_be_carried_over_shows_in_the_exit_status() -> None:
+@pytest.mark.parametrize("lost", [True, False])
+def test_what_cannot_be_carried_over_is_a_loss(lost: bool) -> None:
+    """And what the user dropped is none."""
     made = report(used=100)
-    made.topics.append(TopicReport("/x", "a/msg/B", None, "skipped", note="cannot be written", lost=True))
+    made.topics.append(TopicReport("/x", "a/msg/B", None, "skipped", note="cannot be written", lost=lost))
     assert made.exit_status == 0
     made.topics[-1].skip(3)
-    assert made.exit_status == 3
-    assert made.skipped_count == 3
-    made.conclude()
-    assert made.warnings == ["3 messages of 1 topic are skipped: /x (3: cannot be written)"]
-
-
-def test_a_topic_that_the_user_dropped_is_no_loss() -> None:
-    made = report(used=100)
-    made.topics.append(TopicReport("/x", "a/msg/B", None, "skipped"))
-    made.topics[-1].skip(3)
-    assert (made.exit_status, made.skipped_count) == (0, 0)
+    assert (made.exit_status, made.skipped_count) == ((3, 3) if lost else (0, 0))
     assert made.topics[-1].messages_in == 3
     made.conclude()
-    assert made.warnings == []
+    assert made.warnings == ["3 messages of 1 topic are skipped: /x (3: cannot be written)"][: int(lost)]
 
 
 def test_json_has_no_infinities_and_keeps_every_nanosecond() -> None:
