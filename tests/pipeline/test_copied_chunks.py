@@ -350,7 +350,7 @@ def consistent(path: Path) -> bool:
 
 
 #: Whether the chunks declare the clouds first, the version of the destination's metadata, which spells QoS profiles in
-#: its own way, and which chunks are copied. The second chunk declares nothing, but that cannot be known without looking.
+#: its own way, and which chunks are copied. The second one declares nothing, but that cannot be known without looking.
 DECLARED = [(False, 0, slice(0, 2)), (True, 0, slice(1, 2)), (False, 9, slice(1, 2))]
 
 

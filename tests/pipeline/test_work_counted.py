@@ -168,41 +168,6 @@ def test_transforms_are_found_without_reading_clouds(drive: Path, extents: list[
     assert min(times_read(extents, chunks["/tf"])) >= 1
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_clouds_are_projected_where_they_were_decompressed(
-    drive: Path, jobs: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    chunks: list[Any] = []
-    seen: list[Any] = []
-    lock = threading.Lock()
-    reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
-    original = reader.with_payload
-
-    def spying(file: Any, segment: Segment, use: Any, **options: Any) -> Any:
-        def seen(chunk: Any) -> Any:
-            with lock:
-                chunks.append(np.frombuffer(chunk, np.uint8))
-            return use(chunk)
-
-        return original(file, segment, seen, **options)
-
-    class Spy:
-        def __init__(self, params: pc2scan.ProjectionParams) -> None:
-            self._project = Projector(params)
-
-        def __call__(self, x: Any, y: Any, z: Any, *more: Any) -> Any:
-            with lock:
-                seen.append((x, y, z))
-            return self._project(x, y, z, *more)
-
-    monkeypatch.setattr(reader, "with_payload", spying)
-    monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
-    convert(drive, jobs=jobs)
-    assert len(seen) == len(chunks) == CLOUDS
-    for coordinates in seen:
-        assert all(any(np.may_share_memory(part, chunk) for chunk in chunks) for part in coordinates)
-
-
 @pytest.mark.parametrize("form", FORMS)
 def test_clouds_are_projected_by_the_thread_that_decompressed_them(
     form: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
