@@ -18,7 +18,7 @@ CLOUD, IMU, SCAN = "sensor_msgs/PointCloud2", "sensor_msgs/msg/Imu", "sensor_msg
 ONE = {"/points": CLOUD, "/imu": IMU}
 CAMERAS = {"/points": CLOUD, "/cam/left": IMU, "/cam/right": IMU, "/imu": IMU}
 REBIN = {"combining": Combining.of(rebin=True)}
-BASE = {"params": ProjectionParams(target_frame="base_link")}
+BASE: dict[str, Any] = {"params": ProjectionParams(target_frame="base_link")}
 
 
 def plan(topics: dict[str, str], *requests: str, **options: Any) -> Plan:
@@ -152,6 +152,7 @@ def test_an_output_without_sources_has_the_only_topic() -> None:
 
 
 def test_two_outputs_cannot_have_one_topic() -> None:
-    spec = ScanSpec(name="/scan", place="here", topics=(TopicRequest("/a", "/scan"),))
+    topics = (TopicRequest("/a", "/scan"),)
+    specs = (ScanSpec(name="/scan", place="here", topics=topics, **each) for each in ({}, BASE))
     with pytest.raises(TopicError, match=r"/scan \(here\) and /scan \(here\) would both become /scan"):
-        make_plan([Connection(1, "/a", CLOUD, "ros1")], ConvertOptions(scans=(spec, spec)))
+        make_plan([Connection(1, "/a", CLOUD, "ros1")], ConvertOptions(scans=tuple(specs)))
