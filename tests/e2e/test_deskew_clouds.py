@@ -58,14 +58,6 @@ def test_deskewed_scans_say_how_far_the_sensor_moved(tmp_path: Path, stamp: str)
     assert "deskewed; within a cloud the sensor moved by up to" in done.stdout
 
 
-def test_the_number_of_jobs_does_not_matter(tmp_path: Path) -> None:
-    found = []
-    for jobs in ("1", "2", "8"):
-        converted(tmp_path, "--deskew", "--fixed-frame", "odom", "--jobs", jobs)
-        found.append((tmp_path / "b.mcap").read_bytes())
-    assert found[0] == found[1] == found[2]
-
-
 def test_where_nothing_moves_deskewing_changes_nothing_but_the_last_bits(tmp_path: Path) -> None:
     _, plain, report = converted(tmp_path)
     assert [entry["motion"] for entry in report["topics"]] == [None] * len(report["topics"])
@@ -110,14 +102,6 @@ def test_what_a_lidar_turns_like_is_to_be_typed_where_clouds_do_not_tell(tmp_pat
     assert "logged 0.1019 s after their stamps, so the stamp may be the time of the first or of the last point" in said
     assert "--point-time azimuth:0.1:ccw:start" in said
     assert run(*words, "azimuth:start").status == 0
-
-
-def test_times_of_no_sense_skip_the_clouds_and_say_why(tmp_path: Path) -> None:
-    done, scans, _ = converted(tmp_path, "--deskew", "--fixed-frame", "odom", "--point-time", "intensity:s")
-    assert done.status == 1
-    assert not scans
-    assert "by their field intensity" in done.stderr
-    assert "hint: the times of the points and the stamps come from different clocks" in done.stderr
 
 
 # --- Clouds of one lidar on a robot, with times and transforms of all kinds ---

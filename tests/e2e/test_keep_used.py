@@ -17,7 +17,7 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.cli.app import application
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
-from pc2scan.errors import TopicError, UsageError
+from pc2scan.errors import TopicError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import decode_laserscan
@@ -77,13 +77,6 @@ def test_the_kept_points_give_the_same_scans(source: str, options: dict[str, Any
         rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
         own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)
         assert all(bytes(row[: cloud.point_step]) in rows for row in own)
-
-
-def test_the_number_of_jobs_does_not_matter(tmp_path: Path) -> None:
-    paths = [tmp_path / "one.mcap", tmp_path / "more.mcap"]
-    for path, threads in zip(paths, (1, 4), strict=True):
-        pc2scan.convert(HALL, path, keep_used="/used", min_height=-0.4, jobs=threads)
-    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def test_deskewed_points_are_kept_as_they_were_recorded(tmp_path: Path) -> None:
@@ -169,15 +162,6 @@ def test_other_types_of_clouds_keep_their_fields(tmp_path: Path, monkeypatch: py
     }
 
 
-def test_the_report_counts_the_topic(tmp_path: Path) -> None:
-    words = ["convert", str(HALL), "-o", str(tmp_path / "a.mcap"), "--keep-used", "/used", "--min-height", "-0.4"]
-    done = CliRunner().invoke(application(), words)
-    assert done.exit_code == 0, done.output
-    assert "added: the points that the beams of /scan read" in done.output
-    dry = CliRunner().invoke(application(), [*words, "-n", "--overwrite"])
-    assert "added: the points that the beams of /scan read" in dry.output
-
-
 def test_each_output_has_its_own(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     scans: dict[str, Any] = {
@@ -202,14 +186,9 @@ def test_a_cloud_that_is_skipped_is_skipped_once(tmp_path: Path) -> None:
     assert "more (" not in done.output
 
 
-def test_a_topic_of_its_own(tmp_path: Path) -> None:
-    for topic in ("/scan", "/tf"):
-        with pytest.raises(TopicError, match=topic):
-            pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used=topic)
+def test_two_outputs_keep_points_on_topics_of_their_own(tmp_path: Path) -> None:
     with pytest.raises(TopicError, match=r"/b .*and /a .*would both become /u|/a .*and /b .*would both become /u"):
         pc2scan.convert(HALL, tmp_path / "a.mcap", scans={"/a": {"keep_used": "/u"}, "/b": {"keep_used": "/u"}})
-    with pytest.raises(UsageError, match="`reverse` converts scans"):
-        pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used="/used", reverse=True)
 
 
 FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)), columns=360)

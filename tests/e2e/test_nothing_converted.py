@@ -71,19 +71,6 @@ def silent(*topics: str) -> Recording:
 # --- What is known beforehand ---
 
 
-def test_a_target_frame_that_nothing_connects(folder: Path) -> None:
-    done, report = convert(folder, "--target-frame", "moon", status=1)
-    assert "error: /points: nothing can be converted: " in done.stderr
-    assert '"moon"' in done.stderr or "'moon'" in done.stderr or "[moon]" in done.stderr
-    assert "--static-tf" in done.stderr
-    assert report["error"]["class"] == "UnconnectedError"
-    assert report["error"]["place"] == "/points"
-    # Known in the tree, but in another part of it.
-    convert(folder, "--target-frame", "moon", "--static-tf", "moon crater 0 0 0 0 0 0", status=1)
-    convert(folder, "--target-frame", "base_link", "--source-frame", "sun", status=1)
-    convert(folder, "--target-frame", "base_link", *HEIGHTS, status=0)
-
-
 def in_frames(path: Path, *frame_ids: str) -> None:
     """Write a recording of clouds in these frames, and a transform of another one."""
     clouds = [
@@ -168,40 +155,6 @@ def test_one_converted_message_is_enough(folder: Path) -> None:
 
 
 # --- Scans without returns ---
-
-
-def test_scans_that_all_are_empty_have_a_status_of_their_own(folder: Path) -> None:
-    done, report = convert(folder, "--min-height", "50", status=4)
-    assert "3 of 3 scans on /scan have no return" in done.stderr
-    assert report["error"] is None
-    assert (folder / "out" / "drive_scan.bag").exists()
-    again = run("convert", "--each", "drive.bag", "--min-height", "50", "-q", cwd=folder)
-    assert again.status == 4
-
-
-@pytest.mark.parametrize("strictness", ["empty", "warning"])
-def test_empty_scans_can_be_made_an_error(strictness: str, folder: Path) -> None:
-    done, report = convert(folder, "--min-height", "50", "--fail-on", strictness, status=1)
-    assert f"3 of 3 scans on /scan have no return (--fail-on {strictness})" in done.stderr
-    assert report["error"]["class"] == "ResultError"
-    convert(folder, *HEIGHTS, "--fail-on", strictness, status=0)
-
-
-def test_warnings_can_be_made_an_error(folder: Path) -> None:
-    convert(folder, *HEIGHTS, "--keep", "/nothing", status=0)
-    done, _ = convert(folder, *HEIGHTS, "--keep", "/nothing", "--fail-on", "warning", "--overwrite", status=1)
-    assert "--keep /nothing matches no topic (--fail-on warning)" in done.stderr
-    (folder / "cut.bag").write_bytes((folder / "drive.bag").read_bytes()[:-100])
-    done, _ = convert(folder, *HEIGHTS, "--fail-on", "warning", status=1, source="cut.bag")
-    assert "cut.bag: a source is damaged (--fail-on warning)" in done.stderr
-
-
-@pytest.mark.parametrize(("share", "status"), [("0.1", 0), ("1%", 0), ("99.9%", 1), ("1", 1)])
-def test_a_share_of_the_points_can_be_demanded(share: str, status: int, folder: Path) -> None:
-    done, report = convert(folder, *HEIGHTS, "--min-used", share, status=status)
-    if status:
-        assert "of the points of /points are in the scans on /scan, less than" in done.stderr
-        assert report["error"]["class"] == "ResultError"
 
 
 # --- The report of a run that failed ---

@@ -304,14 +304,6 @@ def test_damage_in_a_copied_chunk_is_found(source: Path, options: dict[str, Any]
     assert report.exit_status == 3
 
 
-def test_added_connections_get_ids_that_the_source_does_not_use(source: Path) -> None:
-    destination = convert(source)
-    reader: Any = Rosbag1Reader(destination) if source.suffix == ".bag" else McapReader(destination)
-    with closing(reader):
-        ids = {connection.topic: connection.id for connection in reader.connections}
-    assert ids == {"/left": 3, "/right": 5, "/scan": 0 if source.suffix == ".bag" else 1}
-
-
 QOS = "- history: 1\n  depth: 1\n  reliability: 1\n  durability: 1"
 
 
