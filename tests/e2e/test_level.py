@@ -118,24 +118,19 @@ def imu(tmp_path_factory: pytest.TempPathFactory) -> Path:
 MOUNTED = ("--static-tf", "base_link imu_link " + " ".join(map(repr, MOUNT.pose)))
 
 
-def test_level_by_odometry_and_deskewed_every_return_is_on_its_wall_and_no_floor_appears(
-    tmp_path: Path, world: Path
-) -> None:
-    level = converted(tmp_path, world, "--level", "--deskew", "--fixed-frame", "odom")
-    off = level.off(TILTING)
+@pytest.mark.parametrize("deskewed", [(), ("--deskew",)], ids=str)
+def test_level_by_odometry_every_return_is_on_its_wall(deskewed: tuple[str, ...], tmp_path: Path, world: Path) -> None:
+    """Alone it is exact to the tilt within a cloud."""
+    off = converted(tmp_path, world, "--level", *deskewed, "--fixed-frame", "odom").off(TILTING)
     assert len(off) > 20_000
     assert off.max() < 0.02
-    # As it is, a fifth of all returns are floor.
-    asis = converted(tmp_path, world, "--deskew", "--fixed-frame", "odom")
-    assert {scan.frame_id for _, scan in asis.scans} == {"base_link"}
-    far = asis.off(TILTING)
-    assert np.mean(far > 0.5) > 0.1
-    assert far.max() > 3
-
-
-def test_level_alone_is_exact_to_the_tilt_within_a_cloud(tmp_path: Path, world: Path) -> None:
-    off = converted(tmp_path, world, "--level", "--fixed-frame", "odom").off(TILTING)
-    assert off.max() < 0.02
+    if deskewed:
+        # As it is, a fifth of all returns are floor.
+        asis = converted(tmp_path, world, "--deskew", "--fixed-frame", "odom")
+        assert {scan.frame_id for _, scan in asis.scans} == {"base_link"}
+        far = asis.off(TILTING)
+        assert np.mean(far > 0.5) > 0.1
+        assert far.max() > 3
 
 
 @pytest.mark.parametrize("orientation", sampled([False, True], 1))
@@ -160,6 +155,7 @@ def test_the_imu_levels_and_odometry_deskews(tmp_path: Path, world: Path, imu: P
     assert [scan.ranges.tobytes() for _, scan in elsewhere.scans] == [scan.ranges.tobytes() for _, scan in made.scans]
 
 
+@pytest.mark.slow
 def test_two_lidars_in_one_level_scan(tmp_path: Path) -> None:
     lidars = [
         Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.3, 0.0, 0.5)), kind="packets", columns=900),
@@ -222,6 +218,7 @@ def test_the_number_of_jobs_does_not_matter(tmp_path: Path, world: Path, imu: Pa
     assert found[0] == found[1] == found[2]
 
 
+@pytest.mark.slow
 def test_a_cut_changes_nothing_in_what_is_left(tmp_path: Path, world: Path, imu: Path) -> None:
     options = ("--level", "--imu", "/imu", *MOUNTED)
     whole = {log: scan.ranges.tobytes() for log, scan in converted(tmp_path, world, imu, *options).scans}
@@ -252,6 +249,7 @@ def test_an_imu_whose_mount_is_not_known(tmp_path: Path, world: Path, imu: Path)
     assert "--static-tf" in done.stderr
 
 
+@pytest.mark.slow
 def test_an_imu_with_a_gap_and_one_of_another_clock(tmp_path: Path, world: Path) -> None:
     imu = write_imu(tmp_path / "imu.mcap", TILTING, gap=0.5)
     made = converted(tmp_path, world, imu, "--level", "--imu", "/imu", *MOUNTED)
@@ -304,6 +302,7 @@ def test_scans_are_level_and_deskewed_on_the_way(tmp_path: Path, world: Path) ->
         pc2scan.scans(world, level=True, fixed_frame="odom")
 
 
+@pytest.mark.slow
 def test_a_2d_lidar_that_tilts_is_made_level(tmp_path: Path) -> None:
     lidar = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, 0.0, (0.0, 0.0, 0.5)), kind="flat", columns=1800)
     flat = write_world(tmp_path / "flat.mcap", [lidar], TILTING, seconds=1.0)
