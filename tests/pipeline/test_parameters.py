@@ -7,7 +7,8 @@ import subprocess
 import sys
 from contextlib import suppress
 from dataclasses import asdict, fields
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -22,9 +23,9 @@ from pc2scan.pipeline.param_sources import resolve_sources
 from pc2scan.pipeline.parameters import PARAMETERS, Setting, preset_settings, resolve
 from pipeline.param_settings import failure, yaml_like
 from support import ROOT
+from support.tables import rows
 
-if TYPE_CHECKING:
-    from pathlib import Path
+VALUES = Path(__file__).parent / "values.txt"
 
 
 def test_the_table_has_every_parameter_in_order() -> None:
@@ -48,48 +49,7 @@ def test_the_table_has_every_parameter_in_order() -> None:
 # name:=value
 
 
-@pytest.mark.parametrize(
-    ("text", "name", "value"),
-    [
-        ("range_max:=30", "range_max", 30),
-        ("range_max:=30.0", "range_max", 30.0),
-        ("range_max:=1e5", "range_max", 1e5),
-        ("range_max:=1e+300", "range_max", 1e300),
-        ("range_max:=.5", "range_max", 0.5),
-        ("range_max:=5.", "range_max", 5.0),
-        ("range_max:=+5", "range_max", 5),
-        ("range_max:=.inf", "range_max", math.inf),
-        ("range_max:=inf", "range_max", math.inf),
-        ("min_height:=-.Inf", "min_height", -math.inf),
-        ("min_height:=-0.5", "min_height", -0.5),
-        ("range_max:= 5 ", "range_max", 5),
-        ("queue_size:=0x10", "queue_size", 16),
-        ("queue_size:=010", "queue_size", 8),
-        ("queue_size:=08", "queue_size", 8.0),
-        ("use_inf:=true", "use_inf", True),
-        ("use_inf:=False", "use_inf", False),
-        ("use_inf:=no", "use_inf", False),
-        ("use_inf:='no'", "use_inf", "no"),
-        ('target_frame:="base_link"', "target_frame", "base_link"),
-        ("target_frame:=base_link", "target_frame", "base_link"),
-        ("target_frame:='1'", "target_frame", "1"),
-        ("target_frame:=1", "target_frame", 1),
-        ("target_frame:=2024-01-01", "target_frame", "2024-01-01"),
-        ("target_frame:=", "target_frame", ""),
-        ("target_frame:=''", "target_frame", ""),
-        ("target_frame:=~", "target_frame", None),
-        ("target_frame:=# nothing", "target_frame", None),
-        ("target_frame:=a:=b", "target_frame", "a:=b"),
-        ("angle_min:=rad(-pi/2)", "angle_min", -math.pi / 2),
-        ("angle_max:=deg(90)", "angle_max", math.pi / 2),
-        ("angle_max:='deg(90)'", "angle_max", "deg(90)"),
-        ("angle_max:=rad(__import__('os'))", "angle_max", "rad(__import__('os'))"),
-        ("_range_min:=1.5", "range_min", 1.5),
-        ("~range_min:=1.5", "range_min", 1.5),
-        ("pointcloud_to_laserscan:range_min:=1.5", "range_min", 1.5),
-        ("/ns/front:range_min:=1.5", "range_min", 1.5),
-    ],
-)
+@pytest.mark.parametrize(("text", "name", "value"), rows(VALUES, "assignments"))
 def test_an_assignment_is_read_as_ros_reads_it(text: str, name: str, value: object) -> None:
     setting = parse_param(text)
     assert (setting.name, setting.value, setting.origin) == (name, value, f"--param {text}")
@@ -102,21 +62,7 @@ def test_no_assignment_whatever_raises_anything_else(text: str) -> None:
         resolve([parse_param(f"range_min:={text}")])
 
 
-@pytest.mark.parametrize(
-    ("written", "expected"),
-    [
-        ("no_return:=nan", "nan"),
-        ("no_return:=.inf", "inf"),
-        ("no_return:='nan'", "nan"),
-        ("no_return:=zero", "zero"),
-        ("scan_time:=auto", "auto"),
-        ("scan_time:=1", 1.0),
-        ("time_increment:=-1e-4", -1e-4),
-        ("beams:=720", 720),
-        ("range_max:=30", 30.0),
-        ("concurrency_level:=3", 3),
-    ],
-)
+@pytest.mark.parametrize(("written", "expected"), rows(VALUES, "values"))
 def test_values_have_the_type_of_their_parameter(written: str, expected: object) -> None:
     found = getattr(
         resolve([parse_param(written)]).params, written.partition(":=")[0].replace("concurrency_level", "queue_size")
@@ -257,25 +203,7 @@ def test_advice_is_spelled_as_the_user_did(file: Path) -> None:
 # Other options
 
 
-@pytest.mark.parametrize(
-    ("text", "time_ns", "absolute"),
-    [
-        ("0", 0, False),
-        ("12.5", 12_500_000_000, False),
-        (".25", 250_000_000, False),
-        ("0.000000001", 1, False),
-        ("@12.5", 12_500_000_000, True),
-        # A float would lose the last digits of these.
-        ("1604515190.231374463", 1604515190231374463, True),
-        ("1604515190231374463", 1604515190231374463, True),
-        ("@1604515190231374463", 1604515190231374463, True),
-        ("2020-11-04T18:39:50.231374Z", 1604515190231374000, True),
-        ("2020-11-04T19:39:50.231374463+01:00", 1604515190231374463, True),
-        ("2020-11-04 19:39:50,25+0100", 1604515190250000000, True),
-        ("2020-11-04 19:39:50+01:00", 1604515190000000000, True),
-        ("2020-11-04T18:39:50", 1604515190000000000, True),
-    ],
-)
+@pytest.mark.parametrize(("text", "time_ns", "absolute"), rows(VALUES, "times"))
 def test_times_are_seconds_after_the_beginning_or_of_a_clock(text: str, time_ns: int, absolute: bool) -> None:
     assert TimeBound.parse(text) == TimeBound(time_ns, absolute=absolute)
     assert TimeBound.parse(text).resolve(1000) == time_ns + (0 if absolute else 1000)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -17,10 +18,10 @@ from pc2scan.pipeline.parameters import PARAMETERS, Setting, resolve
 from pc2scan.pipeline.params_file import ParamsFile, load_params_file, render_params_file
 from pipeline.param_settings import failure, params_of, yaml_like
 from support import GOLDEN, sampled
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from pc2scan.pipeline.parameters import Direction
 
@@ -45,91 +46,11 @@ def ros2(node: str = "pointcloud_to_laserscan", /, **parameters: object) -> str:
 
 
 P2L, HERE = "pointcloud_to_laserscan", "/pointcloud_to_laserscan"
-LOW = {"min_height": -1}
 TWO = ros2(f"/a{HERE}", min_height=-1) + ros2(f"/b{HERE}", min_height=-2)
-#: From all nodes to one, and another node's.
-SPECIFIC = [
-    ros2("/**", min_height=-1, max_height=1, range_min=1, use_sim_time="true"),
-    ros2("/**/pointcloud_to_laserscan", min_height=-2, max_height=2),
-    ros2("/robot/*", min_height=-3),
-    ros2(f"/robot{HERE}", min_height=-4),
-    ros2("/other/*", range_max=9),
-]
-MOST_SPECIFIC = {"min_height": -4, "max_height": 2, "range_min": 1}
-DEPTHS = "{/scan: {publisher: {depth: 5}}}"
 GEOMETRY = ros2("/**", geometry="{width: 0.5}", beams=4, range_min=1)
-
-#: Files, the node that is found, and its parameters.
-READ: list[tuple[str | bytes, str, dict[str, Any]]] = [
-    # ROS 2's names of nodes.
-    *(
-        (ros2(node, min_height=-1), full, LOW)
-        for node, full in (
-            *(
-                (name, f"/{name}")
-                for name in (P2L, "front_pointcloud_to_laserscan", f"{P2L}_node", f"{P2L}3", "my_scan")
-            ),
-            *((name, name) for name in (HERE, f"/robot/front{HERE}", f"/**{HERE}", "/**", "/*")),
-            ('"*"', "/*"),
-        )
-    ),
-    ("robot:\n  front:\n    my_scan: {ros__parameters: {min_height: -1}}", "/robot/front/my_scan", LOW),
-    # A node in two spellings, and wildcards; the order is no matter.
-    (
-        ros2(f"/a{HERE}", min_height=-1, range_min=1) + f"a: {{{P2L}: {{ros__parameters: {{min_height: -2}}}}}}",
-        f"/a{HERE}",
-        {"min_height": -2, "range_min": 1},
-    ),
-    ("".join(SPECIFIC), f"/robot{HERE}", MOST_SPECIFIC),
-    ("".join(reversed(SPECIFIC)), f"/robot{HERE}", MOST_SPECIFIC),
-    (ros2("/*", range_min=1) + ros2(), HERE, {"range_min": 1}),
-    (ros2("/*", range_min=1) + ros2(f"/ns{HERE}"), f"/ns{HERE}", {}),
-    (ros2("/**", target_frame="map") + ros2("front", min_height=-1), "/front", {"target_frame": "map", **LOW}),
-    (ros2("/**", queue_size=1) + ros2(concurrency_level=2), HERE, {"queue_size": 2}),
-    # Other nodes, and what every node has.
-    (
-        ros2("camera", fps=30, names="[a, b]")
-        + ros2(min_height=-1)
-        + ros2("/nav/costmap", plugins="{a: {b: 1}}")
-        + "off:\n",
-        HERE,
-        LOW,
-    ),
-    (
-        ros2(use_sim_time="true", start_type_description_service="true", qos_overrides=DEPTHS, **LOW),
-        HERE,
-        LOW,
-    ),
-    (ros2(**{"qos_overrides./tf.subscription.depth": 100}, **LOW), HERE, LOW),
-    (ros2(), HERE, {}),
-    (ros2(concurrency_level=3), HERE, {"queue_size": 3}),
-    # Names that any node may have are parameters in a node's own section only.
-    (GEOMETRY + ros2(min_height=-1), HERE, {"range_min": 1, **LOW}),
-    (ros2("/**/" + P2L, beams=720) + ros2(geometry="centered"), HERE, {"beams": 720, "geometry": "centered"}),
-    (f"geometry: {{width: 0.5}}\n{P2L}: {{beams: 90}}", HERE, {"beams": 90}),
-    # ROS 1's files.
-    (f"{P2L}: {{min_height: -1}}", HERE, LOW),
-    (f"{HERE}: {{min_height: -1}}", HERE, LOW),
-    (f"robot:\n  {P2L}:\n    min_height: -1", f"/robot{HERE}", LOW),
-    (f"robot/{P2L}:\n  min_height: -1", f"/robot{HERE}", LOW),
-    (f"{HERE}/min_height: -1", HERE, LOW),
-    ("~min_height: -1", "/", LOW),
-    (f"camera: {{fps: 30}}\n{P2L}_node: {{min_height: -1}}", f"{HERE}_node", LOW),
-    ("use_sim_time: true\nmy_scan: {min_height: -1}", "/my_scan", LOW),
-    ("camera: {fps: 30, roi: {x: 1}}\nmy_scan: {min_height: -1}", "/my_scan", LOW),
-    ("slam: {scan: /scan}\nmy_scan: {min_height: -1}", "/my_scan", LOW),
-    (f"{P2L}: {{}}", HERE, {}),
-    (f"{P2L}:\n", HERE, {}),
-    # YAML: tabs between values, ends of lines, byte order marks, aliases.
-    ("min_height:\t-1\t# low\nmax_height: 2 \t\n", "/", {"min_height": -1, "max_height": 2}),
-    (b"\xef\xbb\xbf%YAML 1.1\r\n---\r\nmin_height: -1\r\n", "/", LOW),
-    (f"d: &d {{min_height: -1}}\nh: &h 2.5\n{P2L}: {{max_height: *h}}\no: *d\n", HERE, {"max_height": 2.5}),
-    ("min_height: &a -1\nmax_height: &a 1\nrange_max: *a", "/", {"min_height": -1, "max_height": 1, "range_max": 1}),
-    ("use_inf: 0", "/", {"use_inf": False}),
-    ("use_inf: 1", "/", {"use_inf": True}),
-    ("use_inf: false", "/", {"use_inf": False}),
-    ("use_inf: True", "/", {"use_inf": True}),
-]
+TABLES = Path(__file__).parent
+READ = rows(TABLES / "params_files.txt", "files")
+READ.append((b"\xef\xbb\xbf%YAML 1.1\r\n---\r\nmin_height: -1\r\n", "/", {"min_height": -1}))
 
 
 @pytest.mark.parametrize(("text", "node", "values"), READ)
@@ -195,23 +116,7 @@ def test_a_golden_file_gives_the_values_in_it() -> None:
     assert extreme == ProjectionParams(min_height=-2.0, max_height=2.0, range_max=1e300)
 
 
-@pytest.mark.parametrize(
-    ("written", "value"),
-    [
-        ("deg(180)", math.pi),
-        ("deg(-90.0)", -90.0 * math.pi / 180.0),
-        ("deg(0.25)", 0.25 * math.pi / 180.0),
-        ("rad(1.57)", 1.57),
-        ("rad(pi)", math.pi),
-        ("rad(-pi/2)", -math.pi / 2),
-        ("rad(2*pi/3 - 0.1)", 2 * math.pi / 3 - 0.1),
-        ("rad((pi + 1) * +2)", (math.pi + 1) * 2),
-        ("!degrees 45", 45 * math.pi / 180.0),
-        ("!degrees deg(45)", 45 * math.pi / 180.0),
-        ("!radians pi/3", math.pi / 3),
-        ("!radians rad(pi/3)", math.pi / 3),
-    ],
-)
+@pytest.mark.parametrize(("written", "value"), rows(TABLES / "values.txt", "angles of ROS 1"))
 def test_angles_of_ros1_to_the_last_bit(load: Load, written: str, value: float) -> None:
     assert load(f"angle_max: {written}").settings[0].value == value
 
