@@ -128,6 +128,8 @@ def test_topics_that_share_a_target_become_one_scan() -> None:
     ]
     led = plan(topics, "/b:=/s", "/a:=/s", **BASE, combining=Combining.of(lead="a"))
     assert led.combinations[0].sources == ("/a", "/b")
+    with pytest.raises(TopicError, match="`lead` is /d, which is not one of the scan's topics: /b, /a"):
+        plan(topics, "/b:=/s", "/a:=/s", **BASE, combining=Combining.of(lead="/d"))
     # A glob may name them.
     made = plan({"/l_1": CLOUD, "/l_2": CLOUD, "/imu": IMU}, "/l_*:=/s", **BASE)
     assert [each.sources for each in made.combinations] == [("/l_1", "/l_2")]
