@@ -131,35 +131,6 @@ def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
     np.testing.assert_allclose(points_of(decode_pointcloud2(plain.data, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
 
 
-#: The scan's frame as the target frame: without transforms, and with a link of identity that the scan does not need.
-SAME_FRAME = [Frames("laser", "", TransformBuilder().build(), 0), frames("laser", ("base", "laser", 1, 0.0, 0.0))]
-
-
-@pytest.mark.parametrize("known", SAME_FRAME, ids=["no transforms", "a link"])
-def test_deskewing_in_the_scans_own_frame_multiplies(known: Frames) -> None:
-    # A range of -0 at angle 0 is (-0, -0, 0), which the product with the identity makes (0, 0, 0).
-    message = scan([-0.0, -1.0, 2.0, -math.inf], angle_min=0.0, angle_increment=0.0, range_min=-math.inf)
-    made, plain = (
-        points_of(decode_pointcloud2(once(conversion, message).data, "ros1"))
-        for conversion in (ScanToCloud(None, known, deskewed=True), ScanToCloud(None, known))
-    )
-    assert made[:3].tobytes() == np.array([[0, 0, 0], [-1, 0, 0], [2, 0, 0]], np.float32).tobytes()
-    assert plain[:3].tobytes() == np.array([[-0.0, -0.0, 0], [-1, -0.0, 0], [2, 0, 0]], np.float32).tobytes()
-    # Infinity times 0, in laser_geometry too.
-    assert np.isnan(made[3]).all()
-
-
-@pytest.mark.parametrize("increment", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("known", [*SAME_FRAME, frames("base", ("base", "laser", 5 * SECOND, 0.0, 0.0))])
-def test_times_that_are_not_finite_need_beams_to_be_an_error(known: Frames, increment: float) -> None:
-    conversion = ScanToCloud(None, known, deskewed=True)
-    with pytest.raises(DecodeError, match=r"time_increment is .* the last of 2 beams") as caught:
-        once(conversion, scan([2.0, 2.0], time_increment=increment))
-    assert caught.value.stamp_ns == 5 * SECOND
-    empty = once(conversion, scan([], time_increment=increment))
-    assert decode_pointcloud2(empty.data, "ros1").points == 0
-
-
 @pytest.mark.parametrize(
     ("stamp_ns", "increment", "message"),
     [

@@ -26,7 +26,6 @@ from pc2scan.errors import (
     MessageError,
     RecordingError,
     TopicError,
-    UnconnectedError,
     UsageError,
 )
 from pc2scan.messages.laserscan import encode_laserscan
@@ -225,15 +224,6 @@ def test_what_cannot_be_used_is_skipped_with_a_warning_or_an_error(tmp_path: Pat
         list(pc2scan.scans(path, on_error="fail"))
     with pytest.raises(UsageError, match="skip or fail"):
         pc2scan.scans(path, on_error="ignore")
-
-
-def test_clouds_that_no_transform_can_place_are_an_error_as_in_convert() -> None:
-    with (
-        pytest.warns(pc2scan.RecordingWarning, match="base_lnk"),
-        pytest.raises(UnconnectedError, match=r"nothing can be converted.*'base_lnk'") as raised,
-    ):
-        list(pc2scan.scans(HALL, target_frame="base_lnk", min_height=-0.3))
-    assert "did you mean base_link?" in str(raised.value.hint)
 
 
 def test_scans_of_surprising_heights_are_warned_of() -> None:
