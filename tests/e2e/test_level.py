@@ -227,6 +227,7 @@ def test_a_cut_changes_nothing_in_what_is_left(tmp_path: Path, world: Path, imu:
     assert all(whole[log] == scan.ranges.tobytes() for log, scan in cut)
 
 
+@pytest.mark.slow
 def test_filters_see_the_level_frame(tmp_path: Path, world: Path) -> None:
     options = ("--level", "--deskew", "--fixed-frame", "odom")
     plain = converted(tmp_path, world, *options).report["topics"]
@@ -321,6 +322,7 @@ def test_a_fixed_frame_beside_an_imu_has_an_effect_or_a_warning(tmp_path: Path, 
     assert "no effect" not in converted(tmp_path, world, imu, *both, "--every", "0.1").done.stderr
 
 
+@pytest.mark.slow
 def test_two_outputs_of_one_frame_share_its_transforms(tmp_path: Path, world: Path) -> None:
     (tmp_path / "scans.yaml").write_text(
         "defaults:\n  sources: /points\n  level: true\n  fixed_frame: odom\nscans:\n"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-import threading
-from collections import defaultdict
 from contextlib import closing
 from itertools import product
 from pathlib import Path
@@ -147,14 +145,11 @@ def convert(source: Path, **options: Any) -> Path:
 
 
 class Counts:
-    """How often chunks were decompressed, compressed and taken apart."""
+    """How often chunks were decompressed, compressed and taken apart, by any thread."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.decompressed = self.compressed = self.split = 0
-        #: Which threads did what.
-        self.threads: dict[str, set[str]] = defaultdict(set)
-        self._lock = threading.Lock()
-        for module, name, counter in (
+        self.done: list[str] = []
+        for module, name, what in (
             (mcap_chunks, "_decompressed", "decompressed"),
             (rosbag1_reader, "decompressed", "decompressed"),
             (rosbag1_reader, "with_payload", "decompressed"),
@@ -162,13 +157,11 @@ class Counts:
             (rosbag1_writer, "_compressed", "compressed"),
             (mcap_writer, "compress", "compressed"),
         ):
-            monkeypatch.setattr(module, name, self._counting(getattr(module, name), counter))
+            monkeypatch.setattr(module, name, self._counting(getattr(module, name), what))
 
-    def _counting(self, work: Callable[..., Any], counter: str) -> Callable[..., Any]:
+    def _counting(self, work: Callable[..., Any], what: str) -> Callable[..., Any]:
         def counted(*args: Any, **options: Any) -> Any:
-            with self._lock:
-                setattr(self, counter, getattr(self, counter) + 1)
-                self.threads[counter].add(threading.current_thread().name.partition("_")[0])
+            self.done.append(what)
             return work(*args, **options)
 
         return counted
@@ -180,8 +173,8 @@ def test_copying_is_seen_in_the_work_and_not_in_the_messages(source: Path, monke
     counts = Counts(monkeypatch)
     copied = opened(convert(source, jobs=2))
     # Each is decompressed once, to be verified; only the mixed ones are compressed again.
-    assert counts.decompressed == chunks
-    assert counts.compressed == ROUNDS
+    assert counts.done.count("decompressed") == chunks
+    assert counts.done.count("compressed") == ROUNDS
     monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1 << 40)
     taken_apart = opened(convert(source, jobs=2))
     assert copied == taken_apart
@@ -194,7 +187,7 @@ def test_unverified_chunks_of_mcap_are_not_even_decompressed(tmp_path: Path, mon
     counts = Counts(monkeypatch)
     assert convert(source, verify=False).read_bytes() == expected
     # And one of them to see whether messages are packed by themselves.
-    assert (counts.decompressed, counts.compressed) == (ROUNDS + 1, ROUNDS)
+    assert (counts.done.count("decompressed"), counts.done.count("compressed")) == (ROUNDS + 1, ROUNDS)
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
@@ -206,7 +199,7 @@ def test_another_compression_leaves_chunks_whole(suffix: str, tmp_path: Path, mo
     there = write(tmp_path / f"plain{suffix}", "none")
     assert images_only(destination) == images_only(there)
     if suffix == ".mcap":
-        assert counts.split == ROUNDS
+        assert counts.done.count("split") == ROUNDS
     monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1 << 40)
     assert opened(destination) == opened(convert(source, compression="none"))
 
@@ -222,12 +215,14 @@ def test_compressing_is_the_work_of_the_pool(source: Path, jobs: int, monkeypatc
 
     monkeypatch.setattr(Threads, "submit", submitting)
     convert(source, jobs=jobs, keep_clouds=True, compression="lz4")
-    assert counts.compressed >= ROUNDS
+    assert counts.done.count("compressed") >= ROUNDS
     chunks = sum("WriteAhead" in name for name in given)
-    assert chunks == (0 if jobs == 1 else counts.compressed)
+    assert chunks == (0 if jobs == 1 else counts.done.count("compressed"))
 
 
-@pytest.mark.parametrize("options", [{}, {"keep_clouds": True}, {"compression": "lz4"}, {"start": "0.004"}], ids=str)
+@pytest.mark.parametrize(
+    "options", sampled([{}, {"keep_clouds": True}, {"compression": "lz4"}, {"start": "0.004"}], 2), ids=str
+)
 def test_the_bytes_do_not_depend_on_the_threads(source: Path, options: dict[str, Any]) -> None:
     alone = convert(source, jobs=1, **options).read_bytes()
     assert [convert(source, jobs=jobs, **options).read_bytes() == alone for jobs in (2, 5)] == [True, True]
@@ -285,7 +280,7 @@ def test_small_chunks_are_gathered(source: Path, monkeypatch: pytest.MonkeyPatch
     assert len(stored_chunks(convert(source))) == 1
 
 
-@pytest.mark.parametrize("options", [{}, {"jobs": 1}, {"compression": "none"}], ids=str)
+@pytest.mark.parametrize("options", sampled([{}, {"jobs": 1}, {"compression": "none"}], 1), ids=str)
 def test_damage_in_a_copied_chunk_is_found(source: Path, options: dict[str, Any]) -> None:
     if source.suffix == ".bag" and stored_chunks(source)[0][1] == "none":
         pytest.skip("an uncompressed ROS 1 bag has no checksums")
@@ -426,7 +421,7 @@ def test_rosbag2_directories(tmp_path: Path) -> None:
     assert packed[0] == packed[1] == packed[2]
 
 
-@pytest.mark.parametrize(("suffix", "compression"), sampled(FORMS, 2))
+@pytest.mark.parametrize(("suffix", "compression"), sampled(FORMS, 1))
 @pytest.mark.parametrize("split", ["7ms", "90kB"])
 def test_chunks_are_copied_whole_into_the_parts_of_a_split_recording(
     suffix: str, compression: str, split: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

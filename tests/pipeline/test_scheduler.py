@@ -102,15 +102,6 @@ def test_of_units_that_take_memory_already_one_waits_for_each_thread(jobs: int) 
     assert most <= jobs + 2
 
 
-@pytest.mark.parametrize("window", [1, 3])
-def test_no_more_than_the_window_is_in_flight(window: int) -> None:
-    flight = InFlight()
-    with Threads(4) as threads:
-        for _ in schedule([unit(number) for number in range(40)], flight.load, threads, window=window):
-            flight.take()
-    assert 1 <= flight.most <= window + 2
-
-
 @pytest.mark.parametrize("jobs", [None, 2])
 def test_an_error_is_raised_in_its_turn(jobs: int | None) -> None:
     def work(message: RawMessage) -> RawMessage:

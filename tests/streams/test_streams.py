@@ -120,7 +120,7 @@ HOW: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize(("how", "container"), sampled(product(HOW, CONTAINERS), 8))
+@pytest.mark.parametrize(("how", "container"), sampled(product(HOW, CONTAINERS), 6))
 @pytest.mark.filterwarnings("ignore::pc2scan.RecordingWarning")
 def test_scans_made_on_the_way_are_those_that_convert_writes(
     how: dict[str, Any], container: str, tmp_path: Path
