@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import random
+from ast import literal_eval
 from collections import defaultdict
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from weakref import WeakSet
 
@@ -18,6 +20,7 @@ from pc2scan.pipeline.combine.counts import NO_RUN, SourceCounts
 from pc2scan.pipeline.combine.matching import Grouper
 from pc2scan.pipeline.combine.rules import Entry, Interval, Nearest, Recent
 from support import sampled
+from support.tables import rows
 
 from .streams_of_stamps import MS, SECOND, Message, by_the_rule, drawn_rule, drawn_stream
 
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
 
     from .streams_of_stamps import Group, Stream
 
+STAMPS = Path(__file__).with_name("stamps.txt")
 RULES: dict[str, Rule] = {
     "nearest": Nearest(windows_ns=(0, 90 * MS, 50 * MS)),
     "recent": Recent(span_ns=300 * MS),
@@ -207,35 +211,12 @@ def test_every_message_is_accounted_for(drawn: list[tuple[int, int, int]], rule:
         assert counts.used + counts.unmatched == counts.messages
 
 
-@pytest.mark.parametrize(
-    ("leads", "others", "window", "expected"),
-    [
-        # The nearest lead, not the first one that the message is near enough to.
-        ([500, 500, 570], [550], 60, [[500], [500], [570, 550]]),
-        # No lead goes without while one is left.
-        ([0, 100], [40, 45], 60, [[0, 40], [100, 45]]),
-        ([0, 100], [40, 45], 54, [[0, 40], [100]]),
-        ([500, 500], [500, 505], 60, [[500, 500], [500, 505]]),
-        ([500, 500], [500], 60, [[500, 500], [500]]),
-        # Of two equally close leads the earlier one, of two equally close messages the earlier one.
-        ([0, 100], [50], 60, [[0, 50], [100]]),
-        ([100], [50, 150], 60, [[100, 50]]),
-        # The window itself is within it.
-        ([100], [160], 60, [[100, 160]]),
-        ([100], [40], 60, [[100, 40]]),
-        ([100], [39, 161], 60, [[100]]),
-        # One message is another lead's, but that lead has a closer one.
-        ([0, 100], [55, 140, 150], 60, [[0, 55], [100, 140]]),
-        # A lead loses a message to a closer one, and has another instead.
-        ([0, 60], [50, 90], 60, [[0], [60, 50]]),
-        ([0, 60], [-40, 50], 60, [[0, -40], [60, 50]]),
-    ],
-)
+@pytest.mark.parametrize(("leads", "others", "window", "expected"), rows(STAMPS, "closest pairs"))
 def test_the_closest_pairs_are_in_one_scan(
-    leads: list[int], others: list[int], window: int, expected: list[list[int]]
+    leads: str, others: list[int], window: int, expected: list[list[int]]
 ) -> None:
     for late in (0, 300, -300):
-        run = Run(Nearest(windows_ns=(0, window * MS))).all(of_stamps(leads, others, late=late))
+        run = Run(Nearest(windows_ns=(0, window * MS))).all(of_stamps(literal_eval(leads), others, late=late))
         assert run.stamps() == expected
 
 
@@ -309,28 +290,10 @@ def test_what_is_held_does_not_grow_with_the_recording(kind: str, leads: range) 
 # Clocks
 
 
-@pytest.mark.parametrize(
-    ("moments", "jumps"),
-    [
-        # Out of order by up to a second, and more.
-        ([(0, 0), (1000, 10), (0, 20), (1000, 30)], []),
-        ([(0, 0), (1001, 10), (0, 20)], [(0, -1011)]),
-        # Ahead by two seconds more than ten times as far as the log times, and more.
-        ([(0, 0), (3000, 100)], []),
-        ([(0, 0), (3001, 100)], [(3001, 2901)]),
-        # The recorder stood still, or its clock was set; it records what is played ten times as fast.
-        ([(0, 0), (100, 60_000), (200, 60_000)], []),
-        ([(0, 0), (60_000, 6_000), (120_000, 12_000)], []),
-        ([(0, 0), (60_000, 60_000)], []),
-        # Away and back again.
-        ([(0, 0), (90_000, 100), (200, 200)], [(90_000, 89_900), (200, -89_900)]),
-    ],
-)
-def test_a_stamp_jumps_by_far_more_than_its_log_time(
-    moments: list[tuple[int, int]], jumps: list[tuple[int, int]]
-) -> None:
+@pytest.mark.parametrize(("moments", "jumps"), rows(STAMPS, "jumps"))
+def test_a_stamp_jumps_by_far_more_than_its_log_time(moments: str, jumps: list[tuple[int, int]]) -> None:
     run = Run(RULES["recent"], 1)
-    for stamp, log in moments:
+    for stamp, log in literal_eval(moments):
         run.add(Message(0, stamp * MS, log * MS))
     assert [(jump.stamp_ns // MS, jump.by_ns // MS) for jump in run.counts[0].jumps] == jumps
     assert run.series == (2 if jumps else 1)
