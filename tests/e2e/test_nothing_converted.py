@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from pc2scan import scans
 from pc2scan.cli.in_process import run_command
 from pc2scan.errors import RecordingWarning, UnconnectedError
+from support import sampled
 from support.builders import (
     CONTENT,
     POINTS,
@@ -85,7 +87,7 @@ def framed(frame_id: str, stamp_ns: int, ros_version: int, seq: int) -> bytes:
     return cloud(points_of(seq), ros_version, seq=seq, stamp_ns=stamp_ns, frame_id=frame_id)
 
 
-@pytest.mark.parametrize("before", [0, 5, 9, 10, 16])
+@pytest.mark.parametrize("before", sampled([9, 5, 10, 0, 16], 2))
 def test_a_frame_that_comes_late_is_converted(before: int, folder: Path) -> None:
     in_frames(folder / "late.bag", *["nowhere"] * before, "base_link")
     done, report = convert(
@@ -99,8 +101,7 @@ def test_a_frame_that_comes_late_is_converted(before: int, folder: Path) -> None
     assert run_command(["convert", str(folder / "late.bag"), "--target-frame", "base_link", "--dry-run"]).status == 0
 
 
-@pytest.mark.parametrize("count", [3, 16])
-@pytest.mark.parametrize("options", [(), ("--start", "0.1"), ("--jobs", "1")])
+@pytest.mark.parametrize(("count", "options"), sampled(product([16, 3], [(), ("--start", "0.1"), ("--jobs", "1")]), 3))
 def test_frames_that_nothing_connects(count: int, options: tuple[str, ...], folder: Path) -> None:
     in_frames(folder / "far.bag", *["nowhere", "elsewhere"] * count)
     done, report = convert(folder, "--target-frame", "base_link", *options, status=1, source="far.bag")
@@ -152,9 +153,6 @@ def test_one_converted_message_is_enough(folder: Path) -> None:
     convert(folder, *HEIGHTS, "--fail-on", "empty", "--overwrite", status=3, source="broken.bag")
     done, _ = convert(folder, *HEIGHTS, "--fail-on", "warning", "--overwrite", status=1, source="broken.bag")
     assert "2 messages were skipped (--fail-on warning)" in done.stderr
-
-
-# --- Scans without returns ---
 
 
 # --- The report of a run that failed ---
