@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +17,9 @@ from pc2scan.core.consumers import CONSUMERS
 from support import GOLDEN, ROOT
 from support.command import run
 from support.scan_recordings import GOOD, scans, write
+from support.tables import rows
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+TABLES = Path(__file__).with_name("check.txt")
 HALL = ROOT / "fixtures" / "hall.bag"
 
 
@@ -54,16 +54,7 @@ def test_scans_without_transforms_are_not_ok(tmp_path: Path) -> None:
     assert "--tf-from reads them from another recording" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("change", "consumer", "outcome", "told"),
-    [
-        ({"range_max": math.inf, "ranges": [math.inf] * 9}, "gmapping", "aborts", "9 infinite ranges"),
-        ({"range_max": 20.0, "ranges": [19.9999] * 9}, "slam_toolbox", "misplaced", "9 ranges of range_max 20"),
-        ({"time_increment": -1e-3}, "cartographer", "misplaced", "time_increment -0.001 s"),
-        ({"frame_id": "/laser"}, "cartographer", "aborts", "frame_id '/laser'"),
-        ({"angle_min": 0.0, "angle_max": 2.0}, "mrpt", "misplaced", "ranges"),
-    ],
-)
+@pytest.mark.parametrize(("change", "consumer", "outcome", "told"), rows(TABLES, "changes of a good scan"))
 def test_what_was_accepted_and_is_not(
     change: dict[str, Any], consumer: str, outcome: str, told: str, tmp_path: Path
 ) -> None:

@@ -8,6 +8,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,12 +20,13 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from support import sampled
 from support.command import run
+from support.tables import rows
 from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
+TABLES = Path(__file__).with_name("combined.txt")
 FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)))
 REAR = Lidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, 3.0, (-0.4, 0.1, 0.6)), phase=0.037)
 TOP = Lidar("/top", "top", Rigid.from_rpy(0.0, 0.02, 1.0, (0.0, 0.0, 0.9)), period=0.05, phase=0.011)
@@ -286,17 +288,7 @@ LOW = ("--min-height", "0.1")
 ONE = ("--topic", "/front")
 
 
-@pytest.mark.parametrize(
-    ("options", "status", "said"),
-    [
-        ((*NEAR, "--window", "50", *LOW), 0, "if milliseconds were meant: --window 50ms"),
-        ((*NEAR, "--window", "1", *LOW), 0, "messages of /front come every 0.1 s; if mil"),
-        (("--rebin", "--fixed-frame", "odom"), 0, "--fixed-frame has no effect"),
-        (two_topics(), 2, "which needs a frame for the points of all: --target-frame"),
-        ((*NEAR, "--lead", "/points"), 2, "no topic /points"),
-        (("--topic", "/flat", "--min-height", "0"), 2, "--rebin"),
-    ],
-)
+@pytest.mark.parametrize(("options", "status", "said"), rows(TABLES, "what is wrong"))
 def test_what_is_wrong_is_said(
     options: tuple[str, ...], status: int, said: str, world: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -329,24 +321,7 @@ def test_milliseconds_are_noticed_in_long_recordings(name: str, world: Callable[
     assert "milliseconds" not in converted(tmp_path, source, f"--{name}", "20", *ONE, *MOVED, *LOW).stderr
 
 
-@pytest.mark.parametrize(
-    ("clock", "seconds", "status", "said"),
-    [
-        (42.0, 1.0, 2, ["the stamps of /rear are 42 s ahead of those of /front", "--topic /rear:=/scan_2"]),
-        (0.6, 2.0, 0, ["the stamps of /rear are 0.6 s ahead of those of /front"]),
-        # No driver is so quick that its messages are logged before their stamps.
-        (
-            0.25,
-            0.5,
-            0,
-            [
-                "the stamps of /rear are 0.25 s ahead of those of /front",
-                "are logged 0.15 s before their stamps, so their clocks differ",
-            ],
-        ),
-        (-0.25, 0.5, 0, []),
-    ],
-)
+@pytest.mark.parametrize(("clock", "seconds", "status", "said"), rows(TABLES, "clocks that differ"))
 def test_clocks_that_differ_are_told(
     clock: float, seconds: float, status: int, said: list[str], world: Callable[..., Path], tmp_path: Path
 ) -> None:

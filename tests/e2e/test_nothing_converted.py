@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -30,13 +31,14 @@ from support.builders import (
     write_rosbag2,
 )
 from support.command import run
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from support.command import Finished
 
+TABLES = Path(__file__).with_name("nothing_converted.txt")
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 SOURCES = {"bag": "drive.bag", "mcap": "drive.mcap", "rosbag2": "drive"}
 WRITERS: dict[str, Callable[[Path, Recording], Path]] = {
@@ -158,19 +160,7 @@ def test_one_converted_message_is_enough(folder: Path) -> None:
 # --- The report of a run that failed ---
 
 
-@pytest.mark.parametrize(
-    ("options", "kind", "status"),
-    [
-        (("--topic", "/nothing"), "TopicError", 2),
-        (("--angle-min", "x"), "ParameterError", 2),
-        (("--min-height", "2", "--max-height", "1"), "ParameterError", 2),
-        (("--params-file", "missing.yaml"), "UsageError", 2),
-        (("--start", "yesterday"), "UsageError", 2),
-        (("--storage", "mcap"), "DestinationError", 2),
-        (("--tf-from", "missing.bag", "--target-frame", "odom"), "MissingError", 2),
-        (("--static-tf", "a b c"), "UsageError", 2),
-    ],
-)
+@pytest.mark.parametrize(("options", "kind", "status"), rows(TABLES, "failures"))
 def test_the_report_of_a_failure(options: tuple[str, ...], kind: str, status: int, folder: Path) -> None:
     done, report = convert(folder, *options, status=status)
     error = report["error"]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,9 @@ from pc2scan.pipeline.conversion import Conversion, Converted, Measured
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
+from support.tables import rows
 
+TABLES = Path(__file__).parent / "stages/times.txt"
 XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
 SECOND = 1_000_000_000
 BAND = ProjectionParams(min_height=-1.0, max_height=1.0)
@@ -131,15 +134,7 @@ def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
     np.testing.assert_allclose(points_of(decode_pointcloud2(plain.data, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
 
 
-@pytest.mark.parametrize(
-    ("stamp_ns", "increment", "message"),
-    [
-        (0, -0.1, "its last beam would be at -0.200000003, which is before 1970"),
-        (SECOND, -0.6, "its last beam would be at -0.200000048, which is before 1970"),
-        (SECOND, math.nan, "time_increment is nan s: the last of 3 beams would be nan s after the first"),
-        (SECOND, 2e9, "time_increment is 2000000000.0 s: the last of 3 beams would be 4000000000.0 s after the first"),
-    ],
-)
+@pytest.mark.parametrize(("stamp_ns", "increment", "message"), rows(TABLES, "last beams"))
 def test_last_beams_beyond_ros_time_are_an_error(stamp_ns: int, increment: float, message: str) -> None:
     known = frames("odom", ("odom", "laser", SECOND, 1.0, 0.0))
     with pytest.raises(DecodeError, match=message) as caught:

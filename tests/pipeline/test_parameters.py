@@ -49,7 +49,7 @@ def test_the_table_has_every_parameter_in_order() -> None:
 # name:=value
 
 
-@pytest.mark.parametrize(("text", "name", "value"), rows(VALUES, "assignments"))
+@pytest.mark.parametrize(("text", "name", "value"), rows(VALUES, "assignments", text=True))
 def test_an_assignment_is_read_as_ros_reads_it(text: str, name: str, value: object) -> None:
     setting = parse_param(text)
     assert (setting.name, setting.value, setting.origin) == (name, value, f"--param {text}")
@@ -62,7 +62,7 @@ def test_no_assignment_whatever_raises_anything_else(text: str) -> None:
         resolve([parse_param(f"range_min:={text}")])
 
 
-@pytest.mark.parametrize(("written", "expected"), rows(VALUES, "values"))
+@pytest.mark.parametrize(("written", "expected"), rows(VALUES, "values", text=True))
 def test_values_have_the_type_of_their_parameter(written: str, expected: object) -> None:
     found = getattr(
         resolve([parse_param(written)]).params, written.partition(":=")[0].replace("concurrency_level", "queue_size")
@@ -203,7 +203,7 @@ def test_advice_is_spelled_as_the_user_did(file: Path) -> None:
 # Other options
 
 
-@pytest.mark.parametrize(("text", "time_ns", "absolute"), rows(VALUES, "times"))
+@pytest.mark.parametrize(("text", "time_ns", "absolute"), rows(VALUES, "times", text=True))
 def test_times_are_seconds_after_the_beginning_or_of_a_clock(text: str, time_ns: int, absolute: bool) -> None:
     assert TimeBound.parse(text) == TimeBound(time_ns, absolute=absolute)
     assert TimeBound.parse(text).resolve(1000) == time_ns + (0 if absolute else 1000)

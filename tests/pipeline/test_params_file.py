@@ -49,7 +49,7 @@ P2L, HERE = "pointcloud_to_laserscan", "/pointcloud_to_laserscan"
 TWO = ros2(f"/a{HERE}", min_height=-1) + ros2(f"/b{HERE}", min_height=-2)
 GEOMETRY = ros2("/**", geometry="{width: 0.5}", beams=4, range_min=1)
 TABLES = Path(__file__).parent
-READ = rows(TABLES / "params_files.txt", "files")
+READ = rows(TABLES / "params_files.txt", "files", text=True)
 READ.append((b"\xef\xbb\xbf%YAML 1.1\r\n---\r\nmin_height: -1\r\n", "/", {"min_height": -1}))
 
 
@@ -116,7 +116,7 @@ def test_a_golden_file_gives_the_values_in_it() -> None:
     assert extreme == ProjectionParams(min_height=-2.0, max_height=2.0, range_max=1e300)
 
 
-@pytest.mark.parametrize(("written", "value"), rows(TABLES / "values.txt", "angles of ROS 1"))
+@pytest.mark.parametrize(("written", "value"), rows(TABLES / "values.txt", "angles of ROS 1", text=True))
 def test_angles_of_ros1_to_the_last_bit(load: Load, written: str, value: float) -> None:
     assert load(f"angle_max: {written}").settings[0].value == value
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,9 +15,9 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.pipeline.report import MAX_LISTED, Report, Skipped
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.topic_report import TopicReport
+from support.tables import rows
 
-#: A box around the sensor: heights that are given.
-GIVEN = ProjectionParams(min_height=-9.0)
+TABLES = Path(__file__).with_name("reports.txt")
 
 
 def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
@@ -37,58 +38,19 @@ def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
     return made
 
 
-@pytest.mark.parametrize(
-    ("params", "counts", "start", "words"),
-    [
-        (None, {"empty_scans": 2, "height": 60}, "2 of 4 scans", "min_height"),
-        (None, {"empty_scans": 2, "range": 60, "height": 40}, "2 of 4 scans", "range_min"),
-        (None, {"empty_scans": 2, "angle": 60, "height": 40}, "2 of 4 scans", "angle_min"),
-        (None, {"empty_scans": 2, "nan": 60, "height": 40}, "2 of 4 scans", "NaN"),
-        (None, {"empty_scans": 2, "total": 0}, "2 of 4 scans", "no points"),
-        (ProjectionParams(min_height=1.0), {"empty_scans": 4, "height": 100}, "4 of 4 scans", "target_frame"),
-        # The default of min_height is named only if it rejects many points.
-        (None, {"used": 51, "height": 49}, "", "z <= 0; `min_height` sets it"),
-        (None, {"used": 51, "height": 49, "advice": "`min_height=-3.7`"}, "", ": `min_height=-3.7`"),
-        (None, {"total": 0, "messages_out": 0}, "no message of /points could be converted", ""),
-        # Points that cannot be placed, more than a tenth.
-        (GIVEN, {"used": 89, "no_transform": 11}, "/scan: 11 of 100 points (11%) were ", "`tf_from`"),
-        (GIVEN, {"used": 89, "no_time": 11}, "/scan: 11 of 100 points (11%) were ", "`deskew`"),
-        (
-            None,
-            {"used": 100, "motions": [(0.1, 0.01, 0.02), (0.3, 0.02, 0.3), (0.2, 0.03, 0.02)]},
-            "/scan: while clouds were measured, transforms to `fixed_frame` were missing for up to 0.3",
-            "",
-        ),
-    ],
-)
-def test_a_warning_names_the_cause(
-    params: ProjectionParams | None, counts: dict[str, Any], start: str, words: str
-) -> None:
-    (warning,) = report(params, **counts).warnings
+@pytest.mark.parametrize(("counts", "params", "start", "words"), rows(TABLES, "warnings"))
+def test_a_warning_names_the_cause(counts: dict[str, Any], params: dict[str, float], start: str, words: str) -> None:
+    (warning,) = report(ProjectionParams(**params), **counts).warnings  # type: ignore[arg-type]
     assert warning.startswith(start)
     assert words in warning
     # The numbers are those of the recording, never a constant.
     assert "advice" in counts or not re.search(r"min_height=-?\d", warning)
-    assert params is None or "default" not in warning
+    assert not params or "default" not in warning
 
 
-@pytest.mark.parametrize(
-    ("params", "counts"),
-    [
-        (None, {"used": 100}),
-        (None, {"used": 90, "height": 10}),
-        (ProjectionParams(min_height=-0.5), {"used": 51, "height": 49}),
-        (GIVEN, {"used": 90, "no_transform": 10}),
-        (GIVEN, {"used": 90, "no_time": 10}),
-        (None, {"used": 100, "motions": [(0.1, 0.01, 0.02), (0.3, 0.02, 0.1), (0.2, 0.03, 0.02)]}),
-        *(
-            (GIVEN, {"used": 10, name: 90})
-            for name in ("where", "exclude_box", "ground", "min_height_slope", "range", "nan")
-        ),
-    ],
-)
-def test_what_is_as_it_should_be_draws_no_warning(params: ProjectionParams | None, counts: dict[str, Any]) -> None:
-    made = report(params, **counts)
+@pytest.mark.parametrize(("counts", "params"), rows(TABLES, "no warnings"))
+def test_what_is_as_it_should_be_draws_no_warning(counts: dict[str, Any], params: dict[str, float]) -> None:
+    made = report(ProjectionParams(**params), **counts)  # type: ignore[arg-type]
     assert (made.warnings, made.exit_status) == ([], 0)
 
 

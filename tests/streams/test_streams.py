@@ -32,10 +32,12 @@ from pc2scan.messages.laserscan import encode_laserscan
 from support import ROOT, sampled
 from support.builders import SCAN, Item, Recording, Stream, write_mcap
 from support.scan_recordings import START, STEP, scans
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+TABLES = Path(__file__).with_name("streams.txt")
 FIXTURES = ROOT / "fixtures"
 HALL = FIXTURES / "hall.bag"
 CONTAINERS = ("hall.bag", "hall.mcap", "hall")
@@ -238,22 +240,7 @@ def test_scans_of_surprising_heights_are_warned_of() -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    ("how", "told"),
-    [
-        ({"min_height": -1}, "/points: the floor is within the heights: it is at z = -0.60 m in 'lidar'"),
-        ({"min_height": -1, "accumulate": "2clouds", "fixed_frame": "odom"}, "without it: `target_frame=base_link`"),
-        ({"min_height": 0.1, "target_frame": "odom"}, "`target_frame` is odom, in which base_link moves (by 0.32 m)"),
-        ({"min_height": -0.3, "source_frame": "lidr"}, "did you mean lidar?"),
-        ({"min_height": -0.3, "scan_time": 100}, "milliseconds are written `scan_time=100ms`"),
-        ({"min_height": -0.3, "static_tf": "base_link lidar 0 0 1 0 0 0"}, "`static_tf` has no effect without"),
-        (
-            {"min_height": -0.3, "start": 1_700_000_000_100},
-            "to 1700000000.405000000 (2023-11-14 22:13:20 UTC); if it was given in milliseconds: `start=@1700000000.1`",
-        ),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("how", "told"), rows(TABLES, "doubtful requests, and what is said"), ids=str)
 def test_doubtful_requests_draw_the_warning_of_convert(how: dict[str, Any], told: str, tmp_path: Path) -> None:
     """A loop that ends early is warned, too."""
     report = pc2scan.convert(HALL, tmp_path / "a.mcap", **how)

@@ -12,18 +12,20 @@ if TYPE_CHECKING:
 __all__ = ["rows"]
 
 
-def rows(path: Path, section: str) -> list[tuple[Any, ...]]:
-    """Read a section of a file: lines of a text, and of Python's literals after `` -> ``.
+def rows(path: Path, section: str, *, text: bool = False) -> list[tuple[Any, ...]]:
+    """Read a section of a file: lines of Python's literals, separated by `` -> ``.
 
-    In the text, ``\\n`` and ``\\t`` are the end of a line and a tab. Beside literals there are ``pi``, ``inf`` and
-    products of them with numbers, such as ``-pi/2``. ``#`` begins a comment, ``== name`` a section.
+    Beside literals there are ``pi``, ``inf``, ``nan`` and products of them with numbers, such as ``-pi / 2``. A line that
+    begins with ``# `` is a comment, and ``== name`` begins a section. With ``text`` the first value of a line is a text,
+    in which ``\\n`` and ``\\t`` are the end of a line and a tab.
     """
-    text = path.read_text("utf-8").partition(f"== {section}\n")[2].partition("\n== ")[0]
+    lines = path.read_text("utf-8").partition(f"== {section}\n")[2].partition("\n== ")[0].splitlines()
     found = []
-    for line in text.splitlines():
+    for line in lines:
         if line.strip() and not line.startswith("# "):
             given, *expected = line.split(" -> ")
-            found.append((given.replace("\\n", "\n").replace("\\t", "\t"), *map(_value, expected)))
+            first = given.replace("\\n", "\n").replace("\\t", "\t") if text else _value(given)
+            found.append((first, *map(_value, expected)))
     assert found, f"{path} has no cases of {section}"
     return found
 
@@ -32,4 +34,4 @@ def _value(text: str) -> Any:
     try:
         return literal_eval(text)
     except (SyntaxError, ValueError):
-        return eval(text, {"__builtins__": {}}, {"pi": math.pi, "inf": math.inf})  # of our own files
+        return eval(text, {"__builtins__": {}}, {"pi": math.pi, "inf": math.inf, "nan": math.nan})  # of our own files

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from ast import literal_eval
 from collections import defaultdict
 from itertools import groupby
 from pathlib import Path
@@ -213,10 +212,10 @@ def test_every_message_is_accounted_for(drawn: list[tuple[int, int, int]], rule:
 
 @pytest.mark.parametrize(("leads", "others", "window", "expected"), rows(STAMPS, "closest pairs"))
 def test_the_closest_pairs_are_in_one_scan(
-    leads: str, others: list[int], window: int, expected: list[list[int]]
+    leads: list[int], others: list[int], window: int, expected: list[list[int]]
 ) -> None:
     for late in (0, 300, -300):
-        run = Run(Nearest(windows_ns=(0, window * MS))).all(of_stamps(literal_eval(leads), others, late=late))
+        run = Run(Nearest(windows_ns=(0, window * MS))).all(of_stamps(leads, others, late=late))
         assert run.stamps() == expected
 
 
@@ -291,9 +290,11 @@ def test_what_is_held_does_not_grow_with_the_recording(kind: str, leads: range) 
 
 
 @pytest.mark.parametrize(("moments", "jumps"), rows(STAMPS, "jumps"))
-def test_a_stamp_jumps_by_far_more_than_its_log_time(moments: str, jumps: list[tuple[int, int]]) -> None:
+def test_a_stamp_jumps_by_far_more_than_its_log_time(
+    moments: list[tuple[int, int]], jumps: list[tuple[int, int]]
+) -> None:
     run = Run(RULES["recent"], 1)
-    for stamp, log in literal_eval(moments):
+    for stamp, log in moments:
         run.add(Message(0, stamp * MS, log * MS))
     assert [(jump.stamp_ns // MS, jump.by_ns // MS) for jump in run.counts[0].jumps] == jumps
     assert run.series == (2 if jumps else 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,11 +20,12 @@ from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection
 from pc2scan.pipeline.combine import matching
 from support import ROOT, sampled
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from pathlib import Path
 
+TABLES = Path(__file__).with_name("silence.txt")
 HALL = ROOT / "fixtures" / "hall.bag"
 SECOND = 1_000_000_000
 T0 = 1_700_000_000 * SECOND
@@ -139,17 +141,7 @@ def test_scans_are_made_while_the_leading_lidar_speaks(
     assert done.sizes[-2] == size
 
 
-@pytest.mark.parametrize(
-    ("speaks", "options", "left"),
-    [
-        ((0, 2), {}, "130 of 150 messages of /rear are in no scan on /scan; 130 in a row, from {2.03} to {14.93}"),
-        ((10, 15), {}, "100 of 150 messages of /rear are in no scan on /scan; 100 in a row, from {0.03} to {9.93}"),
-        (
-            (0, 2), {"every": 1, "accumulate": "2clouds"},
-            "146 of 150 messages of /rear are in no scan on /scan; 131 in a row, from {1.93} to {14.93}",
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("speaks", "options", "left"), rows(TABLES, "silent leads"))
 def test_what_is_lost_while_the_lead_is_silent_is_said(
     speaks: tuple[int, int], options: dict[str, Any], left: str, tmp_path: Path
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ from pc2scan.pipeline.stages.deskew import Deskew, Moving, PointTime
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
+from support.tables import rows
 
+TABLES = Path(__file__).with_name("times.txt")
 SECOND = 1_000_000_000
 T0 = 1_700_000_000 * SECOND
 MOUNT = Rigid.from_rpy(0.1, -0.2, 0.7, (0.3, -0.1, 0.5))
@@ -240,16 +243,7 @@ def test_points_that_were_not_measured_need_no_time() -> None:
     assert Deskew(frames(), "odom", PointTime())(points(np.empty((0, 3)), np.empty(0, np.uint32))) is None
 
 
-@pytest.mark.parametrize(
-    ("times", "name", "what"),
-    [
-        ([5, 5, 5], "t", "all have the same time in their field t, 5e-09 s after its stamp"),
-        ([0, 1, 100 * SECOND], "t", "span 100 s by their field t, at most 60 s are possible"),
-        ([1e9, 1e9 + 0.05, 1e9 + 0.1], "timestamp", "s after its stamp by their field timestamp"),
-        ([math.nan] * 3, "time", "none of its points has a time: time is not finite"),
-        ([0, 1, 2], "when", "its points have no times: there is no field t, time"),
-    ],
-)
+@pytest.mark.parametrize(("times", "name", "what"), rows(TABLES, "times that cannot be"))
 def test_times_that_cannot_be_are_errors(times: Any, name: str, what: str) -> None:
     with pytest.raises(DecodeError) as caught:
         Deskew(frames(), "odom", PointTime())(points(np.ones((3, 3)), times, name))

@@ -35,7 +35,7 @@ def kept(condition: str) -> list[int]:
     return np.flatnonzero(mask).tolist()
 
 
-@pytest.mark.parametrize(("condition", "expected"), rows(VALUES, "conditions"))
+@pytest.mark.parametrize(("condition", "expected"), rows(VALUES, "conditions", text=True))
 def test_conditions(condition: str, expected: list[int]) -> None:
     assert kept(condition) == expected
 
