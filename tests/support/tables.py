@@ -15,9 +15,9 @@ __all__ = ["rows"]
 def rows(path: Path, section: str, *, text: bool = False) -> list[tuple[Any, ...]]:
     """Read a section of a file: lines of Python's literals, separated by `` -> ``.
 
-    Beside literals there are ``pi``, ``inf``, ``nan`` and products of them with numbers, such as ``-pi / 2``. A line that
-    begins with ``# `` is a comment, and ``== name`` begins a section. With ``text`` the first value of a line is a text,
-    in which ``\\n`` and ``\\t`` are the end of a line and a tab.
+    Beside literals there are ``pi``, ``inf``, ``nan`` and products of them with numbers, such as ``-pi / 2``. A line
+    that begins with ``# `` is a comment, and ``== name`` begins a section. With ``text`` the first value of a line is a
+    text, in which ``\\n`` and ``\\t`` are the end of a line and a tab.
     """
     lines = path.read_text("utf-8").partition(f"== {section}\n")[2].partition("\n== ")[0].splitlines()
     found = []
