@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.declarations import Declarations
+from support.tables import rows
 
 
 class Recorded:
@@ -40,45 +42,13 @@ def declared(*connections: Connection, one_a_topic: bool = True) -> tuple[list[i
     return handles, writer.connections
 
 
-INT = "int32 data\n"
-
-
 @pytest.mark.parametrize(
-    ("connections", "handles", "digests"),
-    [
-        # Types and serialisations are kept apart, and names that become one in UTF-8 are one.
-        (
-            [
-                publisher(),
-                publisher(msgtype="a/B"),
-                publisher(msgtype="a/msg/C"),
-                publisher(serialization="json"),
-                publisher(serialization="json", msgtype="a/B"),
-            ],
-            [101, 101, 102, 103, 104],
-            [""] * 4,
-        ),
-        ([publisher("/a\udcff"), publisher("/a\udcfe"), publisher("/a\ufffd")], [101] * 3, [""]),
-        # Definitions that differ are kept apart.
-        (
-            [
-                publisher(),
-                publisher(text="# said aloud\nstring   data  # loudly\n\n"),
-                publisher(text=INT),
-                publisher(text=""),
-                publisher(text=INT, digest="RIHS01_b"),
-                publisher(text=INT, digest="RIHS01_c"),
-                publisher(text="uint8 comes_from_elsewhere", digest="RIHS01_b"),
-            ],
-            [101, 101, 102, 101, 102, 103, 102],
-            ["", "RIHS01_b", "RIHS01_c"],
-        ),
-    ],
+    ("publishers", "handles", "digests"), rows(Path(__file__).with_name("publishers.txt"), "shared connections")
 )
 def test_publishers_share_a_connection_where_they_can(
-    connections: list[Connection], handles: list[int], digests: list[str]
+    publishers: list[dict[str, Any]], handles: list[int], digests: list[str]
 ) -> None:
-    found, written = declared(*connections)
+    found, written = declared(*(publisher(**each) for each in publishers))
     assert (found, [connection.digest for connection in written]) == (handles, digests)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,9 +22,6 @@ from pc2scan.pipeline.stages.where import Where
 from pc2scan.requests import given_among
 from support import ROOT
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 def written(folder: Path, text: str) -> Path:
     path = folder / "scans.yaml"
@@ -31,29 +29,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-FILE = """\
-defaults:
-  sources: /points
-  target_frame: base_link
-  preset: slam_toolbox
-  min_height: 10cm
-  where: intensity > 1
-scans:
-  /scan:
-  scan_low:
-    sources: [/front, /rear]
-    min_height: -0.1
-    max_height: 0.1
-    where: [ring < 3, x > 0]
-    min_height_slope: 0.05
-    range_max: 30
-  /moved:
-    deskew: true
-    fixed_frame: odom
-    stamp: middle
-    angle_min: -pi/2
-    angle_increment: 1deg
-"""
+FILE = Path(__file__).with_name("scans.yaml").read_text("utf-8")
 
 
 def test_outputs_have_what_they_say_and_else_the_defaults(tmp_path: Path) -> None:
