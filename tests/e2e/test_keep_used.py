@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from contextlib import closing
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,11 +25,10 @@ from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.model import Connection, Definition
 from support import ROOT, sampled
+from support.tables import rows
 from support.worlds.moving import Lidar, write_world
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+TABLES = Path(__file__).with_name("keep_used.txt")
 HALL = ROOT / "fixtures" / "hall.mcap"
 T0 = 1_700_000_000_000_000_000
 
@@ -43,18 +43,11 @@ def clouds(path: Path, topic: str) -> list[PointCloud2]:
     return [decode_pointcloud2(data, serialization) for _, serialization, data in messages(path, topic)]
 
 
-KEPT: list[dict[str, Any]] = [
-    {},
-    {"target_frame": "base_link", "where": "ring > 3", "exclude_box": "base_link 0 2 -9 9 -1 3"},
-    {"preset": "slam_toolbox", "reduce": "surface", "angle_increment": 0.02},
-    {"reduce": "median", "intensity_field": "intensity", "min_points": 2},
-    {"reduce": "kth", "kth": 2, "angle_increment": 0.03},
-    {"remove": "shadows", "target_frame": "base_link"},
-]
-
-
 # Each container once, each choice once, and all pairs in the long run.
-@pytest.mark.parametrize(("options", "source"), sampled(product(KEPT, ("hall.mcap", "hall.bag", "hall")), 4))
+@pytest.mark.parametrize(
+    ("options", "source"),
+    sampled(product([row for (row,) in rows(TABLES, "of one cloud")], ("hall.mcap", "hall.bag", "hall")), 4),
+)
 def test_the_kept_points_give_the_same_scans(source: str, options: dict[str, Any], tmp_path: Path) -> None:
     """And only they are left, with their own fields."""
     recording, options = HALL.with_name(source), {"min_height": -0.4, "max_height": 1.0, **options}
@@ -186,7 +179,6 @@ def test_two_outputs_keep_points_on_topics_of_their_own(tmp_path: Path) -> None:
 FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)), columns=360)
 REAR = Lidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, 3.0, (-0.4, 0.1, 0.6)), phase=0.037, columns=360)
 FLAT = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, -1.2, (0.1, -0.3, 0.4)), kind="flat", phase=0.061, columns=720)
-TWO: dict[str, Any] = {"topics": ["/front:=/scan", "/rear:=/scan"], "target_frame": "base_link"}
 
 
 @pytest.fixture(scope="module")
@@ -194,21 +186,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_world(tmp_path_factory.mktemp("world") / "w.mcap", [FRONT, REAR, FLAT], seconds=0.8)
 
 
-MOVED: dict[str, Any] = {"target_frame": "base_link", "fixed_frame": "odom"}
-JOINED: list[dict[str, Any]] = [
-    TWO,
-    TWO | MOVED | {"reduce": "mean", "exclude_box": "base_link 0 2 -9 9 -1 3"},
-    TWO | {"remove": "speckles", "reduce": "kth", "kth": 2},
-    TWO | MOVED | {"deskew": True},
-    TWO | MOVED | {"topics": [*TWO["topics"], "/flat:=/scan"], "deskew": True},
-    {"topics": "/front:=/scan", **MOVED, "accumulate": "3clouds"},
-    {"topics": "/rear:=/scan", **MOVED, "every": 0.2, "deskew": True},
-    {"topics": "/flat:=/scan", "rebin": True, "target_frame": "base_link"},
-    TWO | MOVED | {"level": True, "deskew": True},
-]
-
-
-@pytest.mark.parametrize("options", sampled(JOINED, 3), ids=str)
+@pytest.mark.parametrize("options", sampled([row for (row,) in rows(TABLES, "of joined clouds")], 3), ids=str)
 def test_kept_points_of_joined_clouds_give_the_same_scans(options: dict[str, Any], world: Path, tmp_path: Path) -> None:
     """Points are written as they were projected, so converting them again needs no frames or times."""
     common: dict[str, Any] = {"min_height": 0.1, "beams": 720}
