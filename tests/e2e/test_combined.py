@@ -238,18 +238,7 @@ def test_another_topic_may_lead_in_the_command_and_in_python(world: Callable[...
     assert front.joined.as_dict() == typed.topic("/front")["joined"]
 
 
-@pytest.mark.parametrize(
-    "options",
-    sampled(
-        [
-            {**BOTH, "topics": [*BOTH["topics"], "/flat:=/scan"], "deskew": True},
-            {**BOTH, "topics": "/front", "accumulate": 0.3},
-            {**BOTH, "every": 0.25},
-            {"rebin": True},
-        ],
-        2,
-    ),
-)
+@pytest.mark.parametrize("options", sampled([row for (row,) in rows(TABLES, "options for any number of jobs")], 2))
 def test_any_number_of_jobs_gives_the_same_bytes(
     options: dict[str, Any], world: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -296,13 +285,7 @@ def test_what_is_wrong_is_said(
     assert said in converted(tmp_path, source, *options, status=status).stderr
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        (*two_topics(), *MOVED, "--window", "0.1", *LOW),
-        ("--rebin", "--topic", "/flat", "--level", "--fixed-frame", "odom", "--min-height=-1"),
-    ],
-)
+@pytest.mark.parametrize("options", [row for (row,) in rows(TABLES, "correct options")])
 def test_correct_options_draw_no_such_warning(
     options: tuple[str, ...], world: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -344,20 +327,7 @@ def test_gaps_of_the_odometry_and_silent_lidars_are_reported(world: Callable[...
 # Other commands, and files
 
 
-@pytest.mark.parametrize(
-    "options",
-    sampled(
-        [
-            {**BOTH, "lead": "/rear", "window": "60ms"},
-            {**BOTH, "topics": [*BOTH["topics"], "/flat:=/scan"], "deskew": True},
-            {**BOTH, "topics": ["/front:=/a", "/rear:=/a", "/front:=/b"]},
-            {**BOTH, "topics": "/front", "accumulate": 0.3},
-            {**BOTH, "topics": "/front:=/s", "every": "250ms", "level": True},
-            {"topics": "/flat", "rebin": True, "preset": "slam_toolbox"},
-        ],
-        2,
-    ),
-)
+@pytest.mark.parametrize("options", sampled([row for (row,) in rows(TABLES, "options of other commands")], 2))
 def test_scans_exports_and_maps_are_those_of_the_conversion(
     options: dict[str, Any], world: Callable[..., Path], tmp_path: Path
 ) -> None:
