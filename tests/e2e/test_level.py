@@ -143,6 +143,7 @@ def test_level_by_an_imu_that_is_mounted_upside_down(tmp_path: Path, world: Path
     assert any(f"/imu: up is {'computed ' if orientation else ''}{how}" in note for note in made.report["notes"])
 
 
+@pytest.mark.slow
 def test_the_imu_levels_and_odometry_deskews(tmp_path: Path, world: Path, imu: Path) -> None:
     both = ("--level", "--imu", "/imu", *MOUNTED, "--deskew", "--fixed-frame", "odom")
     made = converted(tmp_path, world, imu, *both)
@@ -314,6 +315,7 @@ def test_a_2d_lidar_that_tilts_is_made_level(tmp_path: Path) -> None:
     assert sum(row[1] == "base_link_stabilized" for _, row in level.transforms) == len(level.scans)
 
 
+@pytest.mark.slow
 def test_a_fixed_frame_beside_an_imu_has_an_effect_or_a_warning(tmp_path: Path, world: Path, imu: Path) -> None:
     both = ("--level", "--imu", "/imu", *MOUNTED, "--fixed-frame", "odom")
     said = converted(tmp_path, world, imu, *both).done.stderr

@@ -187,6 +187,8 @@ def test_files_are_closed_whatever_becomes_of_the_loop(recording: Path, tmp_path
         other = pc2scan.scans(recording)
         assert open_files(recording)
         next(iter(other))
+        del other
+        gc.collect()
 
     def wrong() -> None:
         with pytest.raises(TopicError):
@@ -199,7 +201,6 @@ def test_files_are_closed_whatever_becomes_of_the_loop(recording: Path, tmp_path
     path = broken(tmp_path)
     for end in (exhausted, left, closed, closed_with_the_stream, in_a_block, forgotten, wrong, failing):
         end()
-        gc.collect()
         assert open_files(tmp_path) == 0, end
 
 
