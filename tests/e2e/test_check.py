@@ -66,7 +66,7 @@ def test_what_was_accepted_and_is_not(
     assert told in done.stdout
 
 
-def test_more_than_a_circle_optical_frames_and_empty_scans_are_defects(tmp_path: Path) -> None:
+def test_optical_frames_and_scans_without_returns_are_defects(tmp_path: Path) -> None:
     degrees = replace(GOOD, angle_min=-180.0, angle_max=180.0, angle_increment=45.0)
     path = write(tmp_path / "degrees.mcap", *scans(3, degrees))
     done = run("check", path, "--for", "amcl")

@@ -53,7 +53,7 @@ def test_deskewed_scans_say_how_far_the_sensor_moved(tmp_path: Path, stamp: str)
     assert "deskewed; within a cloud the sensor moved by up to" in done.stdout
 
 
-def test_where_nothing_moves_deskewing_changes_nothing_but_the_last_bits(tmp_path: Path) -> None:
+def test_deskewing_without_motion_changes_only_the_last_bits(tmp_path: Path) -> None:
     _, plain, report = converted(tmp_path)
     assert [entry["motion"] for entry in report["topics"]] == [None] * len(report["topics"])
     _, same, report = converted(tmp_path, "--deskew", "--fixed-frame", "base_link")
@@ -86,7 +86,7 @@ def test_the_turn_of_a_lidar_is_measured(tmp_path: Path) -> None:
     assert (tmp_path / "b.mcap").read_bytes() != measured
 
 
-def test_what_a_lidar_turns_like_is_to_be_typed_where_clouds_do_not_tell(tmp_path: Path) -> None:
+def test_a_turn_that_clouds_do_not_tell_is_to_be_typed(tmp_path: Path) -> None:
     world = write_world(tmp_path / "w.mcap", [Lidar()], seconds=1.0)
     words = ("convert", world, "-o", tmp_path / "out.mcap", "--deskew", "--fixed-frame", "odom", "--point-time")
     done = run(*words, "azimuth")

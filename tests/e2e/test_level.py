@@ -266,7 +266,7 @@ def test_an_imu_with_a_gap_and_one_of_another_clock(tmp_path: Path, world: Path)
     assert "from another clock" in done.stderr
 
 
-def test_odometry_that_knows_no_tilt_and_a_frame_of_the_same_name(tmp_path: Path) -> None:
+def test_odometry_without_tilt_and_a_frame_of_the_same_name(tmp_path: Path) -> None:
     flat = write_world(tmp_path / "flat.mcap", [replace(LIDAR, columns=200)], replace(TILTING, tilt=0.0), seconds=0.5)
     done = converted(tmp_path, flat, "--level", "--fixed-frame", "odom").done
     assert "base_link is never tilted, so --level has no effect" in done.stderr

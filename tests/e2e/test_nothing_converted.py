@@ -179,7 +179,7 @@ def test_the_report_of_a_source_that_is_none(folder: Path) -> None:
     assert report["destination"] is None
 
 
-def test_a_report_of_a_failure_is_written_over_nothing_of_the_users(folder: Path) -> None:
+def test_a_report_of_a_failure_replaces_no_file_of_the_users(folder: Path) -> None:
     (folder / "thesis.tex").write_text("three years of work")
     before = (folder / "drive.bag").read_bytes()
     for report in ("drive.bag", "thesis.tex"):

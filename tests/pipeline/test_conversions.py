@@ -142,7 +142,7 @@ def test_last_beams_beyond_ros_time_are_an_error(stamp_ns: int, increment: float
     assert caught.value.stamp_ns == stamp_ns
 
 
-def test_nans_that_signal_draw_no_warning_and_are_nans_like_any_other() -> None:
+def test_nans_that_signal_are_nans_like_any_other() -> None:
     signalling = np.array([0x7F800001, 0xFFBFFFFF, 0x3F800000], np.uint32).view(np.float32)
     known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.5))
     every = UnprojectParams(distances=True, stamps=True, viewpoint=True)

@@ -423,7 +423,7 @@ def test_rosbag2_directories(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("suffix", "compression"), sampled(FORMS, 1))
 @pytest.mark.parametrize("split", ["7ms", "90kB"])
-def test_chunks_are_copied_whole_into_the_parts_of_a_split_recording(
+def test_chunks_are_copied_whole_into_parts_of_a_recording(
     suffix: str, compression: str, split: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source = write(tmp_path / f"drive{suffix}", compression)

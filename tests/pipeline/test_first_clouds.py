@@ -9,7 +9,7 @@ from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
 
 
-def test_the_first_clouds_pass_in_whatever_order_threads_convert_them() -> None:
+def test_the_first_clouds_pass_in_any_order_of_threads() -> None:
     times = [10, 10, 20, 20, 30, 40]
     for order in permutations(range(len(times))):
         clouds = FirstClouds(Report([], "", ()), None, lambda: None).of(ScanSpec(), "/points")

@@ -84,7 +84,7 @@ def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> Non
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 4])
-def test_of_units_that_take_memory_already_one_waits_for_each_thread(jobs: int) -> None:
+def test_one_unit_in_memory_waits_for_each_thread(jobs: int) -> None:
     listed = taken = most = 0
 
     def units() -> Iterator[Unit]:
@@ -125,7 +125,7 @@ def test_leaving_early_gives_up_what_has_not_begun() -> None:
     assert len(loads) < 6
 
 
-def test_quick_units_are_loaded_by_the_caller_between_those_that_are_not() -> None:
+def test_quick_units_are_loaded_by_the_caller() -> None:
     loaders: dict[int, int] = {}
 
     def work(message: RawMessage) -> RawMessage:
@@ -155,7 +155,7 @@ def test_a_result_that_takes_more_memory_is_made_in_its_turn() -> None:
 
 
 @pytest.mark.parametrize("jobs", [None, 2])
-def test_messages_of_a_unit_too_large_to_be_loaded_ahead_are_the_work_of_all_threads(jobs: int | None) -> None:
+def test_messages_of_a_large_unit_are_the_work_of_all_threads(jobs: int | None) -> None:
     large = unit(3, LARGEST_AHEAD + 8, messages=8)
     workers = set()
 

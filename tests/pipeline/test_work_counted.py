@@ -166,7 +166,7 @@ def test_transforms_are_found_without_reading_clouds(drive: Path, extents: list[
 
 
 @pytest.mark.parametrize("form", sampled(FORMS, 1))
-def test_clouds_are_projected_by_the_thread_that_decompressed_them(
+def test_the_thread_that_decompressed_clouds_projects_them(
     form: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drive = record(tmp_path, *form, size=1 << 20)
@@ -230,7 +230,7 @@ def test_large_chunks_are_read_into_buffers_that_are_used_again(
 
 @pytest.mark.parametrize("passes", [False, True])
 @pytest.mark.parametrize("shrinks_from", [2, 9])
-def test_a_message_whose_result_takes_more_memory_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
+def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
     connection = Connection(1, "/points", POINTCLOUD2, "cdr")
     converted = Converted(b"scan", PointCounts(), False)
     report = TopicReport("/points", "", None, "")

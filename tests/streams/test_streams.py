@@ -214,7 +214,7 @@ def broken(folder: Path) -> Path:
     return path
 
 
-def test_what_cannot_be_used_is_skipped_with_a_warning_or_an_error(tmp_path: Path) -> None:
+def test_what_cannot_be_used_is_skipped_or_an_error(tmp_path: Path) -> None:
     path = broken(tmp_path)
     stream = pc2scan.scans(path)
     with pytest.warns(pc2scan.RecordingWarning, match="skipped: /scan.*on_error='fail'") as warned:
@@ -251,7 +251,7 @@ def test_doubtful_requests_draw_the_warning_of_convert(how: dict[str, Any], told
     assert [w.filename for w in warned if told in str(w.message)] == [__file__]
 
 
-def test_a_cut_outside_of_the_recording_is_an_error_and_an_empty_one_an_empty_loop() -> None:
+def test_a_cut_outside_of_the_recording_is_an_error() -> None:
     for name in ("hall.bag", "hall.mcap", "hall"):
         with pytest.raises(UsageError, match="the cut is outside of the recording: `start`"):
             pc2scan.clouds(FIXTURES / name, start=30)
@@ -269,7 +269,7 @@ def test_a_cloud_is_taken_wherever_a_mapping_of_fields_is() -> None:
 
 
 @pytest.mark.parametrize("container", ["hall.bag", "hall.mcap"])
-def test_what_is_left_of_a_damaged_recording_is_read_with_a_warning(container: str, tmp_path: Path) -> None:
+def test_the_rest_of_a_damaged_recording_is_read_and_warned_of(container: str, tmp_path: Path) -> None:
     path = tmp_path / container
     data = (FIXTURES / container).read_bytes()
     path.write_bytes(data[: len(data) * 4 // 5])
@@ -424,7 +424,7 @@ def test_a_package_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatc
             table()
 
 
-def test_numbers_that_contradict_each_other_are_errors_of_the_scan(tmp_path: Path) -> None:
+def test_contradicting_numbers_are_errors_of_the_scan(tmp_path: Path) -> None:
     stream = Stream("/scan", SCAN)
     scan = replace(scans(1)[0], angle_min=float("nan"))
     path = write_mcap(
