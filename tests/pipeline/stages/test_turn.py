@@ -45,6 +45,8 @@ def test_period_direction_and_stamp_are_measured() -> None:
         "stamps, so the last one)"
     )
     assert measured_turn("/points", Turn(), clouds(turns=64.0))[0] == Turn(0.1, 1, True)
+    # One that is logged at its stamp is not logged before it.
+    assert measured_turn("/points", Turn(), clouds(late_ms=0)[:1] + clouds()[1:])[0] == Turn(0.1, -1, True)
 
 
 def test_what_is_given_is_not_measured() -> None:
