@@ -109,7 +109,8 @@ def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
 
 def test_the_way_back_carries_the_header_and_all_channels() -> None:
     every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
-    message = scan([1, 2, math.nan, 40, 3], intensities=np.arange(5, dtype=np.float32), time_increment=0.25)
+    ranges = [1, 2, math.nan, 40, 3, 0.01, math.inf]
+    message = scan(ranges, intensities=np.arange(7, dtype=np.float32), time_increment=0.25)
     made = once(ScanToCloud(every, Frames()), message, "ros1", "cdr")
     read = decode_pointcloud2(made.data, "cdr")
     assert (read.stamp_ns, read.frame_id, read.height, read.width, read.is_dense) == (5 * SECOND, "laser", 1, 3, False)
@@ -118,7 +119,7 @@ def test_the_way_back_carries_the_header_and_all_channels() -> None:
     assert read.field("index").tolist() == [0, 1, 4]
     assert read.field("intensity").tolist() == [0, 1, 4]
     assert read.field("stamps").tolist() == [0, 0.25, 1.0]
-    assert (made.counts.total, made.counts.used, made.counts.nan, made.counts.range) == (5, 3, 1, 1)
+    assert (made.counts.total, made.counts.used, made.counts.nan, made.counts.range) == (7, 3, 1, 3)
 
 
 def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
