@@ -73,6 +73,7 @@ def test_the_loops_in_numpy_make_the_same_bytes(case: str, tmp_path: Path, monke
     assert opened(tmp_path / "out.bag").messages == opened(FOLDER / case / "expected_old_libm.bag").messages
 
 
+@pytest.mark.slow
 def test_a_golden_case_can_ask_for_it(tmp_path: Path) -> None:
     source, case = FOLDER / CASES[0], tmp_path / "case"
     case.mkdir()
