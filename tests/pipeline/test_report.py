@@ -82,6 +82,17 @@ def test_what_cannot_be_carried_over_is_a_loss(lost: bool) -> None:
     assert made.warnings == ["3 messages of 1 topic are skipped: /x (3: cannot be written)"][: int(lost)]
 
 
+def test_a_warning_lists_some_of_many_topics() -> None:
+    made = report(used=100)
+    for number in range(7):
+        made.topics.append(TopicReport(f"/x{number}", "a/msg/B", None, "skipped", note="no", lost=True))
+        made.topics[-1].skip(1)
+    made.conclude()
+    (warning,) = made.warnings
+    assert warning.startswith("7 messages of 7 topics are skipped: /x0 (1: no)")
+    assert warning.count("/x") == 5
+
+
 def test_json_has_no_infinities_and_keeps_every_nanosecond() -> None:
     made = report(ProjectionParams(range_max=math.inf), used=100)
     made.list_skipped(Skipped("/points", 1604515190231374463, None, "no header"))
