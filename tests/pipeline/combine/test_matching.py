@@ -75,6 +75,7 @@ class Run:
     def finish(self) -> None:
         self._take(self._grouper.finish())
         assert not self._alive
+        assert self.series == 0
 
     def all(self, messages: Iterable[Message]) -> Run:
         """Give it all messages in the order of their log times."""
