@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from pc2scan import requests
 from pc2scan.errors import UsageError
 from pc2scan.pipeline.stages.filter_options import FILTER_OPTIONS, filters_from
 
@@ -18,12 +17,6 @@ VALUES: dict[str, Any] = {
     "ground": "remove",
     "min_height_slope": 0.05,
 }
-
-
-def test_python_takes_the_options_of_the_table() -> None:
-    assert set(requests._FILTERS) == {*FILTER_OPTIONS, "filters"}
-    texts = {name for name, option in FILTER_OPTIONS.items() if option.kind == "texts"}
-    assert set(requests._TEXTS_OF_FILTERS) == texts
 
 
 @pytest.mark.parametrize("name", FILTER_OPTIONS)
