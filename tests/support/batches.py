@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import json
+import shutil
+import tempfile
 from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
@@ -11,16 +16,16 @@ from unittest.mock import patch
 import pc2scan
 from pc2scan.batch.work import convert_one
 from pc2scan.batch.workers import Began, Ended
+from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import Finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator
-    from pathlib import Path
 
     from pc2scan.batch.summary import BatchReport
     from pc2scan.batch.workers import Event, Queue
 
-__all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "run_batch"]
+__all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
 
 #: Heights that leave points of `support.builders.CONTENT` in its scans, as they are typed and as keywords.
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
@@ -74,3 +79,21 @@ def contents(folder: Path) -> dict[str, bytes | str]:
         for path in sorted(folder.rglob("*"))
         if (path.is_symlink() or path.is_file()) and path.name != "manifest.jsonl"
     }
+
+
+def place(folder: Path, *names: str) -> Path:
+    """Write a recording under each name; its suffix says the container, and one without suffix is a rosbag2 folder."""
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        template = _template(path.suffix)
+        (shutil.copytree if template.is_dir() else shutil.copyfile)(template, path)
+    return folder
+
+
+@cache
+def _template(suffix: str) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="pc2scan-test-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    write = {".bag": write_rosbag1, ".mcap": write_mcap, ".db3": write_db3, "": write_rosbag2}[suffix]
+    return write(folder / f"content{suffix}", CONTENT)

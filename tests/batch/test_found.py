@@ -1,0 +1,206 @@
+"""Which recordings a batch finds, what it calls them, and where it writes their results: seen in dry runs."""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import closing
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pc2scan.batch.identity import Identity, checksum_of, identity_of
+from pc2scan.errors import MissingError, UsageError
+from support.batches import batch, place
+from support.builders import CONTENT, SECOND, Item, Recording, write_mcap, write_rosbag1
+
+
+def found(sources: object, out: Path | None = None, **words: Any) -> dict[str, str]:
+    """The output of each recording, by its key; of what is refused the error."""
+    first = sources[0] if isinstance(sources, list) else sources
+    report = batch(sources, out or f"{first}/../results", dry_run=True, **words)
+    return {each.key: each.error if each.action == "refuse" else each.output for each in report.outcomes}
+
+
+def later(recording: Recording, seconds: int) -> Recording:
+    items = tuple(Item(each.stream, each.log_time_ns + seconds * SECOND, each.data) for each in recording.items)
+    return Recording(recording.streams, items)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "data" / "robot1").mkdir(parents=True)
+    return tmp_path / "data"
+
+
+def test_a_folder_is_searched_by_content(folder: Path) -> None:
+    place(folder, "b10.bag", "b9.bag", "robot1/a.db3", "robot1/bag")
+    write_mcap(folder / "robot1" / "no_suffix", CONTENT)
+    (folder / "robot1" / "empty.mcap").touch()
+    for name in ("notes.txt", ".hidden.bag", "x.bag.pc2scan-partial", "x.bag.pc2scan-old"):
+        (folder / name).write_text("text")
+    (folder / "metadata.yaml").write_text("of: another program")
+    with closing(sqlite3.connect(folder / "thumbs.db")) as database:
+        database.execute("CREATE TABLE x (y)")
+        database.commit()
+    (folder / "gone.bag").symlink_to(folder / "nowhere")
+    outputs = found(folder)
+    assert outputs.pop("gone.bag").startswith("does not exist")
+    assert list(outputs.items()) == [
+        ("b9.bag", "b9_scan.bag"),
+        ("b10.bag", "b10_scan.bag"),
+        ("robot1/a.db3", "robot1/a_scan"),
+        ("robot1/bag", "robot1/bag_scan"),
+        ("robot1/empty.mcap", "is empty"),
+        ("robot1/no_suffix", "robot1/no_suffix_scan.mcap"),
+    ]
+
+
+def test_parts_are_one_recording_and_drives_are_not(folder: Path) -> None:
+    first, second = CONTENT.halves()
+    for number, part in enumerate((first, second)):
+        write_rosbag1(folder / f"drive_2020-11-04-18-39-5{number}_{number}.bag", part)
+        write_mcap(folder / f"part_{number}.mcap", part)
+        # Two drives of another day, and of the same time.
+        write_mcap(folder / f"run_{number}.mcap", later(CONTENT, 1000 * number))
+        write_mcap(folder / f"twin_{number}.mcap", CONTENT)
+    # One part is missing in between, so it is unknown what follows.
+    write_mcap(folder / "hole_0.mcap", first)
+    write_mcap(folder / "hole_2.mcap", later(second, 100))
+    drives = ["hole_0.mcap", "hole_2.mcap", "part_0.mcap", "run_0.mcap", "run_1.mcap", "twin_0.mcap", "twin_1.mcap"]
+    assert sorted(found(folder)) == ["drive_2020-11-04-18-39-50_0.bag", *drives]
+    # Parts that are named, too; a part alone is what it is.
+    assert list(found([folder / "part_0.mcap", folder / "part_1.mcap"], folder.parent / "out")) == ["part_0.mcap"]
+    assert list(found(f"{folder}/p*.mcap", folder.parent / "out")) == ["part_0.mcap"]
+    assert list(found(folder / "part_1.mcap", folder.parent / "out")) == ["part_1.mcap"]
+    read = {each.key: each.bytes_read for each in batch(folder, folder.parent / "out", dry_run=True).outcomes}
+    assert read["part_0.mcap"] == sum((folder / f"part_{number}.mcap").stat().st_size for number in (0, 1))
+
+
+def test_globs_lists_names_and_links(folder: Path, tmp_path: Path) -> None:
+    place(folder, "a.bag", "robot1/b.bag", "robot1/c.bag")
+    out = tmp_path / "out"
+    (tmp_path / "list.txt").write_text(f"# drives\ndata/a.bag\n\n{folder / 'robot1'}\ndata/missing.bag\n")
+    (tmp_path / "prose.txt").write_text("no list of paths\n")
+    all_of = ["a.bag", "robot1/b.bag", "robot1/c.bag"]
+    cases: list[tuple[list[str], list[str]]] = [
+        (["data/*/b.bag"], ["robot1/b.bag"]),
+        (["data/**/*.bag"], all_of),
+        (["data/a.bag", "data/robot1/b.bag"], ["a.bag", "robot1/b.bag"]),
+        (["data/robot1/b.bag"], ["b.bag"]),
+        (["list.txt"], ["a.bag", "missing.bag", "robot1/b.bag", "robot1/c.bag"]),
+        # Nothing is found twice.
+        (["data", "data/a.bag", "data/*.bag"], all_of),
+    ]
+    for sources, keys in cases:
+        assert list(found([str(tmp_path / source) for source in sources], out)) == keys, sources
+    (folder / "robot1" / "link.bag").symlink_to(folder / "a.bag")
+    (folder / "robot1" / "around").symlink_to(folder)
+    assert list(found(folder, out)) == all_of
+    assert found([tmp_path / "list.txt"], out)["missing.bag"].startswith("does not exist")
+    assert "is not a recording" in found([tmp_path / "prose.txt"], out)["prose.txt"]
+    with pytest.raises(MissingError):
+        found(folder / "x.bag", out)
+    with pytest.raises(UsageError, match="matches nothing"):
+        found(f"{folder}/*.mcap", out)
+
+
+def test_two_of_one_name_get_the_names_of_their_folders(tmp_path: Path) -> None:
+    days = ("x/day1", "x/day2", "y/day1")
+    for day in days:
+        place(tmp_path / day, "a.bag", f"{day.replace('/', '_')}.bag")
+    keys = found([tmp_path / day for day in days], tmp_path / "out")
+    assert list(keys) == ["x/day1/a.bag", "x/day2/a.bag", "x_day1.bag", "x_day2.bag", "y/day1/a.bag", "y_day1.bag"]
+
+
+def test_scans_are_not_sources(folder: Path) -> None:
+    place(folder, "a.bag", "robot1/b.mcap")
+    for unchanged in (0, 2):
+        report = batch(folder, folder / "scans")
+        assert (len(report.outcomes), report.unchanged) == (2, unchanged)
+    for out in (folder, folder.parent):
+        with pytest.raises(UsageError, match="they would be found as sources"):
+            batch(folder, out)
+    assert batch(folder / "a.bag", folder).exit_status == 0
+    again = batch(f"{folder}/*.bag", folder)
+    assert (len(again.outcomes), again.unchanged) == (1, 1)
+
+
+MEETING: list[tuple[dict[str, Any], dict[str, str]]] = [
+    ({}, {"x/a.bag": "x/a_scan.bag", "a.db3": "a_scan", "a.bag": "a_scan.bag", "a.mcap": "a_scan.mcap"}),
+    (
+        {"to": "mcap"},
+        {"a.bag": "a_bag_scan.mcap", "a.mcap": "a_mcap_scan.mcap", "a": "a_folder_scan.mcap", "b.bag": "b_scan.mcap"},
+    ),
+    # Results share no folder; recordings do not meet there: their names end with _scan.
+    ({"export": "npz"}, {"drive.bag": "drive_bag", "drive/x.bag": "drive/x", "other.bag": "other"}),
+    ({}, {"drive.bag": "drive_scan.bag", "drive/x.bag": "drive/x_scan.bag"}),
+    (
+        {"to": "rosbag2"},
+        {"a.bag": "a_bag_scan", "a_scan/b.bag": "a_scan/b_scan", "A_SCAN/c/d.bag": "A_SCAN/c/d_scan"},
+    ),
+    # Where they meet all the same, they are refused.
+    (
+        {"export": "npz"},
+        {"a.bag": "a_bag", "a/x.bag": "a/x", "a_bag/y.bag": "would be in a_bag, the result of a.bag"},
+    ),
+    ({}, {f"{a}.bag": f"would be the output of both {a}.bag and {b}.bag" for a, b in ("Aa", "aA")}),
+]
+
+
+@pytest.mark.parametrize(("words", "expected"), MEETING)
+def test_results_have_names_of_their_own(words: dict[str, Any], expected: dict[str, str], folder: Path) -> None:
+    place(folder, *expected)
+    assert found(folder, **words) == expected
+
+
+def test_a_result_with_another_name_now_is_out_of_date(folder: Path) -> None:
+    place(folder, "a.mcap")
+    out = folder.parent / "out"
+    batch(folder, out)
+    (warning,) = batch(folder, out, to="bag").warnings
+    assert warning.startswith("a_scan.mcap is out of date: its recording is written to a_scan.bag now;")
+
+
+# --- What a file is recognised by ---
+
+
+#: What is done in a folder, whether the folder is another then, and whether files in it are.
+CHANGES: dict[str, tuple[Callable[[Path], Any], bool, bool]] = {
+    "another time": (lambda folder: os.utime(folder / "7.bin", ns=(1, 1 << 61)), True, True),
+    "another size": (lambda folder: (folder / "7.bin").write_bytes(b"333"), True, True),
+    "one fewer": (lambda folder: (folder / "7.bin").unlink(), True, True),
+    "a file below": (lambda folder: (folder / "below" / "d").write_bytes(b"4"), True, False),
+    "a log of a database": (lambda folder: (folder / "a.db3-wal").write_bytes(b"more"), True, True),
+    "an empty log": (lambda folder: (folder / "a.db3-wal").touch(), True, False),
+    "shared memory of a database": (lambda folder: (folder / "a.db3-shm").write_bytes(b"1"), False, False),
+    "a link to nothing": (lambda folder: (folder / "nowhere").symlink_to("gone"), False, False),
+}
+
+
+@pytest.mark.parametrize("count", [10, 300])
+@pytest.mark.parametrize(("change", "folder_is_another", "files_are_others"), CHANGES.values(), ids=CHANGES)
+def test_a_changed_file_or_folder_is_another(
+    change: Callable[[Path], Any], folder_is_another: bool, files_are_others: bool, count: int, tmp_path: Path
+) -> None:
+    (tmp_path / "below").mkdir()
+    for file in ("a.db3", "below/c", *(f"{number}.bin" for number in range(count))):
+        (tmp_path / file).write_bytes(b"22")
+    files = [tmp_path / name for name in ("7.bin", "a.db3", "missing")]
+    before, of_files = identity_of([tmp_path]), identity_of(files)
+    assert Identity.from_json(before.as_json()) == before
+    assert (before.size_bytes, of_files.size_bytes) == (2 * (count + 2), 4)
+    change(tmp_path)
+    assert (identity_of([tmp_path]) != before, identity_of(files) != of_files) == (folder_is_another, files_are_others)
+    assert identity_of([tmp_path / "missing"]) == Identity()
+
+
+def test_checksums_are_of_content_and_names(tmp_path: Path) -> None:
+    for name, text in (("a", "content"), ("b", "content"), ("c", "other..")):
+        (tmp_path / name).write_text(text)
+    assert checksum_of([tmp_path / "a"]) == checksum_of([tmp_path / "b"]) != checksum_of([tmp_path / "c"])
+    whole = checksum_of([tmp_path])
+    (tmp_path / "b").rename(tmp_path / "d")
+    assert checksum_of([tmp_path]) != whole
