@@ -163,7 +163,8 @@ class World:
         there = self.files_of(output, written.get(output))
         why = "forced" if force else self.why(before, options, path, output, there, checksum=checksum)
         if why and there and not overwrite:
-            # A result belongs to the last line that names it, unless nothing was written; or it is as an earlier line has left it.
+            # A result belongs to the last line that names it, unless nothing was written; or it is as an earlier
+            # line has left it.
             last = dict(self.lines).values()
             owned = {line.output for line in last if line.output in written or line.outcome == "died"}
             if output not in owned and there != written.get(output):

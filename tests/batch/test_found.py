@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 from contextlib import closing
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -15,6 +13,10 @@ from pc2scan.batch.identity import Identity, checksum_of, identity_of
 from pc2scan.errors import MissingError, UsageError
 from support.batches import batch, place
 from support.builders import CONTENT, SECOND, Item, Recording, write_mcap, write_rosbag1
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
 
 
 def found(sources: object, out: Path | None = None, **words: Any) -> dict[str, str]:
