@@ -7,7 +7,7 @@ import json
 import shutil
 import tempfile
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
@@ -32,12 +32,13 @@ HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 KEYWORDS: dict[str, Any] = {"min_height": -2, "max_height": 2}
 
 
-def _execute(queue: Queue, **_: object) -> Generator[Event]:
+def _execute(queue: Queue, jobs: list[str], **_: object) -> Generator[Event]:
     """Run jobs one after the other; sources at URLs are copied meanwhile, and results uploaded."""
     inbox: SimpleQueue[Event | None] = SimpleQueue()
     queue.begin(inbox.put)
     while queue.is_open or not inbox.empty():
         if (job := queue.take()) is not None:
+            jobs.append(job.key)
             yield Began(job.key)
             if (result := queue.done(convert_one(job))) is not None:
                 yield Ended(result)
@@ -46,10 +47,14 @@ def _execute(queue: Queue, **_: object) -> Generator[Event]:
 
 
 @contextmanager
-def in_this_process() -> Iterator[None]:
-    """Let batches convert in this process instead of in processes of their own, which take long to start."""
-    with patch("pc2scan.batch.executors.execute_here", _execute):
-        yield
+def in_this_process() -> Iterator[list[str]]:
+    """Let batches convert in this process instead of in processes of their own, which take long to start.
+
+    Yields the keys of the jobs that were begun: of a recording that is converted in pieces there are several.
+    """
+    jobs: list[str] = []
+    with patch("pc2scan.batch.executors.execute_here", partial(_execute, jobs=jobs)):
+        yield jobs
 
 
 def batch(sources: Any, out: Path | str, **words: Any) -> BatchReport:
