@@ -1,4 +1,7 @@
-"""The manifest: complete lines count, the last one of each recording, and nothing else is taken for one."""
+"""What is in the folder of a batch beside the results: the manifest, and the note of a run that was killed.
+
+That later runs follow the manifest is in `test_done_again`.
+"""
 
 from __future__ import annotations
 
@@ -7,77 +10,50 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.batch.identity import Identity
-from pc2scan.batch.manifest import (
-    BEGUN,
-    Begun,
-    Manifest,
-    Record,
-    forget_begun,
-    read_begun,
-    read_manifest,
-    write_begun,
-)
+import pc2scan
 from pc2scan.errors import DestinationError, UsageError
+from support.batches import batch, contents, manifest_of, place
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 
-def record(key: str = "a.bag", outcome: str = "converted") -> Record:
-    return Record(
-        key=key,
-        sources=(f"/data/{key}",),
-        identity=Identity(((key, 5, 7),)),
-        container="rosbag1",
-        options="0" * 32,
-        outcome=outcome,
-        exit_status=0,
-        output="a_scan.bag",
-        output_identity=Identity((("a_scan.bag", 3, 9),)),
-        started="2026-11-22T00:00:00.000+00:00",
-        seconds=1.5,
-        report={"topics": []},
-    )
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A recording, files that are not recordings, and a folder for results."""
+    place(tmp_path / "in", "a.bag")
+    for name in ("b.bag", "ü\n.bag"):
+        (tmp_path / "in" / name).touch()
+    (tmp_path / "out").mkdir()
+    return tmp_path
 
 
-def test_a_line_is_read_as_it_was_written(tmp_path: Path) -> None:
-    path = tmp_path / "manifest.jsonl"
-    with Manifest(path) as manifest:
-        manifest.append(record())
-        manifest.append(record("ü\n.bag", "incomplete"))
-        manifest.append(record(outcome="empty"))
-    assert read_manifest(path) == {"a.bag": record(outcome="empty"), "ü\n.bag": record("ü\n.bag", "incomplete")}
-    assert len(path.read_bytes().splitlines()) == 3
+def test_each_recording_has_a_line_of_json(tree: Path) -> None:
+    batch(tree / "in", tree / "out")
+    lines = (tree / "out" / "manifest.jsonl").read_bytes().splitlines()
+    assert [json.loads(line)["key"] for line in lines] == ["b.bag", "ü\n.bag", "a.bag"]
+    line, source = manifest_of(tree / "out")["a.bag"], tree / "in" / "a.bag"
+    assert line["source"]["paths"] == [str(source)]
+    assert line["source"]["files"] == [["a.bag", source.stat().st_size, source.stat().st_mtime_ns]]
+    assert (line["outcome"], line["exit_status"], line["attempts"]) == ("converted", 0, 1)
+    assert line["pc2scan"] == pc2scan.__version__
+    assert manifest_of(tree / "out")["b.bag"]["error"]["message"] == "is empty"
 
 
-@pytest.mark.parametrize("cut", [1, 40, 200])
-def test_a_torn_last_line_is_ignored_and_then_removed(cut: int, tmp_path: Path) -> None:
-    path = tmp_path / "manifest.jsonl"
-    with Manifest(path) as manifest:
-        manifest.append(record())
-        manifest.append(record("b.bag"))
-    path.write_bytes(path.read_bytes()[:-cut])
-    assert read_manifest(path).keys() == {"a.bag"}
-    with Manifest(path) as manifest:
-        manifest.append(record("c.bag"))
-    assert read_manifest(path).keys() == {"a.bag", "c.bag"}
-    assert [json.loads(line)["key"] for line in path.read_text().splitlines()] == ["a.bag", "c.bag"]
+@pytest.mark.parametrize("text", ['{"image": 1}\n', "x", "[]\n", "{}\n"])
+def test_another_programs_manifest_is_refused(text: str, tree: Path) -> None:
+    (tree / "out" / "manifest.jsonl").write_text(text)
+    with pytest.raises(DestinationError, match="is not a manifest of pc2scan batch"):
+        batch(tree / "in", tree / "out")
+    assert (tree / "out" / "manifest.jsonl").read_text() == text
 
 
 @pytest.mark.parametrize("size", [0, 3, 11])
-def test_a_torn_first_line_is_no_line(size: int, tmp_path: Path) -> None:
-    path = tmp_path / "manifest.jsonl"
-    path.write_bytes(b'{"pc2scan": "0.1'[:size])
-    assert read_manifest(path) == {}
-
-
-@pytest.mark.parametrize("text", ['{"image": 1}\n', "x", "[]\n"])
-def test_another_programs_manifest_is_refused(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "manifest.jsonl"
-    path.write_text(text)
-    with pytest.raises(DestinationError, match="is not a manifest of pc2scan batch"):
-        read_manifest(path)
+def test_a_torn_first_line_is_no_line(size: int, tree: Path) -> None:
+    (tree / "out" / "manifest.jsonl").write_bytes(b'{"pc2scan": "0.1'[:size])
+    assert [each.why for each in batch(tree / "in" / "a.bag", tree / "out").outcomes] == ["new"]
+    assert manifest_of(tree / "out").keys() == {"a.bag"}
 
 
 @pytest.mark.parametrize(
@@ -89,30 +65,49 @@ def test_another_programs_manifest_is_refused(text: str, tmp_path: Path) -> None
         lambda line: line.replace('"path": "a_scan.bag"', '"path": "/precious"'),
     ],
 )
-def test_a_line_that_was_edited_is_named(change: object, tmp_path: Path) -> None:
-    path = tmp_path / "manifest.jsonl"
-    with Manifest(path) as manifest:
-        for key in ("a.bag", "b.bag"):
-            manifest.append(record(key))
+def test_a_line_that_was_edited_is_named(change: Callable[[str], str], tree: Path) -> None:
+    path = tree / "out" / "manifest.jsonl"
+    batch(tree / "in" / "b.bag", tree / "out")
+    batch(tree / "in" / "a.bag", tree / "out")
     first, second = path.read_text().splitlines()
-    path.write_text(f"{first}\n{change(second)}\n{first}\n")  # type: ignore[operator]
+    path.write_text(f"{first}\n{change(second)}\n{first}\n")
     with pytest.raises(UsageError, match="line 2 is not a line of a manifest"):
-        read_manifest(path)
+        batch(tree / "in", tree / "out")
 
 
-def test_what_is_begun_is_noted(tmp_path: Path) -> None:
-    assert read_begun(tmp_path) == Begun()
-    write_begun(tmp_path, Begun(frozenset({"b", "a"})))
-    written = Begun(frozenset({"r/c"}), frozenset({"r"}))
-    write_begun(tmp_path, written)
-    assert read_begun(tmp_path) == written
-    # As version 1.0 wrote it.
-    (tmp_path / ".pc2scan-begun.json").write_text('{"pc2scan begun": "1.0", "outputs": ["c"]}\n')
-    assert read_begun(tmp_path) == Begun(frozenset({"c"}))
-    forget_begun(tmp_path)
-    forget_begun(tmp_path)
-    assert list(tmp_path.iterdir()) == []
-    for text in ("precious", '{"pc2scan begun": "1", "outputs": ["../x"]}'):
-        (tmp_path / BEGUN).write_text(text)
-        with pytest.raises(DestinationError, match="was not written by pc2scan batch"):
-            read_begun(tmp_path)
+# --- The note of a run that was killed ---
+
+
+NOTE = ".pc2scan-begun.json"
+
+
+@pytest.mark.parametrize("folders", ["", ', "folders": ["made"]'])
+def test_what_a_killed_run_began_is_converted_again(folders: str, tree: Path) -> None:
+    out = tree / "out"
+    batch(tree / "in", out)
+    expected = contents(out)
+    (out / "manifest.jsonl").unlink()
+    (out / "made").mkdir()
+    outputs = '["a_scan.bag", "made/x.bag"]'
+    (out / NOTE).write_text(f'{{"pc2scan begun": "1.0", "outputs": {outputs}{folders}}}\n')
+    (out / "a_scan.bag").write_text("half")
+    report = batch(tree / "in" / "a.bag", out)
+    assert [(each.outcome, each.why) for each in report.outcomes] == [("converted", "interrupted before")]
+    assert contents(out) == expected
+    # Empty folders of the user's stay, those that the run made go.
+    assert (out / "made").exists() == (not folders)
+
+
+def test_a_note_that_is_in_the_manifest_goes(tree: Path) -> None:
+    batch(tree / "in" / "a.bag", tree / "out")
+    (tree / "out" / NOTE).write_text('{"pc2scan begun": "1.0", "outputs": ["a_scan.bag"]}\n')
+    assert batch(tree / "in" / "a.bag", tree / "out").unchanged == 1
+    assert not (tree / "out" / NOTE).exists()
+
+
+@pytest.mark.parametrize("text", ["precious", '{"pc2scan begun": "1", "outputs": ["../x"]}'])
+def test_a_note_of_others_is_refused(text: str, tree: Path) -> None:
+    (tree / "out" / NOTE).write_text(text)
+    with pytest.raises(DestinationError, match="was not written by pc2scan batch"):
+        batch(tree / "in", tree / "out")
+    assert contents(tree / "out") == {NOTE: text.encode()}
