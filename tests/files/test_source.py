@@ -142,7 +142,7 @@ def test_a_file_that_was_cut_is_an_error_where_it_is_borrowed(shorter: int, larg
                 file.borrow(0, 3 << 20, bytes)
 
 
-def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, tmp_path: Path) -> None:
+def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, large: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="2 bytes are declared from byte 99 on, but the file has 100 bytes"):
         file.read(99, 2)
     os.truncate(path, 60)
@@ -155,9 +155,11 @@ def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, tmp_path: P
     file.close()
     with pytest.raises(RecordingError, match="cannot be read at byte 3: Bad file descriptor"):
         file.read(3, 1)
+    closed = SourceFile(large)
+    closed.close()
     for length in (10, 1 << 20):
         with pytest.raises(RecordingError, match="cannot be read"):
-            file.borrow(0, length, len)
+            closed.borrow(0, length, len)
     with pytest.raises(RecordingError, match="cannot be opened: No such file"):
         SourceFile(tmp_path / "none")
 
