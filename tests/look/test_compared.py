@@ -50,6 +50,7 @@ def test_tolerances_count(tmp_path: Path, two: tuple[Path, Path]) -> None:
     assert [m["layers"][0]["differing"] for m in held["moments"]] == [[]] * 20
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_the_page_marks_what_differs(browser: Any, tmp_path: Path, two: tuple[Path, Path]) -> None:
     run("diff", *two, "--view", tmp_path / "page.html")

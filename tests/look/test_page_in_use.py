@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from look.browser import Tab
 
 pytestmark = needs_chromium
+slow = pytest.mark.slow
 
 HALL = ROOT / "fixtures" / "hall.bag"
 
@@ -67,6 +68,7 @@ def test_the_command_line_makes_what_the_page_shows(hall: Tab, tmp_path: Path) -
     hall.assert_quiet()
 
 
+@slow
 @pytest.mark.parametrize("ros", [1, 2])
 def test_the_parameter_files_mean_what_the_page_shows(hall: Tab, tmp_path: Path, ros: int) -> None:
     hall.page.select_option("#param-preset", "gmapping")
@@ -78,6 +80,7 @@ def test_the_parameter_files_mean_what_the_page_shows(hall: Tab, tmp_path: Path,
     assert np.array_equal(read_scans(tmp_path / "s.mcap")[0].ranges, shown, equal_nan=True)
 
 
+@slow
 def test_dragging_the_band_changes_the_heights(hall: Tab) -> None:
     box = hall.page.locator("#side").bounding_box()
     found: list[float] = hall.call("[window.pc2scan.params().min_height, window.pc2scan.params().max_height]")
@@ -96,6 +99,7 @@ def test_dragging_the_band_changes_the_heights(hall: Tab) -> None:
     assert 0 < high < 1
 
 
+@slow
 def test_a_wrong_value_is_named_and_the_last_scan_stays(hall: Tab) -> None:
     before = ranges(hall)
     hall.page.fill("#param-angle_min", "200")
@@ -105,6 +109,7 @@ def test_a_wrong_value_is_named_and_the_last_scan_stays(hall: Tab) -> None:
     assert hall.page.inner_text(".problem") == ""
 
 
+@slow
 def test_presets_keep_what_the_user_set(hall: Tab) -> None:
     for name, values in PRESETS.items():
         hall.page.select_option("#param-preset", name)
@@ -117,6 +122,7 @@ def test_presets_keep_what_the_user_set(hall: Tab) -> None:
         assert f"--preset {name}" in hall.call("window.pc2scan.command()")
 
 
+@slow
 def test_hovering_reads_a_point_and_its_beam(hall: Tab) -> None:
     box = hall.page.locator("#top").bounding_box()
     told = ""
@@ -129,6 +135,7 @@ def test_hovering_reads_a_point_and_its_beam(hall: Tab) -> None:
     assert "x " in told
 
 
+@slow
 def test_keys_move_through_time_and_zoom(hall: Tab) -> None:
     hall.page.focus("#time")
     hall.page.keyboard.press("ArrowRight")
@@ -143,7 +150,7 @@ def test_keys_move_through_time_and_zoom(hall: Tab) -> None:
     hall.assert_quiet()
 
 
-@pytest.mark.slow
+@slow
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (420, 800)])
 def test_nothing_overflows_in_any_window(browser: Any, tmp_path: Path, theme: str, width: int, height: int) -> None:
@@ -193,6 +200,7 @@ def test_a_hostile_recording_runs_nothing(browser: Any, tmp_path: Path) -> None:
     tab.page.close()
 
 
+@slow
 def test_scans_of_absurd_numbers_do_not_hang_the_page(browser: Any, tmp_path: Path) -> None:
     absurd = [
         replace(GOOD, angle_min=-1e38, angle_max=1e38, angle_increment=1e30),
@@ -214,6 +222,7 @@ def test_scans_of_absurd_numbers_do_not_hang_the_page(browser: Any, tmp_path: Pa
     tab.page.close()
 
 
+@slow
 def test_scans_are_read_back_as_recorded(browser: Any, tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "scans.mcap", recording({"/scan": scans(3), "/other": scans(3)}))
     assert run("view", source, "-o", tmp_path / "page.html").status == 0
@@ -227,6 +236,7 @@ def test_scans_are_read_back_as_recorded(browser: Any, tmp_path: Path) -> None:
     tab.page.close()
 
 
+@slow
 def test_filters_are_counted_and_coloured_and_in_the_command(browser: Any, tmp_path: Path) -> None:
     filters = ["--where", "ring > 4", "--exclude-box", "lidar -1 6 0 4 -1 1", "--min-height-slope", "0.1"]
     assert run("view", HALL, "-o", tmp_path / "page.html", "--min-height=-0.3", *filters).status == 0
