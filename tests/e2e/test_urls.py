@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 import threading
 from functools import partial
@@ -178,17 +177,6 @@ def test_only_ranges_are_read(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 # --- The command ---
-
-
-def test_a_file_url_is_the_path_that_it_names(tmp_path: Path) -> None:
-    shutil.copy(FIXTURES / "hall.mcap", tmp_path)
-    done = run("convert", f"file://{tmp_path}/hall.mcap", "-o", f"file://{tmp_path}/x%20y.mcap", "--min-height", "0.1")
-    assert done.status == 0, done.stderr
-    assert f"{tmp_path}/x y.mcap" in done.stdout
-    shown = run("info", f"FILE://localhost{tmp_path}/x%20y.mcap")
-    assert shown.stdout.startswith(f"{tmp_path}/x y.mcap: mcap")
-    # Every command takes it, not only those that read stores.
-    assert run("check", f"file:{tmp_path}/x y.mcap").status in (0, 1)
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
