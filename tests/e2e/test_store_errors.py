@@ -16,7 +16,7 @@ import pytest
 import pc2scan
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
 from pc2scan.remote import pace, store
-from support import ROOT
+from support import ROOT, sampled
 from support.batches import batch
 from support.command import run
 
@@ -108,17 +108,17 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 #: What a web server does, the exit status and a part of the message.
 WEB = {
     "403": (1, "access is refused (403"),
-    "401": (1, "access is refused (401"),
     "404": (2, "does not exist"),
+    "401": (1, "access is refused (401"),
+    "cuts": (1, "the download was cut off"),
     "500": (1, "the store reports an internal error (status 500)"),
     "silent": (1, "the store does not answer in time"),
     "stalls": (1, "the store does not answer in time"),
-    "cuts": (1, "the download was cut off"),
 }
 
 
 @pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("kind", WEB)
+@pytest.mark.parametrize("kind", sampled(WEB, 4))
 def test_a_web_server_that_fails_leaves_nothing(kind: str, place: str, tmp_path: Path) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp reads https")
     status, message = WEB[kind]
@@ -135,8 +135,10 @@ def test_a_web_server_that_fails_leaves_nothing(kind: str, place: str, tmp_path:
     assert list(scratch.iterdir()) == []
 
 
-@pytest.mark.parametrize("kind", ["trickles", "trickles_heads"])
-@pytest.mark.parametrize("call", ["convert", "info"])
+@pytest.mark.parametrize(
+    ("kind", "call"),
+    sampled([(kind, call) for kind in ("trickles", "trickles_heads") for call in ("convert", "info")], 1),
+)
 def test_a_server_that_sends_a_byte_now_and_then_is_too_slow(
     kind: str, call: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -169,12 +171,15 @@ def test_a_batch_goes_on(place: str, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize(
     ("endpoint", "message"),
-    [
-        ("http://{place}/403", "access is refused (403"),
-        ("http://{place}/500", "the store reports an internal error"),
-        ("http://{place}/silent", "does not answer in time"),
-        ("http://127.0.0.1:9", "the host cannot be reached"),
-    ],
+    sampled(
+        [
+            ("http://{place}/403", "access is refused (403"),
+            ("http://{place}/500", "the store reports an internal error"),
+            ("http://{place}/silent", "does not answer in time"),
+            ("http://127.0.0.1:9", "the host cannot be reached"),
+        ],
+        1,
+    ),
 )
 def test_an_s3_server(endpoint: str, message: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     s3fs = pytest.importorskip("s3fs", reason="s3fs reads S3")
