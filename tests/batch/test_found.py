@@ -1,16 +1,13 @@
-"""Which recordings a batch finds, what it calls them, and where it writes their results: seen in dry runs."""
+"""Parts of recordings, names of results, and what a file is recognised by; more is in `transcripts/batches.txt`."""
 
 from __future__ import annotations
 
 import os
-import sqlite3
-from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pc2scan.batch.identity import Identity, checksum_of, identity_of
-from pc2scan.errors import MissingError, UsageError
 from support.batches import batch, place
 from support.builders import CONTENT, SECOND, Item, Recording, write_mcap, write_rosbag1
 
@@ -37,29 +34,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_a_folder_is_searched_by_content(folder: Path) -> None:
-    place(folder, "b10.bag", "b9.bag", "robot1/a.db3", "robot1/bag")
-    write_mcap(folder / "robot1" / "no_suffix", CONTENT)
-    (folder / "robot1" / "empty.mcap").touch()
-    for name in ("notes.txt", ".hidden.bag", "x.bag.pc2scan-partial", "x.bag.pc2scan-old"):
-        (folder / name).write_text("text")
-    (folder / "metadata.yaml").write_text("of: another program")
-    with closing(sqlite3.connect(folder / "thumbs.db")) as database:
-        database.execute("CREATE TABLE x (y)")
-        database.commit()
-    (folder / "gone.bag").symlink_to(folder / "nowhere")
-    outputs = found(folder)
-    assert outputs.pop("gone.bag").startswith("does not exist")
-    assert list(outputs.items()) == [
-        ("b9.bag", "b9_scan.bag"),
-        ("b10.bag", "b10_scan.bag"),
-        ("robot1/a.db3", "robot1/a_scan"),
-        ("robot1/bag", "robot1/bag_scan"),
-        ("robot1/empty.mcap", "is empty"),
-        ("robot1/no_suffix", "robot1/no_suffix_scan.mcap"),
-    ]
-
-
 def test_parts_are_one_recording_and_drives_are_not(folder: Path) -> None:
     first, second = CONTENT.halves()
     for number, part in enumerate((first, second)):
@@ -79,55 +53,6 @@ def test_parts_are_one_recording_and_drives_are_not(folder: Path) -> None:
     assert list(found(folder / "part_1.mcap", folder.parent / "out")) == ["part_1.mcap"]
     read = {each.key: each.bytes_read for each in batch(folder, folder.parent / "out", dry_run=True).outcomes}
     assert read["part_0.mcap"] == sum((folder / f"part_{number}.mcap").stat().st_size for number in (0, 1))
-
-
-def test_globs_lists_names_and_links(folder: Path, tmp_path: Path) -> None:
-    place(folder, "a.bag", "robot1/b.bag", "robot1/c.bag")
-    out = tmp_path / "out"
-    (tmp_path / "list.txt").write_text(f"# drives\ndata/a.bag\n\n{folder / 'robot1'}\ndata/missing.bag\n")
-    (tmp_path / "prose.txt").write_text("no list of paths\n")
-    all_of = ["a.bag", "robot1/b.bag", "robot1/c.bag"]
-    cases: list[tuple[list[str], list[str]]] = [
-        (["data/*/b.bag"], ["robot1/b.bag"]),
-        (["data/**/*.bag"], all_of),
-        (["data/a.bag", "data/robot1/b.bag"], ["a.bag", "robot1/b.bag"]),
-        (["data/robot1/b.bag"], ["b.bag"]),
-        (["list.txt"], ["a.bag", "missing.bag", "robot1/b.bag", "robot1/c.bag"]),
-        # Nothing is found twice.
-        (["data", "data/a.bag", "data/*.bag"], all_of),
-    ]
-    for sources, keys in cases:
-        assert list(found([str(tmp_path / source) for source in sources], out)) == keys, sources
-    (folder / "robot1" / "link.bag").symlink_to(folder / "a.bag")
-    (folder / "robot1" / "around").symlink_to(folder)
-    assert list(found(folder, out)) == all_of
-    assert found([tmp_path / "list.txt"], out)["missing.bag"].startswith("does not exist")
-    assert "is not a recording" in found([tmp_path / "prose.txt"], out)["prose.txt"]
-    with pytest.raises(MissingError):
-        found(folder / "x.bag", out)
-    with pytest.raises(UsageError, match="matches nothing"):
-        found(f"{folder}/*.mcap", out)
-
-
-def test_two_of_one_name_get_the_names_of_their_folders(tmp_path: Path) -> None:
-    days = ("x/day1", "x/day2", "y/day1")
-    for day in days:
-        place(tmp_path / day, "a.bag", f"{day.replace('/', '_')}.bag")
-    keys = found([tmp_path / day for day in days], tmp_path / "out")
-    assert list(keys) == ["x/day1/a.bag", "x/day2/a.bag", "x_day1.bag", "x_day2.bag", "y/day1/a.bag", "y_day1.bag"]
-
-
-def test_scans_are_not_sources(folder: Path) -> None:
-    place(folder, "a.bag", "robot1/b.mcap")
-    for unchanged in (0, 2):
-        report = batch(folder, folder / "scans")
-        assert (len(report.outcomes), report.unchanged) == (2, unchanged)
-    for out in (folder, folder.parent):
-        with pytest.raises(UsageError, match="they would be found as sources"):
-            batch(folder, out)
-    assert batch(folder / "a.bag", folder).exit_status == 0
-    again = batch(f"{folder}/*.bag", folder)
-    assert (len(again.outcomes), again.unchanged) == (1, 1)
 
 
 MEETING: list[tuple[dict[str, Any], dict[str, str]]] = [
@@ -156,14 +81,6 @@ MEETING: list[tuple[dict[str, Any], dict[str, str]]] = [
 def test_results_have_names_of_their_own(words: dict[str, Any], expected: dict[str, str], folder: Path) -> None:
     place(folder, *expected)
     assert found(folder, **words) == expected
-
-
-def test_a_result_with_another_name_now_is_out_of_date(folder: Path) -> None:
-    place(folder, "a.mcap")
-    out = folder.parent / "out"
-    batch(folder, out)
-    (warning,) = batch(folder, out, to="bag").warnings
-    assert warning.startswith("a_scan.mcap is out of date: its recording is written to a_scan.bag now;")
 
 
 # --- What a file is recognised by ---
