@@ -121,7 +121,12 @@ def test_typed_options_mean_what_keywords_mean(
     # For `convert`, too, where it has them.
     if not keywords.keys() & {"param", "remap", "export"}:
         called: list[Any] = []
-        monkeypatch.setattr("pc2scan.pipeline.run.run", lambda *args, **_: called.append(args) or _Done())
+
+        def converted(*args: Any, **_: Any) -> _Done:
+            called.append(args)
+            return _Done()
+
+        monkeypatch.setattr("pc2scan.pipeline.run.run", converted)
         pc2scan.convert("drive.bag", tmp_path / "x", **keywords)
         ((_, _, options, output),) = called
         assert replace(request_of(keywords), options=options).digest() == request_of(keywords).digest()
@@ -216,7 +221,9 @@ def test_options_that_contradict_are_refused(keywords: dict[str, Any], message: 
     (tmp_path / "nodes").write_text(section.format(1) + section.format(2))
     (tmp_path / "scans").write_text("scans:\n  /low: {min_height: 0.1}\n")
     files = {"scans": str(tmp_path / "scans"), "nodes": str(tmp_path / "nodes")}
-    given = {name: value.format(**files) if isinstance(value, str) else value for name, value in keywords.items()}
+    given: dict[str, Any] = {
+        name: value.format(**files) if isinstance(value, str) else value for name, value in keywords.items()
+    }
     with pytest.raises(UsageError) as caught:
         pc2scan.batch(tmp_path / "a.bag", tmp_path / "out", **given)
     assert message in f"{caught.value}"

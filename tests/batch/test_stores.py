@@ -69,7 +69,7 @@ class Store:
 
     def line(self, key: str) -> dict[str, Any]:
         """The last line of a recording."""
-        lines = [json.loads(line) for line in self.manifest().splitlines()]
+        lines: list[dict[str, Any]] = [json.loads(line) for line in self.manifest().splitlines()]
         return {line["key"]: line for line in lines}[key]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -76,7 +76,7 @@ EXISTING: dict[str, tuple[Callable[[Path], Any], str]] = {
     "directory": (make_directory, "is not understood"),
     "pipe": (os.mkfifo, "neither a file"),
 }
-ENDINGS = (None, ValueError, KeyboardInterrupt, SystemExit)
+ENDINGS: tuple[type[BaseException] | None, ...] = (None, ValueError, KeyboardInterrupt, SystemExit)
 
 
 @make
@@ -96,15 +96,13 @@ def test_all_or_nothing_appears(existing: str, make: Callable[[Path], None], tmp
             assert overwrite or "`overwrite=True`" in (error.hint or "")
             continue
         make(expected / "out")
-        with (
-            nullcontext() if ending is None else pytest.raises(ending),
-            staged(folder / "out", overwrite=overwrite) as partial,
-        ):
+        ends: AbstractContextManager[Any] = pytest.raises(ending) if ending else nullcontext()
+        with ends, staged(folder / "out", overwrite=overwrite) as partial:
             assert partial == folder / "out.pc2scan-partial"
             assert not partial.exists()
             make(partial)
             assert {name: state for name, state in seen(folder).items() if ".pc2scan-" not in name} == before
-            if ending is not None:
+            if ending:
                 raise ending
         assert seen(folder) == (seen(expected) if ending is None else before)
 

@@ -38,6 +38,7 @@ def with_one(index: int, count: int, **changes: Any) -> list[LaserScan]:
     return content
 
 
+ANGLES: tuple[dict[str, Any], ...] = ({"angle_min": math.nan}, {"angle_increment": math.inf}, {"angle_increment": 0.0})
 EMPTY = np.full(9, math.inf, np.float32)
 
 #: What it is; the scans, and how they are recorded; and all findings: kinds with levels (d: defect, n: notice), how
@@ -90,10 +91,7 @@ CASES: dict[str, Case] = {
     "too few intensities": (like(2, intensities=np.ones(8, np.float32)), {}, {"intensities": ("d",)}),
     "one beam fewer": (with_one(2, 3, ranges=GOOD.ranges[:8]), {}, {"length": ("d", "8 to 9")}),
     # Angles.
-    **{
-        f"angles: {wrong}": (like(**wrong), {}, {"angles": ("d",)})
-        for wrong in ({"angle_min": math.nan}, {"angle_increment": math.inf}, {"angle_increment": 0.0})
-    },
+    **{f"angles: {wrong}": (like(**wrong), {}, {"angles": ("d",)}) for wrong in ANGLES},
     # Transforms; the tree is odom <- base_link <- laser otherwise.
     "no transforms": (scans(3), {"tree": ()}, {"no-transforms": ("n",)}),
     "an unknown frame": (scans(3), {"tree": (("odom", "base_link"),)}, {"frame-unknown": ("d",)}),

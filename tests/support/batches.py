@@ -20,7 +20,7 @@ from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, writ
 from support.command import Finished, run
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
+    from collections.abc import Callable, Generator, Iterator
 
     from pc2scan.batch.summary import BatchReport
     from pc2scan.batch.workers import Event, Queue
@@ -100,5 +100,7 @@ def place(folder: Path, *names: str) -> Path:
 def _template(suffix: str) -> Path:
     folder = Path(tempfile.mkdtemp(prefix="pc2scan-test-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    write = {".bag": write_rosbag1, ".mcap": write_mcap, ".db3": write_db3, "": write_rosbag2}[suffix]
+    write: Callable[..., Path] = {".bag": write_rosbag1, ".mcap": write_mcap, ".db3": write_db3, "": write_rosbag2}[
+        suffix
+    ]  # type: ignore[assignment]
     return write(folder / f"content{suffix}", CONTENT)
