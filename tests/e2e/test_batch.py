@@ -34,7 +34,10 @@ def test_reports_have_a_row_for_each_recording(drives: Path, tmp_path: Path) -> 
     with (tmp_path / "all.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["outcome"] for row in rows] == ["failed", "converted", "converted", "converted"]
-    assert (tmp_path / "all.md").read_text().startswith("# Batch of pc2scan")
+    text = (tmp_path / "all.md").read_text()
+    assert text.startswith("# Batch of pc2scan")
+    assert [line.count("|") for line in text.splitlines() if line.startswith("|")] == [17] * 6
+    assert "\n\n\n" not in text
 
 
 def test_each_recording_is_exported_as_by_export(drives: Path, tmp_path: Path) -> None:
