@@ -50,11 +50,15 @@ def test_a_cluster_converts_what_this_process_converts(drives: Path, tmp_path: P
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 
-def test_a_missing_package_is_named(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_and_a_wrong_address_are_named(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs distributed, which is not installed") as raised:
         pc2scan.batch(drives, tmp_path / "out", dask=True)
     assert "pip install 'pc2scan[dask]'" in (raised.value.hint or "")
+    with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):
+        pc2scan.batch(drives, tmp_path / "out", dask="scheduler")
 
 
 def begun(*words: str | Path) -> subprocess.Popen[str]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import pc2scan
 from pc2scan.batch.identity import Identity, checksum_of, identity_of
-from support.batches import batch, place
+from support.batches import batch, manifest_of, place
 from support.builders import CONTENT, SECOND, Item, Recording, write_mcap, write_rosbag1
 
 if TYPE_CHECKING:
@@ -123,3 +125,18 @@ def test_checksums_are_of_content_and_names(tmp_path: Path) -> None:
     whole = checksum_of([tmp_path])
     (tmp_path / "b").rename(tmp_path / "d")
     assert checksum_of([tmp_path]) != whole
+
+
+def test_each_recording_has_a_line_of_json(tmp_path: Path) -> None:
+    place(tmp_path / "in", "a.bag")
+    for name in ("b.bag", "ü\n.bag"):
+        (tmp_path / "in" / name).touch()
+    batch(tmp_path / "in", tmp_path / "out")
+    lines = (tmp_path / "out" / "manifest.jsonl").read_bytes().splitlines()
+    assert [json.loads(line)["key"] for line in lines] == ["b.bag", "ü\n.bag", "a.bag"]
+    line, source = manifest_of(tmp_path / "out")["a.bag"], tmp_path / "in" / "a.bag"
+    assert line["source"]["paths"] == [str(source)]
+    assert line["source"]["files"] == [["a.bag", source.stat().st_size, source.stat().st_mtime_ns]]
+    assert (line["outcome"], line["exit_status"], line["attempts"]) == ("converted", 0, 1)
+    assert line["pc2scan"] == pc2scan.__version__
+    assert manifest_of(tmp_path / "out")["b.bag"]["error"]["message"] == "is empty"

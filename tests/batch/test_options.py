@@ -17,7 +17,6 @@ from pc2scan.batch.request import all_keywords, request_of
 from pc2scan.cli.batch import ExportGroup
 from pc2scan.cli.options.conversion import ConversionGroup
 from pc2scan.cli.options.output import OutputGroup
-from pc2scan.errors import UsageError
 from pc2scan.export.formats import FORMATS
 from support import ROOT
 from support.batches import in_this_process, manifest_of, place
@@ -193,43 +192,6 @@ def test_the_content_of_an_options_file_counts(digests: Digests, tmp_path: Path)
     params.write_text(section.format("low", 0.1) + section.format("high", 1.0))
     high = digests.of(params_file=params, node="pointcloud_to_laserscan_high", max_height=3.0)
     assert high == digests.of(min_height=1.0, max_height=3.0) != digests.of(params_file=params, max_height=3.0)
-
-
-@pytest.mark.parametrize(
-    ("keywords", "message"),
-    [
-        ({"repeat_latched": True}, "`split`"),
-        ({"pose_frame": "odom"}, "`pose_frame` goes with `export`"),
-        ({"export": "npy"}, "`export=npy` is not a format; the formats are npz"),
-        ({"export": "tum"}, "`export=tum` needs poses"),
-        ({"export": "npz", "to": "bag", "split": "1s"}, "`to`, `split` would have no effect"),
-        ({"scans": "{scans}", "preset": "gmapping"}, "`preset` cannot be combined with `scans`"),
-        ({"params_file": "{nodes}", "topics": "/points"}, "does not name a node"),
-        ({"retries": 101}, "`retries` is 101, it must be from 0 to 100"),
-        ({"retries": -1}, "`retries` is -1"),
-        ({"jobs": 100_000}, "`jobs` is 100,000"),
-        ({"report": "s3://a/r.json"}, "`report` must be a local file"),
-        ({"dataset": "s3://a/d.yaml"}, "`dataset` must be a local file"),
-        ({"scratch_size": "1GB"}, "no source and no destination is a URL"),
-        ({"dask": "scheduler"}, "the address of a scheduler is tcp://HOST:PORT"),
-        ({"dask": "tcp://127.0.0.1:1", "jobs": 2}, "`jobs=2` has no effect with `dask=tcp://127.0.0.1:1`"),
-    ],
-)
-def test_options_that_contradict_are_refused(keywords: dict[str, Any], message: str, tmp_path: Path) -> None:
-    place(tmp_path, "a.bag")
-    section = "pointcloud_to_laserscan_{0}:\n  ros__parameters:\n    min_height: 0.{0}\n"
-    (tmp_path / "nodes").write_text(section.format(1) + section.format(2))
-    (tmp_path / "scans").write_text("scans:\n  /low: {min_height: 0.1}\n")
-    files = {"scans": str(tmp_path / "scans"), "nodes": str(tmp_path / "nodes")}
-    given: dict[str, Any] = {
-        name: value.format(**files) if isinstance(value, str) else value for name, value in keywords.items()
-    }
-    with pytest.raises(UsageError) as caught:
-        pc2scan.batch(tmp_path / "a.bag", tmp_path / "out", **given)
-    assert message in f"{caught.value}"
-    with pytest.raises(TypeError, match="did you mean 'min_height'"):
-        pc2scan.batch(tmp_path / "a.bag", tmp_path / "out", min_hight=-2)
-    assert not (tmp_path / "out").exists()
 
 
 # --- Dataset files; what is wrong in one is in `transcripts/dataset_files.txt` ---

@@ -1,6 +1,6 @@
-"""A run replaces what it writes, and removes what a record of an earlier run names; everything else stays.
+"""What batches own: numbered files and exported folders; what commands own is in `transcripts/ownership.txt`.
 
-More of it is in `transcripts/ownership.txt`.
+`test_done_again` and `test_ownership_random` have the rules.
 """
 
 from __future__ import annotations
@@ -11,68 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-import pc2scan
-from pc2scan.errors import DestinationError
-from support import ROOT, sampled
+from support import ROOT
 from support.batches import batch, contents, manifest_of
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 HALL = ROOT / "fixtures" / "hall.bag"
-HEIGHTS: dict[str, Any] = {"min_height": -0.3, "only_scans": True}
-WORDS = ("--min-height", "-0.3", "--only-scans")
 MINE = "three years of work"
-
-
-@pytest.fixture
-def drive(tmp_path: Path) -> Path:
-    """A folder with a recording, links to it, and a link to the folder."""
-    (tmp_path / "in").mkdir()
-    shutil.copy(HALL, tmp_path / "in" / "drive.bag")
-    shutil.copy(HALL, tmp_path / "in" / "other.bag")
-    (tmp_path / "in" / "link.bag").symlink_to("drive.bag")
-    os.link(tmp_path / "in" / "drive.bag", tmp_path / "in" / "hard.bag")
-    (tmp_path / "there").symlink_to("in")
-    return tmp_path / "in"
-
-
-#: Names of ``drive.bag``, with the folder that it is in.
-NAMES = (
-    "{0}/drive.bag",
-    "{0}/../in/drive.bag",
-    "{0}/./drive.bag",
-    "{0}/../there/drive.bag",
-    "{0}/link.bag",
-    "{0}/hard.bag",
-    "file://{0}/drive.bag",
-    "file:{0}/drive.bag",
-    "FILE://{0}/drive.bag",
-    "file://localhost{0}/drive.bag",
-    "file://{0}/%64rive.bag",
-    "file://{0}/../in/drive.bag",
-    "file://{0}/../there/link.bag",
-    "file://{0}//hard.bag",
-)
-
-
-ROLES = ("source", "second source", "tf_from")
-
-
-@pytest.mark.parametrize(("how", "name"), sampled([(how, name) for how in ROLES for name in NAMES], 16))
-def test_a_source_is_never_replaced_by_any_name(how: str, name: str, drive: Path) -> None:
-    before = contents(drive.parent)
-    named, plain = name.format(drive), str(drive / "drive.bag")
-    # The name as the source, and as the destination.
-    for source, destination in ((named, plain), (plain, named)):
-        sources = {"source": [source], "second source": [drive / "other.bag", source]}.get(how, [drive / "other.bag"])
-        further = {"tf_from": source} if how == "tf_from" else {}
-        with pytest.raises(DestinationError, match=r"is a (source|file of `tf_from`)"):
-            pc2scan.convert(sources, destination, overwrite=True, **HEIGHTS, **further)  # type: ignore[arg-type]
-        assert contents(drive.parent) == before
-
-
-# --- Batches; `test_done_again` and `test_ownership_random` have their rules, `test_manifest` the note of a kill ---
 
 
 @pytest.fixture
