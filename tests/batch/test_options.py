@@ -17,6 +17,7 @@ from pc2scan.batch.request import all_keywords, request_of
 from pc2scan.cli.batch import ExportGroup
 from pc2scan.cli.options.conversion import ConversionGroup
 from pc2scan.cli.options.output import OutputGroup
+from pc2scan.errors import UsageError
 from pc2scan.export.formats import FORMATS
 from support import ROOT
 from support.batches import in_this_process, manifest_of, place
@@ -192,6 +193,13 @@ def test_the_content_of_an_options_file_counts(digests: Digests, tmp_path: Path)
     params.write_text(section.format("low", 0.1) + section.format("high", 1.0))
     high = digests.of(params_file=params, node="pointcloud_to_laserscan_high", max_height=3.0)
     assert high == digests.of(min_height=1.0, max_height=3.0) != digests.of(params_file=params, max_height=3.0)
+
+
+def test_an_unknown_export_is_named(tmp_path: Path) -> None:
+    for name, hint in (("npzz", "did you mean npz?"), ("ply", None)):
+        with pytest.raises(UsageError, match=f"`export={name}` is not a format; the formats are npz") as caught:
+            pc2scan.batch(place(tmp_path / name, "a.bag"), tmp_path / "out", export=name)
+        assert caught.value.hint == hint
 
 
 # --- Dataset files; what is wrong in one is in `transcripts/dataset_files.txt` ---
