@@ -118,7 +118,7 @@ WEB = {
 
 
 @pytest.mark.usefixtures("impatient")
-@pytest.mark.parametrize("kind", sampled(WEB, 4))
+@pytest.mark.parametrize("kind", sampled(WEB, 6))
 def test_a_web_server_that_fails_leaves_nothing(kind: str, place: str, tmp_path: Path) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp reads https")
     status, message = WEB[kind]

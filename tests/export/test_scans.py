@@ -191,19 +191,14 @@ def test_a_frame_with_commas_is_one_cell(tmp_path: Path) -> None:
 # --- tum ---
 
 
-def test_tum_is_exact(mcap: Path, tmp_path: Path) -> None:
+def test_tum_is_exact_and_evo_reads_it(mcap: Path, tmp_path: Path) -> None:
     pc2scan.export(mcap, tmp_path / "robot.tum", odom_topic="/odom")
     lines = [line.split() for line in (tmp_path / "robot.tum").read_text().splitlines()]
     assert [line[0] for line in lines] == [stamp_text(stamp) for stamp in POSED]
-    for line, stamp in zip(lines, POSED, strict=True):
-        x, y, yaw = by_odometry(stamp)
-        pose = [x, y, 0, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2)]
-        assert [float(number) for number in line[1:]] == pytest.approx(pose, abs=1e-12)
-
-
-def test_evo_reads_the_trajectory(mcap: Path, tmp_path: Path) -> None:
+    poses = [[float(number) for number in line[1:]] for line in lines]
+    for pose, (x, y, yaw) in zip(poses, map(by_odometry, POSED), strict=True):
+        assert pose == pytest.approx([x, y, 0, 0, 0, np.sin(yaw / 2), np.cos(yaw / 2)], abs=1e-12)
     pytest.importorskip("evo")
-    pc2scan.export(mcap, tmp_path / "robot.tum", odom_topic="/odom")
     script = (
         "import json, sys; from evo.tools.file_interface import read_tum_trajectory_file as read;"
         "t = read(sys.argv[1]); ok, details = t.check(); assert ok, details;"
@@ -220,10 +215,8 @@ def test_evo_reads_the_trajectory(mcap: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     times, positions, quaternions = json.loads(done.stdout.splitlines()[-1])
     assert times == [float(stamp_text(stamp)) for stamp in POSED]
-    for stamp, position, quaternion in zip(POSED, positions, quaternions, strict=True):
-        x, y, yaw = by_odometry(stamp)
-        assert position == pytest.approx([x, y, 0], abs=1e-12)
-        assert quaternion == pytest.approx([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)], abs=1e-12)
+    for pose, position, (w, *xyz) in zip(poses, positions, quaternions, strict=True):
+        assert [*position, *xyz, w] == pose
 
 
 def test_stamps_of_a_trajectory_ascend(tmp_path: Path) -> None:
