@@ -16,7 +16,9 @@ import pytest
 
 import pc2scan
 from batch.cluster import cluster
+from pc2scan.batch.identity import versions
 from pc2scan.errors import DestinationError, MissingError, RecordingError, UsageError
+from pc2scan.files.source import on_demand
 from support.batches import HEIGHTS, KEYWORDS, batch, contents, place, run_batch
 from support.builders import CONTENT, write_mcap, write_rosbag1, write_rosbag2
 from support.command import COMMAND, INTERRUPTED
@@ -89,6 +91,9 @@ def store(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_p
     else:
         with memory_store(monkeypatch) as fs:
             yield Store(fs, "memory", bucket)
+    # A process that runs batch after batch keeps nothing of what was there.
+    assert not on_demand
+    assert not versions
 
 
 #: Tests that start processes, which have no memory in common.
