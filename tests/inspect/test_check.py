@@ -80,38 +80,6 @@ def test_one_scan_in_many_decides(tmp_path: Path) -> None:
     assert (verdict.observed, verdict.allowed) == ("7 ranges", "9 ranges")
 
 
-def test_whose_verdict_counts(tmp_path: Path) -> None:
-    infinite = replace(GOOD, ranges=np.full(9, math.inf, np.float32), range_max=math.inf)
-    path = write(tmp_path / "a.mcap", *scans(2, infinite))
-    assert check(path).exit_status == 1
-    assert check(path, consumers=["nav2"]).exit_status == 1
-    assert check(path, consumers=["amcl", "nav2"]).exit_status == 1
-    # AMCL takes them, but every scan is empty.
-    found = check(path, consumers=["slam_toolbox", "amcl"])
-    assert (found.exit_status, found.defects, found.accepted, found.unusable) == (1, 1, True, True)
-    assert kinds(only(found)) == {"no-returns": "defect"}
-    assert len(only(found).consumers) == len(CONSUMERS)
-    json.dumps(found.as_dict(), allow_nan=False)
-
-
-def test_defects_count_where_nobody_was_asked_for(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", *scans(3), *scans(1))
-    found = check(path)
-    assert {c.consumer: c.outcome for c in only(found).consumers} == FINE
-    assert kinds(only(found)) == {"stamps-back": "defect"}
-    assert found.exit_status == 1
-    assert check(path, consumers=set(CONSUMERS) - {"gmapping"}).exit_status == 0
-
-
-def test_half_a_beam_counts_only_for_those_asked_for(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", *scans(3))
-    assert check(path).exit_status == 0
-    assert check(path, consumers=["gmapping"]).exit_status == 1
-    half_open = write(tmp_path / "b.mcap", *scans(3, replace(GOOD, angle_max=1.25)))
-    assert check(half_open, consumers=["gmapping"]).exit_status == 0
-    assert check(half_open, consumers=["slam_toolbox"]).exit_status == 1
-
-
 def test_topics_are_looked_at_apart(tmp_path: Path) -> None:
     longer = replace(GOOD, ranges=np.ones(5, np.float32), angle_min=-0.5, angle_max=0.5)
     path = write_mcap(tmp_path / "a.mcap", recording({"/front": scans(3), "/back": scans(2, longer)}))
@@ -136,60 +104,16 @@ def test_two_sensors_on_one_topic_have_their_own_first_scan(tmp_path: Path) -> N
     assert kinds(topic) == {"frames": "notice"}
 
 
-def outcomes(topic: TopicCheck) -> dict[str, str]:
-    return {c.consumer: c.outcome for c in topic.consumers}
-
-
-def test_scans_that_nobody_can_place_are_dropped(tmp_path: Path) -> None:
-    content = scans(3)
-    path = write(tmp_path / "a.mcap", *content, tree=())
-    assert outcomes(only(check(path))) == dict.fromkeys(CONSUMERS, "ignored")
-    for consumer in CONSUMERS:
-        assert check(path, consumers=[consumer]).exit_status == 1
-    # Navigation and Cartographer need no odometry.
-    found = outcomes(looked(tmp_path, *content, tree=(("base_link", "laser"),)))
-    assert {name for name, outcome in found.items() if outcome == "ignored"} == {"slam_toolbox", "gmapping", "amcl"}
-    # What the robot's frame is called is not known, unless it is named.
-    path = write(tmp_path / "b.mcap", *content, tree=(("odom", "laser"),))
-    assert outcomes(only(check(path))) == FINE
-    named = check(path, base_frame="chassis")
-    assert outcomes(only(named)) == dict.fromkeys(CONSUMERS, "ignored")
+def test_verdicts_say_which_rule_decides(tmp_path: Path) -> None:
+    infinite = replace(GOOD, ranges=np.full(9, math.inf, np.float32), range_max=math.inf)
+    found = check(write(tmp_path / "a.mcap", *scans(2, infinite)), consumers=["slam_toolbox", "amcl"])
+    assert (found.defects, found.accepted, found.unusable) == (1, True, True)
     # What is wrong with the scans themselves is said first.
-    refused = replace(GOOD, ranges=GOOD.ranges[:7])
-    topic = looked(tmp_path, *scans(3, refused), tree=())
+    topic = looked(tmp_path, *scans(3, replace(GOOD, ranges=GOOD.ranges[:7])), tree=())
     assert "len(ranges)" in topic.consumers[0].verdict.rule
-
-
-def turned(tmp_path: Path, roll: float, pitch: float, x: float = 0.0, frame: str = "laser") -> TopicCheck:
-    """Scans of a lidar that is mounted like that on the robot."""
-    path = write(tmp_path / "turned.mcap", *scans(3, replace(GOOD, frame_id=frame)), tree=(("odom", "base_link"),))
-    mount = StaticTransform.parse(f"base_link {frame} {x} 0 0.3 {roll} {pitch} 0")
-    return only(check(path, frames=FrameOptions(static=(mount,))))
-
-
-def test_gmapping_does_not_start_with_tilted_scans(tmp_path: Path) -> None:
-    tilted = turned(tmp_path, 0, math.radians(7.6))
-    assert outcomes(tilted)["gmapping"] == "ignored"
+    mount = FrameOptions(static=(StaticTransform.parse("base_link laser 0 0 0.3 0 7.6deg 0"),))
+    tilted = only(check(write(tmp_path / "b.mcap", *scans(3), tree=(("odom", "base_link"),)), frames=mount))
     assert "does not start" in tilted.consumers[2].verdict.rule
-    assert outcomes(tilted)["slam_toolbox"] == "accepted"
-    assert kinds(tilted) == {"tilted": "notice"}
-    assert outcomes(turned(tmp_path, 0, math.radians(1.0)))["gmapping"] == "shifted"
-    # It looks at a point above the robot, not at the axis: in front of the robot a degree is too much.
-    assert outcomes(turned(tmp_path, 0, math.radians(1.0), x=0.3))["gmapping"] == "ignored"
-    below = turned(tmp_path, math.pi, 0)
-    assert outcomes(below)["gmapping"] == "shifted"
-    assert kinds(below) == {}
-
-
-def test_optical_frames_are_defects(tmp_path: Path) -> None:
-    optical = turned(tmp_path, -math.pi / 2, 0, frame="camera")
-    assert kinds(optical) == {"optical-frame": "defect"}
-    assert kinds(turned(tmp_path, 0, 0, frame="camera_optical_frame")) == {}
-    named = replace(GOOD, frame_id="camera_optical_frame")
-    path = write(tmp_path / "named.mcap", *scans(3, named), tree=())
-    assert kinds(only(check(path))) == {"no-transforms": "notice", "optical-frame": "defect"}
-    path = write(tmp_path / "asked.mcap", *scans(3, named), tree=(("odom", "base_link"), ("base_link", "laser")))
-    assert "optical-frame" in kinds(only(check(path)))
 
 
 def test_scans_in_a_frame_that_the_robot_moves_in_are_defects(tmp_path: Path) -> None:
@@ -210,13 +134,11 @@ def test_a_frame_that_nearly_matches(tmp_path: Path) -> None:
     assert slam.cure == unknown.hint
 
 
-def test_a_recording_may_lend_its_transforms_and_frames_have_other_names(tmp_path: Path) -> None:
+def test_a_recording_may_lend_its_transforms(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", *scans(3), tree=())
     lender = write(tmp_path / "b.mcap", *scans(1), tree=(("world", "robot"), ("robot", "laser")))
     found = check(path, frames=FrameOptions(tf_from=(lender,)))
     assert set(kinds(only(found))) == {"no-odometry-frame", "no-robot-frame"}
-    found = check(path, frames=FrameOptions(tf_from=(lender,)), odom_frame="/world", base_frame="robot")
-    assert only(found).findings == ()
 
 
 def test_several_sources_are_one_recording(tmp_path: Path) -> None:
