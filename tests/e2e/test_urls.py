@@ -222,6 +222,7 @@ def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:
             ("convert s3://drives/in/hall.bag -o s3://drives/out/x.bag", 2, "exists already"),
             ("info s3://drives/out/x", 0, "s3://drives/out/x: rosbag2 mcap"),
             ("info s3://drives/none.bag", 2, "does not exist"),
+            ("batch s3://no-such-bucket/in -o s3://no-such-bucket/out", 1, "no such bucket"),
         ]
         for words, status, said in expected:
             done = run(*words.split())
