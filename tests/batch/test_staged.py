@@ -109,7 +109,7 @@ def test_results_are_uploaded_while_the_next_is_converted(store: Any, tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_result_that_is_too_large_is_tried_again_with_all_the_room(tmp_path: Path) -> None:
+def test_a_result_that_is_too_large_gets_all_the_room(tmp_path: Path) -> None:
     most = 4 * SIZE + 2_000_000
     with jobs_here(jobs(tmp_path, "memory://out", most=most)[:2], workers=1) as queue:
         queue.begin(lambda _event: None)

@@ -62,7 +62,7 @@ def test_npz_has_what_the_messages_have(recording: Path, tmp_path: Path) -> None
     assert "poses" not in found
 
 
-def test_poses_are_those_at_the_stamps_and_scans_without_one_are_skipped(recording: Path, tmp_path: Path) -> None:
+def test_poses_are_at_the_stamps_and_scans_without_are_skipped(recording: Path, tmp_path: Path) -> None:
     report = pc2scan.export(recording, tmp_path / "scans.npz", pose_frame="odom")
     with np.load(tmp_path / "scans.npz") as archive:
         assert archive["stamps"].tolist() == list(POSED)

@@ -103,7 +103,7 @@ def test_a_rare_topic_is_found_by_the_index() -> None:
     assert recording.loads <= 60
 
 
-def test_a_recording_of_one_chunk_is_read_a_few_times_whatever_the_topics() -> None:
+def test_one_chunk_is_read_a_few_times_whatever_the_topics() -> None:
     for topics in (1, 10, 1_000, 2_000):
         recording = Recording([(n, f"/{n % topics}") for n in range(2_000)], 2_000)
         assert len(recording.sampled(10)) == min(10 * topics, 2_000)
