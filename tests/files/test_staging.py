@@ -113,7 +113,7 @@ def no_links(*_: object) -> None:
 
 @make
 @pytest.mark.parametrize("links", [True, False])
-@pytest.mark.parametrize("rival", [None, *MAKE])
+@pytest.mark.parametrize("rival", [None, *MAKE, Path.mkdir])
 def test_what_appears_meanwhile_is_not_replaced(
     links: bool,
     make: Callable[[Path], None],
