@@ -12,10 +12,11 @@ A file of transcripts is about one subject; each of its cases is a heading, comm
 Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall.mcap``, ``hall``, a golden case such as
 ``tf_static``, or one of `tests/transcripts/files`) is copied there, or made (`support.made`).
 
-``pc2scan`` runs in this process, and every other command in a shell, where it must succeed. ``?`` is the exit status; 0
-if there is none. Each line below is in what the command printed, with any white space; a line that begins with ``!`` is
-not. ``|`` before a line is for lines that begin with one of these signs. A command that ends with 1 or 2 leaves the
-folder as it was; ``? 1 and writes`` is for one that may write before. ``#`` is a comment.
+``pc2scan`` runs in this process, with the folder for ``$PWD``, and batches convert in it; every other command runs in a
+shell, where it must succeed. ``?`` is the exit status; 0 if there is none. Each line below is in what the command
+printed, with any white space; a line that begins with ``!`` is not. ``|`` before a line is for lines that begin with
+one of these signs. A command that ends with 1 or 2 leaves the folder as it was; ``? 1 and writes`` is for one that may
+write before. ``#`` is a comment.
 """
 
 from __future__ import annotations
@@ -27,11 +28,13 @@ import shlex
 import shutil
 import subprocess
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from support import ROOT
+from support.batches import in_this_process
 from support.command import Finished, run
 from support.made import MADE
 
@@ -129,7 +132,10 @@ def check(case: Case, folder: Path) -> None:
 def _typed(command: str, folder: Path) -> Finished:
     program, *words = shlex.split(command)
     if program == "pc2scan":
-        return run(*words, cwd=folder)
+        # As a shell would replace it, for URLs of files.
+        words = [word.replace("$PWD", str(folder)) for word in words]
+        with in_this_process() if words[:1] == ["batch"] else nullcontext():
+            return run(*words, cwd=folder)
     env = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     done = subprocess.run(
         ["sh", "-ec", command], cwd=folder, env=env, capture_output=True, text=True, timeout=60, check=False
@@ -140,7 +146,8 @@ def _typed(command: str, folder: Path) -> Finished:
 
 def _content(folder: Path) -> Iterator[tuple[str, bytes]]:
     for path in folder.rglob("*"):
-        yield str(path.relative_to(folder)), path.read_bytes() if path.is_file() else b""
+        leads = str(path.readlink()).encode() if path.is_symlink() else b""
+        yield str(path.relative_to(folder)), leads or (path.read_bytes() if path.is_file() else b"")
 
 
 def _flat(text: str) -> str:
