@@ -10,8 +10,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
+import pc2scan
 from fuzz import others
 from fuzz.contradictions.recording import contradictions
 from fuzz.mutants.mutate import Mutant, mutant, rearranged
@@ -29,7 +30,7 @@ from support.bounded import size_of
 from support.command import COMMAND, environment
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 __all__ = ["Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of", "rearranged_of"]
 
@@ -48,6 +49,12 @@ class Finding(Exception):  # noqa: N818 - it is what the campaign looks for
     """What must not happen."""
 
 
+class SupportsDict(Protocol):
+    """What `pc2scan.info` and the like return."""
+
+    def as_dict(self) -> dict[str, Any]: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Operation:
     """What is done with a mutant; the arguments are those of the command."""
@@ -59,6 +66,9 @@ class Operation:
 
 
 _SCANS = (ScanSpec(params=ProjectionParams(min_height=-2.0, max_height=2.0)),)
+_IN_ANOTHER_FRAME = (
+    ScanSpec(params=ProjectionParams(min_height=-2.0, max_height=2.0, target_frame="base_link", reduce="median")),
+)
 _HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 _CUT = ("--start", "0.15", "--end", "0.45")
 
@@ -73,6 +83,18 @@ _OPERATIONS = (
         ("convert", *_HEIGHTS, *_CUT),
         "out.mcap",
         ConvertOptions(scans=_SCANS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
+    ),
+    Operation(
+        "convert into a bag, with clouds, two at a time",
+        ("convert", *_HEIGHTS, "--keep-clouds", "--jobs", "2"),
+        "out.bag",
+        ConvertOptions(scans=_SCANS, keep_clouds=True, jobs=2),
+    ),
+    Operation(
+        "convert in another frame",
+        ("convert", *_HEIGHTS, "--target-frame", "base_link", "--reduce", "median"),
+        "out.mcap",
+        ConvertOptions(scans=_IN_ANOTHER_FRAME),
     ),
 )
 
@@ -102,6 +124,7 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     expected = _expected(made.seed, operation, folder.parent)
     source = place(made.files, made.seed.opened, folder / "source")
     destination = _destination(operation, source, folder)
+    _look_into(made, source, folder)
     status: int | None = None
     report = Report([], "", ())
     with watched(size_of(source)):
@@ -134,6 +157,19 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     if told := contradictions(made.files):
         raise Finding(f"{_difference(expected, found)}, and exit status 0, though: {'; '.join(told)[:400]}")
     return Outcome.undetectable
+
+
+def _look_into(made: Mutant, source: Path, folder: Path) -> None:
+    """Read a mutant as another command does, whatever it finds; which one depends on the mutant's bytes."""
+    looks: tuple[Callable[[], SupportsDict], ...] = (
+        lambda: pc2scan.info(source),
+        lambda: pc2scan.tf(source),
+        lambda: pc2scan.check(source),
+        lambda: pc2scan.diff(place(made.seed.files, made.seed.opened, folder / "sound"), source, all_topics=True),
+    )
+    size = size_of(source)
+    with watched(2 * size):
+        looks[size % len(looks)]().as_dict()
 
 
 def _compare_others(

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Callable
 
-__all__ = ["Edit", "Field", "Layout", "Nested", "Record", "mutate", "rearrange"]
+__all__ = ["Edit", "Field", "Layout", "Nested", "Record", "mutate", "rearrange", "unknown"]
 
 #: What a field is about. Names, texts and payloads are bytes, all others are numbers.
 Role = Literal[
@@ -114,6 +114,20 @@ class Edit:
     role: str
     how: str
     data: bytes
+
+
+def unknown(data: bytes, rng: random.Random) -> Layout:
+    """Bytes of a format that is not known: there may be a number of any width at any place."""
+    kinds: list[tuple[int, Literal["little", "big"]]] = [(1, "little"), (2, "little"), (4, "little"), (8, "little")]
+    kinds.append((4, "big"))
+    return Layout(
+        data,
+        [
+            Field(f"any.{size}{order}", "number", start, start + size, order)
+            for size, order in kinds
+            for start in rng.choices(range(len(data) - size + 1), k=4 if len(data) >= size else 0)
+        ],
+    )
 
 
 def mutate(layout: Layout, rng: random.Random) -> Edit:
