@@ -17,7 +17,6 @@ from fuzz import others
 from fuzz.contradictions.recording import contradictions
 from fuzz.mutants.mutate import Mutant, mutant, rearranged
 from fuzz.mutants.seeds import Seed, place
-from fuzz.watch import watched
 from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.damage import recovery_text
@@ -26,7 +25,7 @@ from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.run import OutputOptions, run
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.text_enum import TextEnum
-from support.bounded import size_of
+from support.bounded import size_of, watched
 from support.command import COMMAND, environment
 
 if TYPE_CHECKING:

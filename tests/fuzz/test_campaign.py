@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,8 +12,11 @@ from fuzz.mutants.seeds import Seed, make_seeds
 from support import sampled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
+
+    from fuzz.judge import Operation
+    from fuzz.mutants.mutate import Mutant
 
 #: Numbers of mutants; each test has some of them.
 _NUMBERS = range(10_000, 10_720, 15)
@@ -32,7 +35,7 @@ def test_nothing_contradicts_in_sound_recordings(seeds: list[Seed]) -> None:
 @pytest.mark.parametrize("make", [mutant_of, rearranged_of])
 @pytest.mark.parametrize("first", sampled(_NUMBERS, 6))
 def test_no_mutant_is_lost_without_a_word(
-    first: int, make: Callable[..., Any], seeds: list[Seed], tmp_path: Path
+    first: int, make: Callable[[int, Sequence[Seed]], tuple[Mutant, Operation]], seeds: list[Seed], tmp_path: Path
 ) -> None:
     for number in range(first, first + _NUMBERS.step):
         folder = tmp_path / str(number)

@@ -8,7 +8,7 @@ import pytest
 
 from fuzz.decoders import CORPUS, DECODERS, decode
 from fuzz.mutants.layout import mutate, unknown
-from fuzz.watch import watched
+from support.bounded import watched
 
 #: Mutants of each input, in the quick run and in the long one.
 _QUICK, _LONG = 20, 200
