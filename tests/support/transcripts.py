@@ -13,7 +13,7 @@ Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall
 ``pc2scan`` runs in this process, and every other command in a shell, where it must succeed. ``?`` is the exit status; 0
 if there is none. Each line below is in what the command printed, with any white space; a line that begins with ``!`` is
 not. ``|`` before a line is for lines that begin with one of these signs. A command that ends with 1 or 2 leaves the
-folder as it was, and any other changes no file that was there, unless it is told to overwrite. ``#`` is a comment.
+folder as it was. ``#`` is a comment.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from support import ROOT
 from support.command import Finished, run
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator
     from pathlib import Path
 
 __all__ = ["Case", "cases_of", "check"]
@@ -85,30 +85,14 @@ def cases_of(text: str) -> list[Case]:
     return cases
 
 
-def check(
-    case: Case,
-    folder: Path,
-    made: Mapping[str, Callable[[Path], object]] | None = None,
-    command: Callable[..., Finished] = run,
-) -> None:
-    """Type a case's commands in an empty folder, and hold them to what is expected.
-
-    Parameters
-    ----------
-    made
-        Makes further files that a case may name, given their place.
-    command
-        Runs ``pc2scan``, as `support.command.run` does.
-    """
+def check(case: Case, folder: Path) -> None:
+    """Type a case's commands in an empty folder, and hold them to what is expected."""
     words = {word for step in case.steps for word in shlex.split(step.command)}
-    made = made or {}
-    for name in made.keys() & words:
-        made[name](folder / name)
     for name in FIXTURES.keys() & words:
         (shutil.copytree if FIXTURES[name].is_dir() else shutil.copyfile)(FIXTURES[name], folder / name)
     for step in case.steps:
         before = sorted(_content(folder))
-        done = _typed(step.command, folder, command)
+        done = _typed(step.command, folder)
         where = f"$ {step.command}\n{done.stdout}{done.stderr}"
         assert done.status == step.status, f"status {done.status}, not {step.status}: {where}"
         printed = _flat(f"{done.stdout}\n{done.stderr}")
@@ -119,26 +103,20 @@ def check(
         assert "Traceback" not in done.stderr, where
         if done.status in {1, 2}:
             assert sorted(_content(folder)) == before, where
-        elif step.command.startswith("pc2scan ") and "--overwrite" not in step.command:
-            assert set(before) <= set(_content(folder)), where
 
 
-def _typed(line: str, folder: Path, command: Callable[..., Finished]) -> Finished:
-    program, *words = shlex.split(line)
+def _typed(command: str, folder: Path) -> Finished:
+    program, *words = shlex.split(command)
     if program == "pc2scan":
-        return command(*words, cwd=folder)
-    done = subprocess.run(["sh", "-ec", line], cwd=folder, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, f"$ {line}\n{done.stderr}"
+        return run(*words, cwd=folder)
+    done = subprocess.run(["sh", "-ec", command], cwd=folder, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, f"$ {command}\n{done.stderr}"
     return Finished(done.returncode, done.stdout, done.stderr)
 
 
 def _content(folder: Path) -> Iterator[tuple[str, bytes]]:
     for path in folder.rglob("*"):
-        name = str(path.relative_to(folder))
-        if path.is_symlink():
-            yield name, bytes(path.readlink())
-        else:
-            yield name, path.read_bytes() if path.is_file() else b""
+        yield str(path.relative_to(folder)), path.read_bytes() if path.is_file() else b""
 
 
 def _flat(text: str) -> str:
