@@ -112,8 +112,9 @@ def test_a_chunk_that_unfolds_to_more_than_may_be(kind: str, command: str, tmp_p
 def test_a_chunk_as_large_as_may_be(kind: str, tmp_path: Path) -> None:
     source = bomb(tmp_path, kind, 31_200_000)
     # All points are at the sensor: no scan has a return.
-    for status, *command in ((0, "info"), (4, "convert", "--keep-clouds", "-o", tmp_path / f"out{source.suffix}")):
-        done = run_bounded(command[0], source, *command[1:])
+    keep = ("--keep-clouds", "-o", tmp_path / f"out{source.suffix}")
+    for status, command, options in ((0, "info", ()), (4, "convert", keep)):
+        done = run_bounded(command, source, *options)
         assert done.status == status, done.stderr
         assert "2,600,000" in done.stdout
 

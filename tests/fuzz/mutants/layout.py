@@ -108,12 +108,19 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """A change: what was changed, in which way, and the bytes afterwards."""
+    """A change: what was changed, in which way, and the bytes afterwards.
+
+    Attributes
+    ----------
+    place
+        Where bytes are others, or are missing at the end, if all others are where they were.
+    """
 
     kind: str
     role: str
     how: str
     data: bytes
+    place: tuple[int, int] | None = None
 
 
 def unknown(data: bytes, rng: random.Random) -> Layout:
