@@ -77,12 +77,14 @@ def rearranged(seed: Seed, rng: random.Random) -> Mutant:
 def byte_mutants(seed: Seed, places: Iterable[int]) -> Iterator[Mutant]:
     """A seed of one file, cut off at each of these places, and with the byte there changed: one bit or all of them."""
     ((name, data),) = seed.files.items()
+    fields = _layout(name, data).fields
     for place in places:
         flipped = bytearray(data)
         flipped[place] ^= 0xFF if place % 2 else 0x01
+        kind = next((field.kind for field in fields if field.start <= place < field.stop), "file")
         edits = (
             Edit("file", "file", "cut off", data[:place], (place, len(data))),
-            Edit("file", "file", "flipped", bytes(flipped), (place, place + 1)),
+            Edit(kind, "file", "flipped", bytes(flipped), (place, place + 1)),
         )
         for edit in edits:
             yield Mutant(seed, name, edit, {name: edit.data})
