@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Callable
 
-__all__ = ["Edit", "Field", "Layout", "Nested", "Record", "mutate", "rearrange", "unknown"]
+__all__ = ["Edit", "Field", "Layout", "Nested", "Record", "change", "mutate", "rearrange", "unknown"]
 
 #: What a field is about. Names, texts and payloads are bytes, all others are numbers.
 Role = Literal[
@@ -148,9 +148,14 @@ def mutate(layout: Layout, rng: random.Random) -> Edit:
     if choice < 0.22 or not layout.fields:
         return _anywhere(layout, rng)
     kind = rng.choice(sorted({f.kind for f in layout.fields}))
+    return change(layout, kind, rng, sealed=sealed)
+
+
+def change(layout: Layout, kind: str, rng: random.Random, *, sealed: bool) -> Edit:
+    """Change a field of a kind."""
     chosen = rng.choice([f for f in layout.fields if f.kind == kind])
-    change = _changed_bytes if chosen.role in BYTES else _changed_number
-    how, new = change(layout, chosen, rng)
+    changed_value = _changed_bytes if chosen.role in BYTES else _changed_number
+    how, new = changed_value(layout, chosen, rng)
     if len(new) == chosen.stop - chosen.start:
         changed = bytearray(layout.data)
         changed[chosen.start : chosen.stop] = new

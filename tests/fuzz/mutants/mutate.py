@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from fuzz.mutants.seeds import Seed
 
-__all__ = ["Mutant", "Stretch", "byte_mutants", "mutant", "rearranged", "stretches"]
+__all__ = ["Mutant", "Stretch", "byte_mutants", "field_mutant", "mutant", "rearranged", "stretches"]
 
 #: Statements that a program other than a recorder may have run: the database is sound afterwards.
 _STATEMENTS = (
@@ -88,6 +88,15 @@ def byte_mutants(seed: Seed, places: Iterable[int]) -> Iterator[Mutant]:
         )
         for edit in edits:
             yield Mutant(seed, name, edit, {name: edit.data})
+
+
+def field_mutant(seed: Seed, kind: str, rng: random.Random) -> Mutant:
+    """A seed of one file with one field of a kind changed; the checksums of its index are right."""
+    ((name, data),) = seed.files.items()
+    while True:
+        edit = layout.change(_layout(name, data), kind, rng, sealed=True)
+        if edit.data != data:
+            return Mutant(seed, name, edit, {name: edit.data})
 
 
 class Stretch(NamedTuple):
