@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fuzz.judge import READ, attempt
-from fuzz.mutants.mutate import byte_mutants
+from fuzz.mutants.mutate import byte_mutants, stretches
 from fuzz.mutants.seeds import Seed, make_small_seeds
 
 if TYPE_CHECKING:
@@ -18,11 +18,15 @@ _STEP = 41
 
 
 def places(seed: Seed, step: int) -> list[int]:
-    """Where a file can be damaged: behind its first line; a bag header's padding is all alike."""
+    """Where a file can be damaged: behind its first line; a bag header's padding is all alike.
+
+    Edges of chunks and of messages are always among them.
+    """
     ((name, data),) = seed.files.items()
+    edges = {stop - back for _, stop, _ in stretches(name, data, within_chunks=True) for back in (0, 1)}
     if name.endswith(".bag"):
-        return [*range(13, 150, step), *range(4100, len(data), step)]
-    return list(range(8, len(data), step))
+        return sorted({*range(13, 150, step), *range(4100, len(data), step), *edges, len(data) - 1})
+    return sorted({*range(8, len(data), step), *edges, len(data) - 1})
 
 
 @pytest.mark.parametrize("step", [_STEP, pytest.param(1, marks=pytest.mark.slow)])

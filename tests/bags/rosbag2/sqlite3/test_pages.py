@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from support.bounded import watched
+from fuzz.watch import watched
 from pc2scan.bags.rosbag2.sqlite3.logs import side_logs
 from pc2scan.bags.rosbag2.sqlite3.pages import PageFile, declared_size, rebuilt
 from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
