@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
 
-__all__ = ["READ", "Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of", "rearranged_of"]
+__all__ = ["READ", "REPAIR", "Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of", "rearranged_of"]
 
 
 #: Messages, topics, attachments and metadata.
@@ -80,9 +80,11 @@ _CUT = ("--start", "0.15", "--end", "0.45")
 #: Only reads, which is quick: for every byte of a file.
 READ = Operation("read", (), "", None)
 
+REPAIR = Operation("repair", ("repair",), "", ConvertOptions(repair=True))
+
 #: Repairs into the same kind of container, and as often everything else.
 _OPERATIONS = (
-    *(Operation("repair", ("repair",), "", ConvertOptions(repair=True)),) * 4,
+    *(REPAIR,) * 4,
     Operation("repair to MCAP", ("repair",), "out.mcap", ConvertOptions(repair=True)),
     Operation("repair to rosbag2", ("repair",), "out", ConvertOptions(repair=True)),
     Operation("convert", ("convert", *_HEIGHTS), "out.mcap", ConvertOptions(scans=_SCANS)),
@@ -118,7 +120,7 @@ def rearranged_of(number: int, seeds: Sequence[Seed]) -> tuple[Mutant, Operation
     """The mutant of a number with whole records removed, repeated or moved, and its repair."""
     rng = random.Random(number)
     single = [seed for seed in seeds if seed.opened.endswith((".bag", ".mcap")) and len(seed.files) == 1]
-    return rearranged(rng.choice(single), rng), _OPERATIONS[0]
+    return rearranged(rng.choice(single), rng), REPAIR
 
 
 def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
@@ -158,7 +160,7 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     if operation.options is None:
         # Counts of messages are only compared where all are passed on.
         (folder / "repaired").mkdir()
-        return attempt(made, _OPERATIONS[0], folder / "repaired")
+        return attempt(made, REPAIR, folder / "repaired")
     if told_twice := contradictions(made.files):
         raise Finding(f"{_difference(expected, found)}, and exit status 0, though: {'; '.join(told_twice)[:400]}")
     return Outcome.undetectable
@@ -211,7 +213,7 @@ def _look_into(made: Mutant, source: Path, folder: Path) -> None:
 def _compare_others(made: Mutant, operation: Operation, source: Path, expected: Content, found: Content | None) -> None:
     """Refuse to recover fewer messages than any other reader gets."""
     # The rosbags library does not look at all fields.
-    if operation not in (READ, _OPERATIONS[0]) or made.edit.kind.endswith("chunk.field_name"):
+    if operation not in (READ, REPAIR) or made.edit.kind.endswith("chunk.field_name"):
         return
     # A changed byte of a packed chunk may unpack to anything, which others take for what was written.
     if made.edit.how == "flipped" and made.edit.kind in ("chunk.records", "chunk.data"):
