@@ -57,4 +57,8 @@ def test_a_fact_that_is_said_otherwise_is_told(
     for number in numbers:
         made = field_mutant(seeds[name], kind, random.Random(number))
         (tmp_path / str(number)).mkdir()
-        assert attempt(made, REPAIR, tmp_path / str(number)) == Outcome.identical_reported, str(made)
+        outcome = attempt(made, REPAIR, tmp_path / str(number))
+        # In MCAP, zero says nothing.
+        if not (made.name.endswith(".mcap") and made.edit.how.startswith("zero")):
+            assert outcome == Outcome.identical_reported, str(made)
+        assert outcome in (Outcome.identical_reported, Outcome.identical), str(made)
