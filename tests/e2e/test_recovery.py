@@ -167,24 +167,6 @@ def test_repair_of_a_sound_recording_is_told_in_json(recording: Recording, tmp_p
     assert (tmp_path / "drive_repaired.bag").exists()
 
 
-CUT = list(product(["bag-none", "bag-lz4", "mcap-lz4", "mcap-unchunked", "rosbag2-sqlite3-v8", "db3"], [0.5, 0.9]))
-
-
-@pytest.mark.parametrize(("name", "share"), sampled(CUT, 5))
-def test_repair_of_a_cut_recording_is_sound(name: str, share: float, recording: Recording, tmp_path: Path) -> None:
-    source = SOURCES[name](tmp_path, recording)
-    cut(source, share)
-    left, damage = read_all(source)
-    assert damage
-    destination = tmp_path / ("fixed.bag" if name.startswith("bag") else "fixed.mcap" if "mcap" in name else "fixed")
-    done = run("repair", source, "-o", destination)
-    assert done.status == 3, done.stderr
-    assert "recovered: " in done.stderr
-    again, damage = read_all(destination)
-    assert (again, damage) == (left, 0)
-    assert len(opened(destination).messages) == len(left)
-
-
 def test_repair_keeps_what_is_not_of_ros(tmp_path: Path) -> None:
     source = tmp_path / "drive.mcap"
     with source.open("wb") as file:

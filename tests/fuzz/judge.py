@@ -147,6 +147,8 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
         _compare_untouched(made, status, expected, found)
     if found is None:
         return Outcome.refused
+    if operation == REPAIR and _messages(_read(source)[1] or {"messages": []}) != _messages(found):
+        raise Finding("it is read otherwise than it is repaired")
     if made.edit.role == "record":
         _compare_text(made, told, expected, found)
     same = _same(expected, found)
