@@ -33,7 +33,7 @@ _SAID_TWICE = {
         "statistics": "channel_count channel_message_counts.channel_id channel_message_counts.count chunk_count "
         "message_count schema_count",
     },
-    "mcap-none-without-crc": {"chunk": "crc", "chunk_index": "end_time"},
+    "mcap-none-without-crc": {"chunk": "crc"},
     "db3": {"index": "id time"},
 }
 KINDS = [
