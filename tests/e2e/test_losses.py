@@ -250,7 +250,7 @@ def large(version: int, *times: int) -> Recording:
     return Recording((CHATTER,), tuple(items))
 
 
-def test_a_chunk_with_a_time_that_rosbag2_cannot_hold_is_not_copied(tmp_path: Path) -> None:
+def test_a_chunk_with_a_time_too_late_for_rosbag2_is_not_copied(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "drive.mcap", large(2, T0, T0 + 1, 2**63 + 5))
     status, _, report = report_of("repair", source, "-o", tmp_path / "out")
     assert (status, report["skipped_count"]) == (3, 1)

@@ -130,9 +130,7 @@ def test_profiles_that_are_none_pass_as_they_are(qos: str, tmp_path: Path, monke
         assert done.status == 0, done.stderr
 
 
-def test_profiles_too_long_to_be_any_are_not_repeated_in_metadata_yaml(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_profiles_too_long_to_be_any_are_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Writing 30 MB of them as YAML took half a minute, for a recording of 2 KB."""
     qos = "[" * 700_000
     monkeypatch.setattr("support.builders.qos_text", lambda *_, **__: qos)

@@ -392,7 +392,7 @@ def test_a_chunk_with_a_broken_header_is_read_by_the_index(summary: str, tmp_pat
     assert ("the summary's CRC" in said) == (summary != "sound")
 
 
-def test_an_uncompressed_chunk_with_a_wrong_crc_keeps_its_messages(tmp_path: Path) -> None:
+def test_a_plain_chunk_with_a_wrong_crc_keeps_its_messages(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", MESSAGES, compression="none")
     data = path.read_bytes()
     path.write_bytes(changed(data, data.index(bytes([7]) * 27), b"\6"))
