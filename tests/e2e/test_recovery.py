@@ -25,7 +25,7 @@ from pc2scan.errors import DamageError, RecordingError
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import OutputOptions
 from pc2scan.pipeline.run import run as repaired
-from support import RECORDINGS, needs_shared, sampled
+from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import run
 from support.outputs import opened
@@ -138,6 +138,33 @@ def test_info_and_tf_work_and_tell(name: str, recording: Recording, tmp_path: Pa
     tree = run("tf", source)
     assert tree.status == 0, tree.stderr
     assert "damaged: " in tree.stderr
+
+
+@pytest.fixture
+def scans(tmp_path: Path) -> tuple[Path, Path]:
+    """Scans, and the same cut off in the last chunk."""
+    sound, damaged = tmp_path / "sound.mcap", tmp_path / "cut.mcap"
+    arguments = ("--preset", "slam_toolbox", "--min-height", "-0.3", "--only-scans", "--compression", "none")
+    assert run("convert", ROOT / "fixtures" / "hall.bag", "-o", sound, *arguments).status == 0
+    damaged.write_bytes(sound.read_bytes()[:6000])
+    return sound, damaged
+
+
+def test_check_counts_damage_as_a_defect(scans: tuple[Path, Path]) -> None:
+    sound, damaged = scans
+    assert "defect" not in run("check", sound).stdout
+    done = run("check", damaged)
+    assert done.status == 1
+    assert "1 defect" in done.stdout
+    assert "damaged:" in done.stderr
+    assert json.loads(run("check", damaged, "--json").stdout)["damage"]
+
+
+def test_diff_does_not_compare_what_is_left(scans: tuple[Path, Path]) -> None:
+    done = run("diff", *scans)
+    assert (done.status, done.stdout) == (2, "")
+    assert "pc2scan repair" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("name", sampled(SOURCES, 7))
