@@ -196,6 +196,7 @@ def test_long_definitions_in_small_chunks_are_refused(make: Callable[[Path], Pat
     assert "describes its connections in more than" in done.stderr
 
 
+@pytest.mark.slow
 def test_connections_in_a_small_chunk_take_little_memory(tmp_path: Path) -> None:
     source = bag_that_was_never_closed(tmp_path, 70_000)
     assert source.stat().st_size < 200_000
