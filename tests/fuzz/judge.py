@@ -33,7 +33,18 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
 
-__all__ = ["READ", "REPAIR", "Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of", "rearranged_of"]
+__all__ = [
+    "CUT",
+    "READ",
+    "REPAIR",
+    "Finding",
+    "Operation",
+    "Outcome",
+    "attempt",
+    "by_command",
+    "mutant_of",
+    "rearranged_of",
+]
 
 
 #: Messages, topics, attachments and metadata.
@@ -82,18 +93,20 @@ READ = Operation("read", (), "", None)
 
 REPAIR = Operation("repair", ("repair",), "", ConvertOptions(repair=True))
 
+CUT = Operation(
+    "convert a cut",
+    ("convert", *_HEIGHTS, *_CUT),
+    "out.mcap",
+    ConvertOptions(scans=_SCANS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
+)
+
 #: Repairs into the same kind of container, and as often everything else.
 _OPERATIONS = (
     *(REPAIR,) * 4,
     Operation("repair to MCAP", ("repair",), "out.mcap", ConvertOptions(repair=True)),
     Operation("repair to rosbag2", ("repair",), "out", ConvertOptions(repair=True)),
     Operation("convert", ("convert", *_HEIGHTS), "out.mcap", ConvertOptions(scans=_SCANS)),
-    Operation(
-        "convert a cut",
-        ("convert", *_HEIGHTS, *_CUT),
-        "out.mcap",
-        ConvertOptions(scans=_SCANS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
-    ),
+    CUT,
     Operation(
         "convert into a bag, with clouds, two at a time",
         ("convert", *_HEIGHTS, "--keep-clouds", "--jobs", "2"),

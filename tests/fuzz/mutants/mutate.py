@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import zstandard
 
 from fuzz.mutants import database, layout, mcap, metadata, rosbag1
-from fuzz.mutants.layout import Edit, Layout, Nested
+from fuzz.mutants.layout import Edit, Field, Layout, Nested
 
 if TYPE_CHECKING:
     import random
     from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
 
     from fuzz.mutants.seeds import Seed
 
-__all__ = ["Mutant", "Stretch", "byte_mutants", "field_mutant", "mutant", "rearranged", "stretches"]
+__all__ = ["Mutant", "Stretch", "byte_mutants", "field_mutant", "fields_of", "mutant", "rearranged", "stretches"]
 
 #: Statements that a program other than a recorder may have run: the database is sound afterwards.
 _STATEMENTS = (
@@ -97,6 +98,12 @@ def field_mutant(seed: Seed, kind: str, rng: random.Random) -> Mutant:
         edit = layout.change(_layout(name, data), kind, rng, sealed=True)
         if edit.data != data:
             return Mutant(seed, name, edit, {name: edit.data})
+
+
+def fields_of(path: Path, kind: str) -> list[Field]:
+    """The fields of a kind in a file, in their order."""
+    found = [field for field in _layout(path.name, path.read_bytes()).fields if field.kind == kind]
+    return sorted(found, key=lambda field: field.start)
 
 
 class Stretch(NamedTuple):
