@@ -400,7 +400,9 @@ OTHERWISE: dict[str, Otherwise] = {
     ),
     "a row's topic": Otherwise(rosbag2, first_chatter_is_imu_in_a_database, (ONE_MORE,), (1,), named=False),
     **{
-        f"statistics: {field} {value}": Otherwise(sound_mcap, index_says("Statistics", field, value), (said,))
+        f"statistics: {field} {value}": Otherwise(
+            sound_mcap, index_says("Statistics", field, value), (said, "recovered: 51 messages; no bytes")
+        )
         for (field, value), said in STATISTICS.items()
     },
     **{

@@ -13,6 +13,7 @@ from mcap.records import DataEnd, MessageIndex
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import MAGIC
 from pc2scan.errors import DamageError
+from support.bounded import watched
 from support.command import run
 from support.mcap_files import (
     BODY,
@@ -41,11 +42,14 @@ MESSAGES = [(i % 2, 1_000_000 + 10 * (i // 2) + (i * 7) % 13, b"\0\1\0\0" + byte
 
 
 def recovered(path: Path) -> tuple[Rows, tuple[Damage, ...]]:
-    with closing(McapReader(path)) as reader:
+    rows: Rows = []
+    damage: tuple[Damage, ...] = ()
+    with watched(path.stat().st_size), closing(McapReader(path)) as reader:
         rows = content(reader)
         list(reader.attachments())
         list(reader.metadata())
-        return rows, reader.damage
+        damage = reader.damage
+    return rows, damage
 
 
 def repaired(path: Path) -> tuple[list[int], str, bool]:
@@ -140,6 +144,19 @@ KEPT: dict[str, Kept] = {
         {"messages_lost": 1},
     ),
     "a schema that is missing": Kept([raw_channel(1, schema=9), raw_message(1, 5)], [5], "has schema 9"),
+    **{
+        f"a message outside chunks longer by {delta}": Kept(
+            [
+                raw_channel(),
+                *messages(5),
+                changed(raw_message(1, 6), 1, struct.pack("<Q", len(raw_message(1, 6)) - 9 + delta)),
+                *messages(7, 8, 9, 10, 11),
+            ],
+            [5, 7, 8, 9, 10, 11],
+            whole=False,
+        )
+        for delta in (40, 1000)
+    },
     "messages after the end of the data": Kept(
         [raw_channel(), *messages(5), encoded(DataEnd(0)), *messages(6)], [5, 6], "the data section ends at byte"
     ),
