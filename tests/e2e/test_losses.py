@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 from mcap.writer import Writer as McapLibraryWriter
 
+import pc2scan
 from fuzz.mutants.mutate import fields_of
 from pc2scan.bags.opening import open_recording
+from pc2scan.errors import ResultError, UsageError
 from support import SHARED, needs_shared, sampled
 from support.builders import (
     CHATTER,
@@ -560,7 +562,7 @@ def test_times_of_several_messages_are_not_bent(tmp_path: Path) -> None:
     """Where many lie outside, in order, it is the declared times that are wrong."""
     source = uncovered(tmp_path, "bag", 20)
     sound = rows_of(source)
-    bent(source, 5, lambda first, last: (first + last) // 2)
+    bent(source, 5, "start_time", lambda first, last: (first + last) // 2)
     assert rows_of(source, damaged=True) == sound
     status, stderr, _ = report_of("repair", source, "-o", tmp_path / "out.bag")
     assert status == 3
@@ -571,16 +573,53 @@ def test_times_of_several_messages_are_not_bent(tmp_path: Path) -> None:
 # --- Times of chunks that hide messages from a cut ---
 
 
-def bent(source: Path, number: int, bend: Callable[[int, int], int]) -> None:
-    """Change the first log time that the index declares of the n-th chunk; takes the first and the last one."""
+def bent(source: Path, number: int, field: str, bend: Callable[[int, int], int]) -> tuple[int, int]:
+    """Change a log time that is declared of the n-th chunk; returns the old one and the new one.
+
+    By the index; without one, by the chunk itself. ``bend`` takes the first log time and the last one.
+    """
     bag = source.suffix == ".bag"
-    record = "chunk_info" if bag else "chunk_index"
-    places = [fields_of(source, f"{record}.{name}")[number].start for name in ("start_time", "end_time")]
+    record = next(r for r in ("chunk_info", "chunk_index", "chunk") if fields_of(source, f"{r}.start_time"))
+    places = {name: fields_of(source, f"{record}.{name}")[number].start for name in ("start_time", "end_time")}
     data = bytearray(source.read_bytes())
-    found = (struct.unpack_from("<II" if bag else "<Q", data, place) for place in places)
-    times = (time[0] * SECOND + time[1] if bag else time[0] for time in found)
-    data[places[0] : places[0] + 8] = time_bytes("bag" if bag else "mcap", bend(*times))
+    found = (struct.unpack_from("<II" if bag else "<Q", data, place) for place in places.values())
+    first, last = (time[0] * SECOND + time[1] if bag else time[0] for time in found)
+    new = bend(first, last)
+    data[places[field] : places[field] + 8] = time_bytes("bag" if bag else "mcap", new)
     source.write_bytes(data)
+    return first if field == "start_time" else last, new
+
+
+#: What becomes of the chunk's first and last time: the field, and its new value.
+BENDS: dict[str, tuple[str, Callable[[int, int], int]]] = {
+    "start behind the end": ("start_time", lambda _, last: last + 5 * SECOND),
+    "start within the chunk": ("start_time", lambda first, last: (first + 3 * last) // 4),
+    "end in front of the start": ("end_time", lambda first, _: first - 5 * SECOND),
+    "end within the chunk": ("end_time", lambda first, last: (3 * first + last) // 4),
+    "start long ago": ("start_time", lambda first, _: first - 10**8 * SECOND),
+}
+BENT = list(product(["bag", "mcap", "mcap without a summary"], BENDS, [0, 10, -1]))
+
+
+@pytest.mark.parametrize(("kind", "bend", "number"), sampled(BENT, 11))
+def test_a_cut_finds_messages_whose_chunk_has_a_wrong_time(kind: str, bend: str, number: int, tmp_path: Path) -> None:
+    source = uncovered(tmp_path, kind, 20)
+    if kind == "mcap without a summary":
+        source = without_summary(source, tmp_path / "drive.mcap")
+    sound = tmp_path / f"sound{source.suffix}"
+    sound.write_bytes(source.read_bytes())
+    old, new = bent(source, number, *BENDS[bend])
+    # Cuts that end, or begin, between the true time and the one that is declared; and the same from the beginning on.
+    middle = (max(old, T0) + min(max(new, T0), T0 + 9 * SECOND)) // 2
+    cuts = [(None, (middle - T0) / SECOND), ((middle - T0) / SECOND, None), (0.2, 4.1)]
+    reported = []
+    for start, end in cuts:
+        expected, _ = cut_of(sound, start, end)
+        found, damage = cut_of(source, start, end)
+        assert found == expected, (start, end)
+        reported.append(damage)
+    # A time that is too early for a chunk in the middle hides nothing.
+    assert any(reported) or old == new or (bend == "start long ago" and number != 0)
 
 
 def without_summary(source: Path, target: Path) -> Path:
@@ -593,6 +632,27 @@ def without_summary(source: Path, target: Path) -> Path:
     return target
 
 
+def cut_of(path: Path, start: float | None, end: float | None) -> tuple[list[Row], bool]:
+    """What a cut passes on, and whether damage is reported."""
+    with TemporaryDirectory() as folder:
+        target = Path(folder, f"out{path.suffix}")
+        bounds: dict[str, Any] = {
+            name: f"{time:.9f}" for name, time in (("start", start), ("end", end)) if time is not None
+        }
+        try:
+            report = pc2scan.convert(
+                path, target, params=pc2scan.ProjectionParams(min_height=-1.0), keep_clouds=True, **bounds
+            )
+        except (ResultError, UsageError):
+            # No cloud is in the cut; what else is there can be read.
+            with closing(open_recording(path)) as reader:
+                begin_ns = reader.summary.start_ns or 0
+                cut = [None if time is None else begin_ns + round(time * SECOND) for time in (start, end)]
+                rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages(None, *cut)]
+                return rows, bool(reader.damage)
+        return rows_of(target), bool(report.damage)
+
+
 @pytest.mark.parametrize("kind", ["bag", "mcap"])
 def test_a_cut_reports_a_wrong_time(kind: str, tmp_path: Path) -> None:
     source = uncovered(tmp_path, kind, 20)
@@ -600,7 +660,7 @@ def test_a_cut_reports_a_wrong_time(kind: str, tmp_path: Path) -> None:
     options = ("--min-height", "-1", "--end", "3.9")
     assert report_of("convert", source, "-o", before, *options)[0] == 0
     for number in range(6, 14):
-        bent(source, number, lambda _, last: last + 5 * SECOND)
+        bent(source, number, "start_time", lambda _, last: last + 5 * SECOND)
     status, stderr, report = report_of("convert", source, "-o", after, *options)
     assert status == 3
     assert "the index has log times" in stderr

@@ -93,20 +93,18 @@ READ = Operation("read", (), "", None)
 
 REPAIR = Operation("repair", ("repair",), "", ConvertOptions(repair=True))
 
-CUT = Operation(
-    "convert a cut",
-    ("convert", *_HEIGHTS, *_CUT),
-    "out.mcap",
-    ConvertOptions(scans=_SCANS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
-)
-
 #: Repairs into the same kind of container, and as often everything else.
 _OPERATIONS = (
     *(REPAIR,) * 4,
     Operation("repair to MCAP", ("repair",), "out.mcap", ConvertOptions(repair=True)),
     Operation("repair to rosbag2", ("repair",), "out", ConvertOptions(repair=True)),
     Operation("convert", ("convert", *_HEIGHTS), "out.mcap", ConvertOptions(scans=_SCANS)),
-    CUT,
+    Operation(
+        "convert a cut",
+        ("convert", *_HEIGHTS, *_CUT),
+        "out.mcap",
+        ConvertOptions(scans=_SCANS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
+    ),
     Operation(
         "convert into a bag, with clouds, two at a time",
         ("convert", *_HEIGHTS, "--keep-clouds", "--jobs", "2"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from fuzz.judge import CUT, REPAIR, Outcome, attempt
+from fuzz.judge import REPAIR, Outcome, attempt
 from fuzz.mutants.mutate import field_mutant
 from fuzz.mutants.seeds import Seed, make_seeds
 
@@ -44,15 +44,6 @@ KINDS = [
 ]
 
 
-#: Log times that chunks declare; without a summary only their headers do.
-_TIMES = {
-    "bag-lz4": "chunk_info",
-    "mcap-zstd": "chunk_index",
-    "mcap-none-without-crc": "chunk_index",
-    "mcap-lz4-without-summary": "chunk",
-}
-
-
 @pytest.fixture(scope="module")
 def seeds() -> dict[str, Seed]:
     return {seed.name: seed for seed in make_seeds()}
@@ -71,19 +62,3 @@ def test_a_fact_that_is_said_otherwise_is_told(
         if not (made.name.endswith(".mcap") and made.edit.how.startswith("zero")):
             assert outcome == Outcome.identical_reported, str(made)
         assert outcome in (Outcome.identical_reported, Outcome.identical), str(made)
-
-
-@pytest.mark.parametrize("numbers", [range(3), pytest.param(range(3, 12), marks=pytest.mark.slow)], ids=str)
-@pytest.mark.parametrize("field", ["start_time", "end_time"])
-@pytest.mark.parametrize("name", _TIMES)
-def test_a_wrong_time_of_a_chunk_hides_nothing_from_a_cut(
-    name: str, field: str, numbers: range, seeds: dict[str, Seed], tmp_path: Path
-) -> None:
-    for number in numbers:
-        made = field_mutant(seeds[name], f"{_TIMES[name]}.{field}", random.Random(number))
-        (tmp_path / str(number)).mkdir()
-        outcome = attempt(made, CUT, tmp_path / str(number))
-        # A message that is just outside of its chunk gets the nearest time; bounds count from an earlier beginning.
-        near = made.edit.how.startswith(("near", "bit")) and outcome == Outcome.reported
-        earlier = field == "start_time" and outcome == Outcome.refused
-        assert near or earlier or outcome in (Outcome.identical, Outcome.identical_reported), str(made)
