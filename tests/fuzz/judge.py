@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
 
 __all__ = [
-    "CUT",
     "READ",
     "REPAIR",
     "Finding",
