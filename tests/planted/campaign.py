@@ -28,6 +28,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import pytest
 from coverage import CoverageData
 
 from planted.faults import Fault, faults_in, plant, sample
@@ -100,24 +101,39 @@ class _Tests:
 
 
 def _caught(copy: Path, fault: Fault, tests: list[str], timeout: float, workers: str) -> str:
-    """Return the first test that notices the fault; empty if none does."""
+    """Return the first test that notices the fault, and that passes without it; empty if none does."""
     path = copy / fault.path
     text = path.read_text("utf-8")
-    path.write_text(plant(text, fault), "utf-8")
+    left = [test.replace(str(ROOT), str(copy)) for test in tests]
+    while left:
+        path.write_text(plant(text, fault), "utf-8")
+        try:
+            if path.suffix == ".c" and _build(copy).returncode:
+                return "the compiler"
+            failed = _failed(copy, left, timeout, workers)
+        except subprocess.TimeoutExpired:
+            return "a test that does not end"
+        finally:
+            path.write_text(text, "utf-8")
+            if path.suffix == ".c":
+                _build(copy)
+        name = failed.partition(" - ")[0]
+        if name not in left or not _failed(copy, [name], timeout, "0"):
+            return failed
+        left = left[left.index(name) + 1 :]
+    return ""
+
+
+def _failed(copy: Path, tests: list[str], timeout: float, workers: str) -> str:
+    """Return the first test that fails, with what it says; empty if all pass."""
     env = {**os.environ, "PYTHONPATH": str(copy / "src"), "CI": "true", "PYTHONDONTWRITEBYTECODE": "1"}
     ids = copy / "tests.txt"
     ids.write_text("".join(f"{test}\n" for test in tests), "utf-8")
-    try:
-        if path.suffix == ".c" and _build(copy).returncode:
-            return "the compiler"
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-m", "not benchmark", f"@{ids}"]
-        done = subprocess.run(command, cwd=copy, env=env, capture_output=True, text=True, timeout=timeout, check=False)
-    except subprocess.TimeoutExpired:
-        return "a test that does not end"
-    finally:
-        path.write_text(text, "utf-8")
-        if path.suffix == ".c":
-            _build(copy)
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-m", "not benchmark"]
+    command += ["-p", "no:cacheprovider", f"@{ids}"]
+    done = subprocess.run(command, cwd=copy, env=env, capture_output=True, text=True, timeout=timeout, check=False)
+    if done.returncode == pytest.ExitCode.USAGE_ERROR:
+        raise SystemExit(f"these tests are not those of the recorded lines: {done.stderr.strip()}")
     failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
     # A crash of the interpreter, or of what pytest needs before it runs a test, is noticed, too.
     return failed[0].partition(" ")[2] if failed else f"pytest's status {done.returncode}" if done.returncode else ""

@@ -164,6 +164,18 @@ def test_a_wrong_length_inside_a_chunk_costs_that_message(tmp_path: Path) -> Non
         assert damage.offset is not None
 
 
+@pytest.mark.parametrize("wrong", [0, 21, 35, 200, 1 << 40])
+def test_the_last_message_of_a_chunk_ends_with_it(tmp_path: Path, wrong: int) -> None:
+    """Its length is wrong; the chunk's is not."""
+    body = raw_channel() + raw_message(1, 1) + raw_message(1, 2, b"the last one")
+    broken = bytearray(body)
+    place = len(body) - len(raw_message(1, 2, b"the last one")) + 1
+    struct.pack_into("<Q", broken, place, wrong)
+    rows, (damage,) = recovered(raw_file(tmp_path / "a.mcap", raw_chunk(bytes(broken), message_end_time=2)))
+    assert [(row[2], row[4]) for row in rows] == [(1, b"data"), (2, b"the last one")]
+    assert damage.bytes_lost == 0
+
+
 def test_a_message_with_an_impossible_time_gets_the_nearest(tmp_path: Path) -> None:
     body = bytearray(raw_channel() + b"".join(raw_message(1, 100 + t, bytes([t]) * 40) for t in range(4)))
     chunk = bytearray(raw_chunk(bytes(body), message_start_time=100, message_end_time=103))
@@ -363,10 +375,10 @@ def test_a_message_index_without_its_chunk_is_damage(tmp_path: Path, number: int
     # Of a kind that no reader knows.
     parts[chunks[number]] = b"\x40" + parts[chunks[number]][1:]
     path.write_bytes(b"".join(parts))
-    rows, (damage,) = recovered(path)
-    assert 0 < len(rows) < len(MESSAGES)
-    assert words in damage.what
-    assert damage.loses
+    rows, damage = recovered(path)
+    assert len(rows) < len(MESSAGES)
+    assert words in damage[0].what
+    assert damage[0].loses
 
 
 @pytest.mark.parametrize("chunked", [False, True], ids=["outside chunks", "in a chunk"])
@@ -497,3 +509,30 @@ def test_messages_of_a_chunk_whose_front_is_zero_are_found(tmp_path: Path) -> No
     times, said = repaired(path)
     assert {*range(1, 30), *range(40, 60), 70} <= set(times)
     assert not claims_all(said)
+
+
+def test_a_summary_with_a_wrong_crc_still_places_chunks(tmp_path: Path) -> None:
+    """One chunk has a broken header, so that nothing else tells where its records are."""
+    path = library_file(tmp_path / "a.mcap", MESSAGES, chunk_size=300)
+    sound = sorted(row[2] for row in recovered(path)[0])
+    data = bytearray(path.read_bytes())
+    place, _, _ = stretches(bytes(data))[1]
+    data[place : place + 40] = b"\xff" * 40
+    # A byte of the last summary offset, in front of footer and magic.
+    data[-40] ^= 1
+    path.write_bytes(data)
+    times, said = repaired(path)
+    assert sorted(times) == sound
+    assert "the summary's CRC" in said
+
+
+@pytest.mark.parametrize("whole", [False, True], ids=["by chance", "of a file"])
+def test_a_message_that_looks_like_records_is_kept(tmp_path: Path, whole: bool) -> None:
+    """What follows it is damaged. It holds what may begin a message index and a channel, or the records of a file."""
+    inner = raw_file(tmp_path / "inner.mcap", raw_channel(), raw_message(1, 1), raw_message(1, 2)).read_bytes()
+    chance = struct.pack("<BQHI", 7, 30, 1, 0) + bytes(24) + b"\x80" + bytes(8) + bytes(1000)
+    outer = raw_message(1, 5, b"\xff" * 8 + (inner[8:-8] if whole else chance))
+    path = raw_file(tmp_path / "a.mcap", raw_channel(), outer, bytes(13), raw_message(1, 6), raw_message(1, 7))
+    times, said = repaired(path)
+    assert times == [5, 6, 7]
+    assert "has opcode 0" in said

@@ -50,10 +50,10 @@ def index_entries(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int
         opcode, length, channel_id, size = _HEAD.unpack_from(ahead, position - origin)
         start = position + _HEAD.size
         position += RECORD.size + length
-        if opcode > Opcode.DATA_END:
-            continue
         if opcode != OP_MESSAGE_INDEX:
-            return
+            if opcode <= Opcode.DATA_END:
+                return
+            continue
         if size % _FORM.entry.size or start + size > position:
             raise file.damage(f"the message index at byte {start - _HEAD.size} contradicts its own lengths")
         if start + size <= origin + len(ahead):

@@ -407,7 +407,8 @@ class McapReader(PartReader):
         from .recovery import salvaged_messages  # noqa: PLC0415
 
         known = {connection.id: connection for connection in self._connections}
-        left = salvaged_messages(data, known, _declared_span(segment))
+        complete = len(data) == segment.uncompressed_size
+        left = salvaged_messages(data, known, _declared_span(segment), complete=complete)
         offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
         check = self._check_index(segment, known, data)
         indexed = check.total if check else None

@@ -41,18 +41,21 @@ from .search import (
     end_of_chunk,
     end_of_declaration,
     end_of_framed,
+    included_record,
+    is_message,
     is_record,
     next_message,
     next_record,
     payload_stop,
+    record_end,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import DamageLog
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, RawMessage
 
     from .records import RecordFile
 
@@ -106,12 +109,19 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
     except DamageError as err:
         without_header = err
     summary, end = McapIndex(), file.size - len(MAGIC) * _ends_with_magic(file)
+    indexed: Sequence[Segment] = ()
     try:
         end, _ = read_summary(file, summary, verify=verify)
     except DamageError as err:
         without_summary = err
         # The walk then includes the records of the summary, and finds channels there.
-        summary = McapIndex()
+        summary, doubtful = McapIndex(), McapIndex()
+        with suppress(DamageError):
+            read_summary(file, doubtful, verify=False)
+            # With a wrong CRC, these may still be the only ones that know where a chunk is.
+            indexed = doubtful.segments
+    else:
+        indexed = summary.segments
     index.statistics = summary.statistics
     gaps = list(_walked(file, index, summary.channels, end))
     for identity, schema in summary.schemas.items():
@@ -119,7 +129,7 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
     for identity, channel in summary.channels.items():
         index.channels.setdefault(identity, channel)
     index.channels_listed = summary.channels_listed
-    _adopt(index, summary.segments, gaps)
+    _adopt(index, indexed, gaps)
     # Message indexes may be missing, or be those of another chunk.
     index.segments = [replace(segment, connection_ids=None) for segment in index.segments]
     around = times_around(index.segments)
@@ -176,8 +186,8 @@ def _walked(file: RecordFile, index: McapIndex, summarized: Collection[int], end
         # A record with a wrong length may include others.
         if previous:
             stop = payload_stop(file, previous, end)
-            again = next_record(file, stop or previous + 1, end, known, limit=failed)
-            if again < failed:
+            again = included_record(file, stop or previous + 1, failed, end, known)
+            if again is not None:
                 _forget(index, previous)
                 yield _Gap(stop or previous, again, error)
                 position = again
@@ -322,7 +332,9 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
     return memoryview(decompressed_prefix(data, chunk.compression, chunk.uncompressed_size)), problem
 
 
-def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: tuple[int, int] | None) -> Salvaged:
+def salvaged_messages(
+    data: memoryview, known: Mapping[int, Connection], span: tuple[int, int] | None, *, complete: bool
+) -> Salvaged:
     """Find the messages of a damaged chunk.
 
     Parameters
@@ -333,10 +345,13 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
         Every channel.
     span
         The first and the last log time that the chunk declares, if it does; see `settled`.
+    complete
+        Whether these are all of its records: a message with a wrong length at their end is then the last one.
     """
     times, places = array("Q"), array("Q")
     unknown_channel = lost = 0
-    for start, stop, sound in _framed(data, known, span):
+    for start, stop, framed in _framed(data, known, span):
+        sound = framed or (complete and stop == len(data) and is_message(data, start, known, span))
         if not sound or (data[start] not in _INSIDE_CHUNKS and data[start] < FIRST_PRIVATE):
             lost += stop - start
         elif data[start] == OP_MESSAGE:
@@ -346,8 +361,14 @@ def salvaged_messages(data: memoryview, known: Mapping[int, Connection], span: t
                 continue
             times.append(log_time_ns)
             places.append(start)
-    messages = Many(times, places, partial(message_at, data, known), len(data)).together()
+    messages = Many(times, places, partial(_message_there, data, known), len(data)).together()
     return Salvaged(settled(messages, span) if span else messages, lost, unknown_channel)
+
+
+def _message_there(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
+    """Return the message at a place; one with an impossible length ends with the data."""
+    message = message_at(data, known, place)
+    return message if record_end(data, place) is not None else message._replace(data=data[place + MESSAGE.size :])
 
 
 def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:

@@ -25,6 +25,8 @@ __all__ = [
     "end_of_chunk",
     "end_of_declaration",
     "end_of_framed",
+    "included_record",
+    "is_message",
     "is_record",
     "next_message",
     "next_record",
@@ -42,6 +44,9 @@ _RECORD_HEAD = re.compile(rb"(?=[\x03-\x07\x09\x0c][\s\S]{4}[\0-\x0f]\0\0\0)")
 #: Records that cannot be in a chunk.
 _OUTSIDE_CHUNKS = frozenset({OP_CHUNK, OP_MESSAGE_INDEX, int(Opcode.ATTACHMENT), int(Opcode.METADATA)})
 _ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
+
+#: Consecutive records that are not there by chance.
+_MANY = 8
 
 _DECLARATIONS: Mapping[int, type[records.Schema | records.Channel]] = {
     Opcode.SCHEMA: records.Schema,
@@ -89,6 +94,23 @@ def next_record(
             break
         start += len(window) - overlap
     return end
+
+
+def included_record(file: RecordFile, start: int, stop: int, end: int, known: Collection[int]) -> int | None:
+    """Search what is said to be one record, up to ``stop``, for the first of others that it includes.
+
+    They go on behind ``stop``, or are many. Otherwise they are the record's contents.
+    """
+    while (found := next_record(file, start, end, known, limit=stop)) < stop:
+        position: int | None = found
+        for _ in range(_MANY):
+            if position is None or position >= stop:
+                break
+            position = _stop_of(file, position, end)
+        if position is not None and position != stop:
+            return found
+        start = found + 1
+    return None
 
 
 def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, known: Collection[int]) -> bool:
@@ -194,6 +216,14 @@ def end_of_framed(data: memoryview, position: int) -> int | None:
     return stop
 
 
+def is_message(data: memoryview, position: int, known: Collection[int] | None, span: tuple[int, int] | None) -> bool:
+    """Whether a message begins here that is of a known channel and of a time in the span, whatever its length is."""
+    if position + MESSAGE.size > len(data) or data[position] != OP_MESSAGE:
+        return False
+    _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
+    return (known is None or channel_id in known) and (span is None or span[0] <= log_time_ns <= span[1])
+
+
 def next_message(
     data: memoryview, start: int, end: int, known: Collection[int] | None, span: tuple[int, int] | None
 ) -> int | None:
@@ -203,12 +233,7 @@ def next_message(
         if position >= end:
             return None
         stop = record_end(data, position)
-        if stop is None:
-            continue
-        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
-        if known is not None and channel_id not in known:
-            continue
-        if span is not None and not span[0] <= log_time_ns <= span[1]:
+        if stop is None or not is_message(data, position, known, span):
             continue
         if stop + RECORD.size > len(data) or record_end(data, stop) is not None or span is not None:
             return position
