@@ -1,3 +1,5 @@
+"""Clouds to scans, against a reference of one point at a time: every way of a cloud, reduction and geometry."""
+
 from __future__ import annotations
 
 import math
@@ -12,68 +14,64 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from core.reference import reference_moved, reference_scan
+from core.loops import BOTH_LOOPS
+from core.reference import Expected, reference_moved, reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
 from pc2scan.core import plain
+from pc2scan.core.params import CHOICES
 from pc2scan.core.project import Part, ProjectedScan, Projector
 from pc2scan.core.rigid import Rigid
-from support import sampled
+from pc2scan.core.rule import rule_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-pytestmark = pytest.mark.usefixtures("loops")
-
 Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
 OPEN = ProjectionParams(min_height=-100.0, max_height=100.0)
-INF = math.inf
+CENTERED = ProjectionParams(geometry="centered", min_height=-1.0, max_height=1.0, range_max=30.0)
+INF, PI = math.inf, math.pi
 MAX32 = float(np.finfo(np.float32).max)
+MOUNT = Rigid.from_rpy(0.1, -0.2, 0.4, (0.3, 0.0, 0.5)).as_float32()
 
 
-def assert_same(scan: ProjectedScan, ranges: NDArray[np.float32], counts: PointCounts) -> None:
+def assert_same(scan: ProjectedScan, expected: Expected) -> None:
+    """Equal to the bit, but for the kind of a NaN; a scan without intensities fits points with them."""
     assert scan.ranges.dtype == np.float32
-    np.testing.assert_array_equal(scan.ranges, ranges)
-    assert scan.counts == counts
+    np.testing.assert_array_equal(scan.ranges, expected.ranges)
+    assert scan.counts == expected.counts
+    if scan.intensities.size:
+        np.testing.assert_array_equal(scan.intensities, expected.intensities)
 
 
 def assert_as_reference(points: NDArray[Any], params: ProjectionParams) -> None:
-    assert_same(project(points, params), *reference_scan(points.reshape(-1, 3).tolist(), params))
+    expected = reference_scan(points.reshape(-1, 3).tolist(), params)
+    for loops in BOTH_LOOPS:
+        with loops():
+            assert_same(project(points, params), expected)
 
 
-# Single points, each with what upstream's source makes of it.
+# Single points, and limits.
 
 
 @pytest.mark.parametrize(
     ("point", "what"),
     [
-        ((1, 0, 1), "used"),
-        ((0, 0, 1), "used"),
-        ((math.nan, 0, 1), "nan"),
-        ((0, math.nan, 1), "nan"),
-        ((1, 0, math.nan), "nan"),
-        ((math.inf, math.nan, 1), "nan"),
-        ((math.nan, 0, -1), "nan"),
-        ((1, 0, 0), "height"),
-        ((1, 0, -0.0), "height"),
-        ((math.inf, 0, -1), "height"),
-        ((1, 0, 1e-45), "used"),
-        ((1, 0, MAX32), "used"),
-        ((1, 0, math.inf), "height"),
-        ((math.inf, 0, 1), "range"),
-        ((-math.inf, math.inf, 1), "range"),
-        ((MAX32, 0, 1), "used"),
-        ((MAX32, MAX32, 1), "range"),
-        ((-1, 0.0, 1), "past_end"),
-        ((-1, -0.0, 1), "used"),
-        ((-1, 1e-45, 1), "past_end"),
-        ((-0.0, 0.0, 1), "past_end"),
+        ((1, 0, 1), "used"), ((0, 0, 1), "used"), ((1, 0, 1e-45), "used"), ((1, 0, MAX32), "used"),
+        ((MAX32, 0, 1), "used"), ((-1, -0.0, 1), "used"),
+        ((math.nan, 0, 1), "nan"), ((0, math.nan, 1), "nan"), ((1, 0, math.nan), "nan"), ((math.nan, 0, -1), "nan"),
+        ((INF, math.nan, 1), "nan"),
+        ((1, 0, 0), "height"), ((1, 0, -0.0), "height"), ((INF, 0, -1), "height"), ((1, 0, INF), "height"),
+        ((INF, 0, 1), "range"), ((-INF, INF, 1), "range"), ((MAX32, MAX32, 1), "range"),
+        ((-1, 0.0, 1), "past_end"), ((-1, 1e-45, 1), "past_end"), ((-0.0, 0.0, 1), "past_end"),
     ],
-)
+)  # fmt: skip
 def test_what_upstreams_defaults_make_of_a_point(point: tuple[float, float, float], what: str) -> None:
-    scan = project([point])
-    assert scan.counts == PointCounts(**{"total": 1, what: 1})
-    assert (np.isfinite(scan.ranges).sum() == 1) == (what == "used")
+    for loops in BOTH_LOOPS:
+        with loops():
+            scan = project([point])
+        assert scan.counts == PointCounts(**{"total": 1, what: 1})
+        assert (np.isfinite(scan.ranges).sum() == 1) == (what == "used")
 
 
 @pytest.mark.parametrize("range_min", [0.45, 1.0, 0.1, 1e-30, 1e30, -1.0, 0.0, 5e-46, MAX32, 1e39])
@@ -87,25 +85,17 @@ def test_ranges_are_compared_as_float64(range_min: float) -> None:
     points = np.concatenate(
         [np.stack(columns, axis=-1) for columns in ((x, zero, one), (zero, -x, one), (*slanted, one))]
     )
-    assert_as_reference(points, replace(OPEN, range_min=range_min))
-    assert_as_reference(points, replace(OPEN, range_min=-INF, range_max=range_min))
-    assert_as_reference(points, replace(OPEN, range_min=-INF, range_max=INF))
+    for low, high in ((range_min, OPEN.range_max), (-INF, range_min), (-INF, INF)):
+        assert_as_reference(points, replace(OPEN, range_min=low, range_max=high))
 
 
 @pytest.mark.parametrize("limit", [0.1, 0.5, -0.1, 1e-46, -1e-46, 0.0, 1e300, -1e300, MAX32, INF, -INF])
 def test_heights_are_compared_as_float64(limit: float) -> None:
     nearest = np.float32(max(min(limit, MAX32), -MAX32))
-    around = [
-        nearest,
-        np.nextafter(nearest, np.float32(1)),
-        np.nextafter(nearest, np.float32(-1)),
-        0.0,
-        INF,
-        -INF,
-    ]
+    around = [nearest, *(np.nextafter(nearest, np.float32(side)) for side in (1, -1)), 0.0, INF, -INF]
     points = np.array([[1, 1, z] for z in around], np.float32)
-    assert_as_reference(points, replace(OPEN, min_height=limit, max_height=INF))
-    assert_as_reference(points, replace(OPEN, min_height=-INF, max_height=limit))
+    for low, high in ((limit, INF), (-INF, limit)):
+        assert_as_reference(points, replace(OPEN, min_height=low, max_height=high))
 
 
 @pytest.mark.parametrize(
@@ -125,41 +115,20 @@ def test_what_empty_beams_read(changes: dict[str, Any], expected: list[float], c
     np.testing.assert_array_equal(project([[2, 0, 0]] * copies, replace(sector, **changes)).ranges, expected)
 
 
-@pytest.mark.parametrize("no_return", sampled(["", "inf", "range-max-plus", "range-max-minus", "nan", "zero"], 2))
-@pytest.mark.parametrize("reduce", ["min", "max", "mean", "median", "surface"])
-def test_every_reduction_has_the_same_limits(reduce: str, no_return: str) -> None:
-    # 2 m and 3.5 m in one beam, with a limit of 3 m if the sum decides; and 3.5 m in another one.
-    params = replace(
-        OPEN, range_max=4.0, inf_epsilon=-1.0, use_inf=False, no_return=no_return, reduce=reduce, angle_increment=0.1
-    )
-    endless = replace(params, range_max=INF, no_return="nan" if "range-max" in no_return else no_return)
-    x, y, z = np.array([[2, 0.01, 0], [3.5, 0.01, 0], [0.01, 3.5, 0]], np.float32).T
-    near = Projector(params)(x[:1], y[:1], z[:1])
-    for lit in (None, np.ones(3)):
-        scan = Projector(params)(x, y, z, intensities=lit)
-        assert scan.counts == PointCounts(3, 3)
-        if no_return in {"", "range-max-plus"}:
-            np.testing.assert_array_equal(scan.ranges, near.ranges)
-        else:
-            assert np.count_nonzero(scan.ranges == np.float32(math.hypot(0.01, 3.5))) >= 1
-        far = Projector(endless)(x * np.float32(INF), y, z, intensities=lit).ranges
-        np.testing.assert_array_equal(far, np.full(endless.length, endless.empty_range, np.float32))
-
-
 # Any points, any parameters.
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 2.0, 0.1, 1e-45, -1e-45, 1e-38, 1e19, -1e19, 3e38, MAX32, -MAX32, INF, -INF, math.nan]
+#: Of the first, points share beams and ranges.
 COORDINATES = st.one_of(
-    st.sampled_from(SPECIAL), st.integers(-4, 4).map(float), st.floats(-50, 50, width=32), st.floats(width=32)
-)
+    st.sampled_from([0.0, 0.5, 1.0, 1.02, -1.0, 2.0, 3.0]), st.sampled_from(SPECIAL), st.floats(-50, 50, width=32),
+    st.floats(width=32),
+)  # fmt: skip
 SECTORS = st.one_of(
-    st.sampled_from([(-math.pi, math.pi), (0.0, 2 * math.pi), (-10.0, 10.0), (-math.pi / 4, math.pi / 4)]),
+    st.sampled_from([(-PI, PI), (0.0, 2 * PI), (-10.0, 10.0), (-PI / 4, PI / 4)]),
     st.tuples(st.floats(-4, 0), st.floats(0.001, 4)),
 )
 INCREMENTS = st.one_of(
-    st.sampled_from([math.pi / 180, math.pi / 4, 0.1, 7.0, 1e3]),
-    st.floats(0.002, 2),
-    st.floats(2**-10, 7, width=32),
+    st.sampled_from([PI / 180, PI / 4, 0.1, 7.0, 1e3]), st.floats(0.002, 2), st.floats(2**-10, 7, width=32)
 )
 LIMITS = st.sampled_from([(0.0, 1.7976931348623157e308), (0.45, 4.0), (1.0, 1.0), (-1.0, INF), (0.1, 1e30)])
 HEIGHTS = st.sampled_from([(2.2250738585072014e-308, 1.7976931348623157e308), (-1.0, 1.0), (0.1, 0.5), (-INF, INF)])
@@ -168,16 +137,31 @@ HEIGHTS = st.sampled_from([(2.2250738585072014e-308, 1.7976931348623157e308), (-
 @st.composite
 def parameters(draw: st.DrawFn) -> ProjectionParams:
     (low, high), (near, far), (bottom, top) = draw(SECTORS), draw(LIMITS), draw(HEIGHTS)
+    geometry, increment = draw(st.sampled_from(CHOICES["geometry"])), draw(INCREMENTS)
+    if geometry != "upstream":
+        span = draw(st.sampled_from([2 * PI, PI, 1.6]))
+        low = -span / 2 if geometry == "symmetric" else draw(st.sampled_from([-PI, 0.0, -1.0]))
+        high, increment = low + span, draw(st.sampled_from([PI / 180, PI / 4, 0.1, 0.7]))
+    reduce = draw(st.sampled_from(["min", *CHOICES["reduce"]]))
     return ProjectionParams(
+        geometry=geometry,
         angle_min=low,
         angle_max=high,
-        angle_increment=draw(INCREMENTS),
+        angle_increment=increment,
         range_min=near,
         range_max=far,
         min_height=bottom,
         max_height=top,
         use_inf=draw(st.booleans()),
         inf_epsilon=draw(st.sampled_from([1.0, 0.0, -2.0, -0.5, 1e-9, 1e300, -1e300, INF, -INF])),
+        no_return=draw(
+            st.sampled_from(["", "inf", "nan", "zero", *(["range-max-plus", "range-max-minus"] if far < 1e30 else [])])
+        ),
+        reduce=reduce,
+        kth=draw(st.integers(1, 3)) if reduce == "kth" else 0,
+        surface_depth=draw(st.sampled_from([0.0, 0.05, 5.0])) if reduce == "surface" else 0.05,
+        surface_slope=draw(st.sampled_from([0.0, 3.0])) if reduce == "surface" else 3.0,
+        min_points=draw(st.sampled_from([1, 1, 2, 3])),
     )
 
 
@@ -194,56 +178,174 @@ def edge_point(draw: st.DrawFn, params: ProjectionParams) -> tuple[float, float,
 
 
 @st.composite
-def clouds(draw: st.DrawFn) -> tuple[NDArray[np.float64], ProjectionParams]:
+def clouds(draw: st.DrawFn) -> tuple[NDArray[np.float32], ProjectionParams]:
     params = draw(parameters())
-    points = draw(
-        st.lists(st.one_of(st.tuples(COORDINATES, COORDINATES, COORDINATES), edge_point(params)), max_size=60)
-    )
-    return np.array(points, np.float64).reshape(-1, 3), params
+    point: st.SearchStrategy[Any] = st.tuples(COORDINATES, COORDINATES, COORDINATES)
+    if params.geometry == "upstream":
+        point = st.one_of(point, edge_point(params))
+    return np.array(draw(st.lists(point, max_size=60)), np.float32).reshape(-1, 3), params
 
 
-@given(clouds(), st.sampled_from([1, 3, 16384]))
+def parts_of(
+    cloud: NDArray[np.float32], cut: int, moved: tuple[bool, bool], lit: tuple[bool, bool]
+) -> tuple[list[Part], NDArray[np.float32], list[float]]:
+    """Two messages; all points as they are placed, and the value of each."""
+    parts, placed = [], []
+    values = np.arange(1, len(cloud) + 1, dtype=np.uint16)
+    for k, points in enumerate((cloud[:cut], cloud[cut:])):
+        own = values[:cut] if k == 0 else values[cut:]
+        if not lit[k]:
+            own[:] = 0
+        placed.append(reference_moved(points.tolist(), *MOUNT) if moved[k] else points)
+        parts.append(Part(*points.T, MOUNT if moved[k] else None, own if lit[k] else None))
+    return parts, np.concatenate(placed), [float(value) for value in values]
+
+
+@given(
+    clouds(),
+    st.integers(0, 60),
+    st.tuples(st.booleans(), st.booleans()),
+    st.tuples(st.booleans(), st.booleans()),
+    st.sampled_from([1, 7, 16384]),
+)
 def test_any_cloud_is_projected_as_by_the_reference(
-    cloud: tuple[NDArray[np.float64], ProjectionParams], block: int
+    cloud: tuple[NDArray[np.float32], ProjectionParams],
+    cut: int,
+    moved: tuple[bool, bool],
+    lit: tuple[bool, bool],
+    block: int,
 ) -> None:
     points, params = cloud
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plain, "BLOCK", block)
-        assert_as_reference(points, params)
+    parts, placed, values = parts_of(points, cut, moved, lit)
+    expected = reference_scan(placed.tolist(), params, values=values)
+    x, y, z = placed.T
+    intensities = np.array(values, np.float32)
+    least = max(params.min_points, params.kth)
+    returning = int((expected.returns > 0).sum())
+    sparse = int(((expected.returns > 0) & (expected.returns < least)).sum())
+    removed = {"returns": returning, "sparse": sparse} if least > 1 else None
+    for loops in BOTH_LOOPS:
+        with loops(), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(plain, "BLOCK", block)
+            project = Projector(params)
+            together = project.together(parts)
+            scans = [together, project(x, y, z, None, intensities), project(x, y, z)]
+            scans.append(project.together([part._replace(intensities=None) for part in parts]))
+            if params.reduce == "min":
+                scans.append(Projector(replace(params, reduce="kth", kth=1))(x, y, z, None, intensities))
+            for scan in scans:
+                assert_same(scan, expected)
+                assert scan.removed == removed
+            assert [each.intensities.size for each in scans[:4]] == [
+                params.length if any(lit) else 0, params.length, 0, 0,
+            ]  # fmt: skip
+            # What the beams read gives the same scan, and no beam without a range reads anything.
+            numbers, beams = project.read(x, y, z)
+            assert (np.diff(numbers) > 0).all()
+            again = project(*placed[numbers].T, None, intensities[numbers])
+            assert again.ranges.tobytes() == scans[1].ranges.tobytes()
+            assert again.intensities.tobytes() == scans[1].intensities.tobytes()
+            assert set(beams.tolist()) == set(np.flatnonzero(expected.returns >= least).tolist())
+            begins = [0, len(parts[0].x)]
+            own = project.read_together(parts)
+            assert [n + k for k, (mine, _) in zip(begins, own, strict=True) for n in mine.tolist()] == numbers.tolist()
+            assert [beam for _, mine in own for beam in mine.tolist()] == beams.tolist()
+            bins, _ = project.bins(Part(x, y, z))
+            assert np.bincount(bins, minlength=params.length).tolist() == expected.returns.tolist()
 
 
-@given(clouds(), st.integers(0, 60))
-def test_all_ways_to_the_closest_return_are_one(cloud: tuple[NDArray[np.float64], ProjectionParams], cut: int) -> None:
-    points, params = cloud
-    ranges, counts = reference_scan(points.tolist(), params)
-    x, y, z = points.astype(np.float32).T
-    values = np.arange(x.size, dtype=np.float32)
-    project = Projector(params)
-    first, second = (Part(x[some], y[some], z[some]) for some in (slice(cut), slice(cut, None)))
-    scans = {
-        "intensities": project(x, y, z, intensities=values),
-        "kth": Projector(replace(params, reduce="kth", kth=1))(x, y, z),
-        "kth, intensities": Projector(replace(params, reduce="kth", kth=1))(x, y, z, intensities=values),
-        "two messages": project.together([first, second]),
-        "two messages, one with intensities": project.together([first, second._replace(intensities=values[cut:])]),
-    }
-    for scan in scans.values():
-        assert_same(scan, ranges, counts)
-    # The points that the beams read, and no point of a beam that reads nothing.
-    numbers, beams = project.read(x, y, z)
-    assert ranges[beams].tolist() == np.hypot(x[numbers], y[numbers], dtype=np.float64).astype(np.float32).tolist()
-    unread = np.delete(ranges, beams)
-    assert np.array_equal(unread, np.full(unread.size, params.empty_range, np.float32), equal_nan=True)
-    assert set(project.bins(Part(x, y, z))[0].tolist()) == set(beams.tolist())
+# What a beam reads.
 
 
-# Layouts, types and blocks.
+@pytest.mark.parametrize(
+    ("changes", "ranges"),
+    [
+        ({}, [1, 5, INF]),
+        ({"reduce": "max"}, [4, 5, INF]),
+        ({"reduce": "mean"}, [2.5, 5, INF]),
+        ({"reduce": "median"}, [2, 5, INF]),
+        ({"reduce": "kth", "kth": 3}, [3, INF, INF]),
+        # The three closest of 1, 2, 3 and 4 m; the width of a beam is 0.5 rad.
+        ({"reduce": "surface", "surface_depth": 0.5, "surface_slope": 3.0}, [2, 5, INF]),
+        ({"reduce": "surface", "surface_slope": 0.0}, [1, 5, INF]),
+        ({"min_points": 2}, [1, INF, INF]),
+        ({"reduce": "max", "no_return": "zero"}, [4, 5, 0]),
+        ({"reduce": "max", "no_return": "range-max-plus"}, [4, 5, 31]),
+        ({"no_return": "range-max-plus", "inf_epsilon": 0.5, "min_points": 2}, [1, 30.5, 30.5]),
+    ],
+)
+def test_what_a_beam_reads(changes: dict[str, Any], ranges: list[float]) -> None:
+    params = replace(CENTERED, angle_min=0.0, angle_max=1.0, beams=3, **changes)
+    along = [[reach * math.cos(a), reach * math.sin(a), 0] for reach, a in [(3, 0), (1, 0), (4, 0), (2, 0), (5, 0.5)]]
+    assert project(np.array(along), params).ranges.tolist() == pytest.approx(ranges)
+
+
+@pytest.mark.parametrize(
+    ("params", "expected"),
+    [
+        ({}, ([1, 5], [2, 3])),
+        ({"reduce": "max"}, ([4, 5], [2, 3])),
+        ({"reduce": "mean"}, ([0, 1, 2, 4, 5], [2, 2, 2, 2, 3])),
+        ({"reduce": "median"}, ([0, 1, 2, 4, 5], [2, 2, 2, 2, 3])),
+        ({"reduce": "kth", "kth": 3}, ([0, 1, 2], [2, 2, 2])),
+        ({"reduce": "surface", "surface_slope": 0.0}, ([1, 2, 5], [2, 2, 3])),
+        ({"min_points": 2}, ([0, 1, 2, 4], [2, 2, 2, 2])),
+        ({"min_points": 5}, ([], [])),
+    ],
+)
+def test_which_points_the_beams_read(params: dict[str, Any], expected: Any) -> None:
+    # Four returns of beam 2, one of beam 3, one too high, one NaN.
+    cloud = np.array([(2, 1, 0), (1, 1, 0), (1, 1, 0), (9, 9, 9), (3, 1, 0), (-1, 1, 0), (math.nan, 0, 0)], np.float32)
+    project = Projector(ProjectionParams(min_height=-1.0, max_height=5.0, angle_increment=PI / 2, **params))
+    numbers, beams = project.read(*cloud.T)
+    assert (numbers.tolist(), beams.tolist()) == expected
+
+
+def test_heights_do_not_count_for_parts_that_have_none() -> None:
+    x, zeros = np.array([1.0, 2.0], np.float32), np.zeros(2, np.float32)
+    found = Projector(ProjectionParams()).together([Part(x, zeros, zeros), Part(x, zeros, zeros - 1, any_height=True)])
+    assert (found.counts.height, found.counts.used, found.ranges.min()) == (2, 2, 1)
+
+
+def test_a_centered_beam_is_not_off_to_one_side() -> None:
+    # Upstream reports the lower edge of a beam; a centered one is off by as much to the left as to the right.
+    angles = np.linspace(-3, 3, 50_000).astype(np.float32)
+    for geometry, bias in (("centered", 0.0), ("upstream", 0.5)):
+        params = replace(CENTERED, geometry=geometry)
+        layout = params.layout
+        bins = plain.bins_of(angles, rule_of(params), layout.count)
+        off = (angles.astype(np.float64) - layout.angle_min - bins * layout.angle_increment) / layout.angle_increment
+        assert off.mean() == pytest.approx(bias, abs=1e-2)
+
+
+def wall(reduce: str, far: float = 0.0) -> NDArray[np.float32]:
+    """Distances to a wall 4 m ahead, as 16 rings with 1 cm of noise see it; its right half is ``far`` metres away."""
+    random = np.random.default_rng(11)
+    angles = np.tile(np.arange(-0.6, 0.6, math.radians(0.2)), 16)
+    ahead = np.where((angles < 0.006) & (far > 0), far, 4.0) + random.normal(0, 0.01, angles.size)
+    points = np.stack([ahead, ahead * np.tan(angles), np.zeros(angles.size)], axis=1)
+    ranges = project(points, replace(CENTERED, angle_min=-0.5, angle_max=0.5, reduce=reduce)).ranges
+    cosines = np.cos(-0.5 + np.arange(ranges.size) * CENTERED.layout.angle_increment).astype(np.float32)
+    ahead_of_beams: NDArray[np.float32] = ranges * cosines
+    return ahead_of_beams
+
+
+def test_a_surface_is_at_the_wall_and_never_between_walls() -> None:
+    assert np.median(wall("min")) == pytest.approx(4 - 0.03, abs=0.015)
+    assert np.median(wall("surface")) == pytest.approx(4, abs=0.002)
+    assert np.abs(wall("surface") - 4).max() < 0.02
+    two_walls = {reduce: wall(reduce, far=8.0) for reduce in ("min", "mean", "surface")}
+    between = {reduce: np.count_nonzero((seen > 4.2) & (seen < 7.8)) for reduce, seen in two_walls.items()}
+    assert between == {"min": 0, "mean": 1, "surface": 0}
+
+
+# Layouts, types and threads.
 
 
 def room(points: int) -> NDArray[np.float32]:
     """A cloud with walls, floor, and points of every kind, column-major: 16 rings to a column."""
     rng = np.random.default_rng(points)
-    azimuth = np.repeat(np.linspace(-math.pi, math.pi, points // 16), 16)
+    azimuth = np.repeat(np.linspace(-PI, PI, points // 16), 16)
     elevation = np.deg2rad(np.tile(np.linspace(-25, 15, 16), points // 16))
     wall = np.minimum(9 / np.abs(np.cos(azimuth)), 6 / np.abs(np.sin(azimuth) + 1e-9)) + rng.normal(0, 0.01, points)
     cloud = np.stack([wall * np.cos(azimuth), wall * np.sin(azimuth), wall * np.tan(elevation)], axis=-1)
@@ -276,7 +378,6 @@ def padded(points: NDArray[Any]) -> NDArray[Any]:
 VIEWS: dict[str, Callable[[NDArray[Any]], Columns]] = {
     "column-major": columns_of,
     "backwards": lambda points: columns_of(points[::-1]),
-    "ring-major": lambda points: columns_of(points.reshape(-1, 16, 3).swapaxes(0, 1).reshape(-1, 3).copy()),
     "organised": lambda points: columns_of(points.reshape(-1, 16, 3).swapaxes(0, 1).copy()),
     "random": lambda points: columns_of(np.random.default_rng(5).permutation(points)),
     "padded rows": lambda points: columns_of(padded(points)),
@@ -285,19 +386,18 @@ VIEWS: dict[str, Callable[[NDArray[Any]], Columns]] = {
     "contiguous axes": lambda points: tuple(np.ascontiguousarray(points.T)),
     **{
         f"records of {step} bytes, {order}": partial(record_of, order=order, step=step)
-        for step in (12, 15, 16, 22, 32, 48)
-        for order in "<>"
+        for step, order in ((12, "<"), (15, ">"), (16, "<"), (22, "<"), (32, "<"), (32, ">"), (48, "<"))
     },
 }
-SCENE = room(4000)
+SCENE = room(1600)
 
 
 @cache
-def expected(params: ProjectionParams) -> tuple[NDArray[np.float32], PointCounts]:
-    return reference_scan(SCENE.tolist(), params)
+def seen_in_scene(params: ProjectionParams) -> Expected:
+    return reference_scan(SCENE.tolist(), params, values=SCENE[:, 0].tolist())
 
 
-@pytest.mark.parametrize("block", [997, 1 << 20])
+@pytest.mark.parametrize("block", [97, 1 << 20])
 @pytest.mark.parametrize("view", VIEWS)
 def test_layouts_and_blocks_make_no_difference(view: str, block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plain, "BLOCK", block)
@@ -307,18 +407,32 @@ def test_layouts_and_blocks_make_no_difference(view: str, block: int, monkeypatc
         axis.setflags(write=False)
     for params in (
         ProjectionParams(min_height=-1.0, max_height=1.0, range_min=0.3, range_max=8.0),
-        replace(OPEN, angle_increment=math.pi / 18000),
+        replace(OPEN, angle_increment=PI / 18000, range_min=0.1),
         replace(OPEN, angle_min=-0.3, angle_max=2.0, angle_increment=0.0061, use_inf=False, range_max=30.0),
+        replace(CENTERED, reduce="median", range_min=0.1, beams=90),
     ):
-        assert_same(Projector(params)(*cloud), *expected(params))
+        for loops in BOTH_LOOPS:
+            with loops():
+                assert_same(Projector(params)(*cloud), seen_in_scene(params))
+                if params.range_min:
+                    assert_same(Projector(params)(*cloud, None, cloud[0]), seen_in_scene(params))
     assert [axis.tobytes() for axis in cloud] == before
 
 
-@pytest.mark.parametrize("dtype", [">f8", "<f8", "f2", "i1", "u1", ">i2", "u2", "i4", ">u4", "i8", "?"])
-def test_other_types_are_rounded_to_float32(dtype: str) -> None:
+TYPES = [">f8", "<f8", "f2", "i1", "u1", ">i2", "u2", "i4", ">u4", "i8", "?"]
+
+
+@pytest.mark.parametrize("number", range(len(TYPES)))
+def test_other_types_are_rounded_to_float32(number: int) -> None:
+    points = np.random.default_rng(2).normal(scale=60, size=(300, 3))
+    params = replace(OPEN, range_min=2.0, range_max=90.0)
     with np.errstate(invalid="ignore"):
-        points = np.random.default_rng(2).normal(scale=60, size=(300, 3)).astype(dtype)
-    assert_as_reference(points, replace(OPEN, range_min=2.0, range_max=90.0))
+        for step in (0, 1):
+            columns = [points[:, axis].astype(TYPES[(number + step * axis) % len(TYPES)]) for axis in range(3)]
+            expected = reference_scan(zip(*(column.tolist() for column in columns), strict=True), params)
+            for loops in BOTH_LOOPS:
+                with loops():
+                    assert_same(Projector(params)(*columns), expected)
 
 
 def test_float64_and_large_integers_are_rounded_first() -> None:
@@ -327,11 +441,27 @@ def test_float64_and_large_integers_are_rounded_first() -> None:
     assert project([[1e300, 0, 1]]).counts == PointCounts(total=1, range=1)
 
 
+@pytest.mark.parametrize("dtype", ["i1", "u1", "i2", ">u2", "i4", "u4", "f4", ">f8"])
+def test_intensities_of_any_type_become_float32(dtype: str) -> None:
+    values = np.array([100, 7, 3]).astype(dtype)
+    points = np.array([[3, 0, 0], [2, 0, 0], [0, 2, 0]])
+    scan = project(points, replace(CENTERED, beams=4), intensities=values)
+    assert (scan.ranges.tolist(), scan.intensities.tolist()) == ([INF, INF, 2, 2], [0, 0, 7, 3])
+    assert scan.intensities.dtype == np.float32
+    mean = project(points, replace(CENTERED, beams=4, reduce="mean"), intensities=values)
+    assert (mean.ranges[2], mean.intensities[2]) == (2.5, 53.5)
+
+
 @pytest.mark.parametrize("shape", [(0, 3), (0, 5, 3), (5, 0, 3)])
-def test_empty_clouds_are_empty_scans(shape: tuple[int, ...]) -> None:
-    scan = project(np.zeros(shape))
+@pytest.mark.parametrize("params", [OPEN, CENTERED])
+def test_empty_clouds_are_empty_scans(params: ProjectionParams, shape: tuple[int, ...]) -> None:
+    scan = project(np.zeros(shape), params)
     assert np.isposinf(scan.ranges).all()
     assert scan.counts == PointCounts()
+
+
+def axes(*sizes: int) -> list[NDArray[Any]]:
+    return [np.zeros(size) for size in sizes]
 
 
 @pytest.mark.parametrize(
@@ -340,8 +470,13 @@ def test_empty_clouds_are_empty_scans(shape: tuple[int, ...]) -> None:
         (lambda: project([1, 2, 3]), ValueError, r"shape \(3,\)"),
         (lambda: project([[1, 2], [3, 4]]), ValueError, r"shape \(2, 2\)"),
         (lambda: project([[1, 2, 3j]]), TypeError, "complex128"),
-        (lambda: Projector(OPEN)(np.zeros(1), np.zeros(1), np.zeros(2)), ValueError, "shapes"),
+        (lambda: Projector(OPEN)(*axes(1, 1, 2)), ValueError, r"x, y and z have the shapes \(1,\), \(1,\), \(2,\)"),
         (lambda: Projector(OPEN)(*[np.zeros((1, 1, 1))] * 3), ValueError, "shapes"),
+        (
+            lambda: Projector(CENTERED)(*axes(3, 3, 3), None, np.zeros(4)),
+            ValueError,
+            r"intensities have the shape \(4,\), expected that of x, \(3,\)",
+        ),
     ],
 )
 def test_wrong_arrays_are_refused(call: Callable[[], object], error: type[Exception], told: str) -> None:
@@ -354,11 +489,13 @@ def test_threads_may_share_a_projector() -> None:
     sizes = [96, 4800, 16_000] * 8
     rooms = {size: columns_of(room(size)) for size in set(sizes)}
     alone = {size: projector(*cloud) for size, cloud in rooms.items()}
-    with ThreadPoolExecutor(4) as pool:
-        for size, scan in zip(sizes, pool.map(lambda size: projector(*rooms[size]), sizes), strict=True):
-            assert_same(scan, alone[size].ranges, alone[size].counts)
-            # They are the caller's own.
-            scan.ranges[:] = -1
+    for loops in BOTH_LOOPS:
+        with loops(), ThreadPoolExecutor(4) as pool:
+            for size, scan in zip(sizes, pool.map(lambda size: projector(*rooms[size]), sizes), strict=True):
+                np.testing.assert_array_equal(scan.ranges, alone[size].ranges)
+                assert scan.counts == alone[size].counts
+                # They are the caller's own.
+                scan.ranges[:] = -1
 
 
 @pytest.mark.parametrize("dtype", ["f4", "f8", ">f4"])
@@ -366,8 +503,10 @@ def test_a_transform_is_applied_in_float32(dtype: str) -> None:
     cloud = (SCENE.astype(np.float64) * 1.000000001).astype(dtype)
     rotation, translation = Rigid.from_rpy(0.4, 0, 0.4).matrix, np.array([0.3, -2.0, 0.7])
     moved = reference_moved(cloud.tolist(), rotation, translation)
-    scan = Projector(OPEN)(*columns_of(cloud), (rotation, translation))
-    assert_same(scan, *reference_scan(moved.tolist(), OPEN))
+    for loops in BOTH_LOOPS:
+        with loops():
+            scan = Projector(OPEN)(*columns_of(cloud), (rotation, translation))
+        assert_same(scan, reference_scan(moved.tolist(), OPEN))
     # One rounding at the end is something else, so that the test can tell them apart.
     with np.errstate(invalid="ignore"):
         once = (cloud.astype(np.float64) @ rotation.T + translation).astype(np.float32)
