@@ -197,7 +197,8 @@ def parts_of(
         if not lit[k]:
             own[:] = 0
         placed.append(reference_moved(points.tolist(), *MOUNT) if moved[k] else points)
-        parts.append(Part(*points.T, MOUNT if moved[k] else None, own if lit[k] else None))
+        x, y, z = points.T
+        parts.append(Part(x, y, z, MOUNT if moved[k] else None, own if lit[k] else None))
     return parts, np.concatenate(placed), [float(value) for value in values]
 
 
@@ -242,7 +243,7 @@ def test_any_cloud_is_projected_as_by_the_reference(
             # What the beams read gives the same scan, and no beam without a range reads anything.
             numbers, beams = project.read(x, y, z)
             assert (np.diff(numbers) > 0).all()
-            again = project(*placed[numbers].T, None, intensities[numbers])
+            again = project(x[numbers], y[numbers], z[numbers], None, intensities[numbers])
             assert again.ranges.tobytes() == scans[1].ranges.tobytes()
             assert again.intensities.tobytes() == scans[1].intensities.tobytes()
             assert set(beams.tolist()) == set(np.flatnonzero(expected.returns >= least).tolist())
@@ -428,11 +429,11 @@ def test_other_types_are_rounded_to_float32(number: int) -> None:
     params = replace(OPEN, range_min=2.0, range_max=90.0)
     with np.errstate(invalid="ignore"):
         for step in (0, 1):
-            columns = [points[:, axis].astype(TYPES[(number + step * axis) % len(TYPES)]) for axis in range(3)]
-            expected = reference_scan(zip(*(column.tolist() for column in columns), strict=True), params)
+            x, y, z = (points[:, axis].astype(TYPES[(number + step * axis) % len(TYPES)]) for axis in range(3))
+            expected = reference_scan(zip(x.tolist(), y.tolist(), z.tolist(), strict=True), params)
             for loops in BOTH_LOOPS:
                 with loops():
-                    assert_same(Projector(params)(*columns), expected)
+                    assert_same(Projector(params)(x, y, z), expected)
 
 
 def test_float64_and_large_integers_are_rounded_first() -> None:
@@ -460,8 +461,9 @@ def test_empty_clouds_are_empty_scans(params: ProjectionParams, shape: tuple[int
     assert scan.counts == PointCounts()
 
 
-def axes(*sizes: int) -> list[NDArray[Any]]:
-    return [np.zeros(size) for size in sizes]
+def axes(*sizes: Any) -> Columns:
+    x, y, z = map(np.zeros, sizes)
+    return x, y, z
 
 
 @pytest.mark.parametrize(
@@ -471,7 +473,7 @@ def axes(*sizes: int) -> list[NDArray[Any]]:
         (lambda: project([[1, 2], [3, 4]]), ValueError, r"shape \(2, 2\)"),
         (lambda: project([[1, 2, 3j]]), TypeError, "complex128"),
         (lambda: Projector(OPEN)(*axes(1, 1, 2)), ValueError, r"x, y and z have the shapes \(1,\), \(1,\), \(2,\)"),
-        (lambda: Projector(OPEN)(*[np.zeros((1, 1, 1))] * 3), ValueError, "shapes"),
+        (lambda: Projector(OPEN)(*axes(*[(1, 1, 1)] * 3)), ValueError, "shapes"),
         (
             lambda: Projector(CENTERED)(*axes(3, 3, 3), None, np.zeros(4)),
             ValueError,

@@ -37,7 +37,7 @@ def f32(*values: float | np.float32) -> NDArray[np.float32]:
 
 def points_of(ranges: NDArray[np.float32], intensities: NDArray[np.float32] = NONE, **header: Any) -> UnprojectedScan:
     usual = {"angle_min": -0.5, "angle_increment": 0.1, "range_min": 0.1, "range_max": 12.0, "time_increment": 0.001}
-    return unproject(ranges, intensities, **usual | header)  # type: ignore[arg-type]
+    return unproject(ranges, intensities, **usual | header)
 
 
 def test_every_channel_deskewed_is_what_laser_geometry_returned() -> None:
@@ -152,7 +152,8 @@ def test_limits_are_inclusive_below_and_exclusive_above() -> None:
     low, high = np.float32(0.1), np.float32(12)
     ends = f32(low, np.nextafter(low, f32(0)[0]), high, np.nextafter(high, f32(0)[0]), NAN, INF, -INF, 0, -3)
     result = points_of(ends)
-    assert (result.beams.tolist(), result.beams.dtype) == ([0, 3], np.int32)
+    assert result.beams.tolist() == [0, 3]
+    assert result.beams.dtype == np.int32
     assert result.rejected == RejectedBeams(nan=1, infinite=2, below_min=3, beyond_max=1)
 
 
