@@ -48,7 +48,7 @@ def circle(beams: int, low: float) -> Scan:
 
 def judged(scan: Scan, first: Scan | None = None, placed: ScanTransforms | None = None) -> dict[str, str]:
     """The outcome for each consumer, which is that of its rule."""
-    found = {consumer: judge(consumer, scan, first, placed).outcome for consumer in CONSUMERS}
+    found: dict[str, str] = {consumer: judge(consumer, scan, first, placed).outcome for consumer in CONSUMERS}
     assert found == {consumer: rule(scan, first, placed or ScanTransforms()) for consumer, rule in RULES.items()}
     return found
 
@@ -70,7 +70,7 @@ def scans(draw: st.DrawFn) -> Scan:
         scan = pair(*draw(st.sampled_from(GRID)))
         scan = replace(scan, range_max=draw(st.sampled_from([30.0, INF, 0.0, -1.0])), **counts)
         if draw(st.booleans()):
-            ends = {"angle_min": scan.angle_max, "angle_max": scan.angle_min}
+            ends: dict[str, Any] = {"angle_min": scan.angle_max, "angle_max": scan.angle_min}
             scan = replace(scan, **ends, angle_increment=-scan.angle_increment)
         return replace(scan, beams=scan.beams + draw(st.integers(-1, 1)))
     step = draw(st.floats(0.0009765625, 1, width=32))
@@ -143,7 +143,7 @@ def test_the_last_beams_angle_satisfies_slam_toolbox(field: float, increment: fl
 
 # What is wrong with a scan: by what it differs from a good one, and for whom.
 
-SIDE = {"angle_min": 0.0, "angle_max": 2.0}
+SIDE: dict[str, Any] = {"angle_min": 0.0, "angle_max": 2.0}
 BETWEEN_BEAMS = {"slam_toolbox": "ignored", "gmapping": "accepted", "mrpt": "shifted"}
 DROPPED = dict.fromkeys(("slam_toolbox", "gmapping", "amcl"), "ignored")
 

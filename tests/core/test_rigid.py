@@ -77,7 +77,7 @@ def matrix_of(rigid: Rigid) -> NDArray[np.float64]:
     x, y, z, w = rigid.quaternion.tolist()
     left = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
     right = np.array([[w, -z, y, -x], [z, w, -x, -y], [-y, x, w, -z], [x, y, z, w]])
-    whole = left @ right
+    whole: NDArray[np.float64] = left @ right
     whole[:3, 3] = rigid.translation
     return whole
 
