@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from core.loops import loops_in_numpy
 from pc2scan.core import kernel
+from support.loops import loops_in_numpy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

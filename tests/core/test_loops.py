@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.loops import BOTH_LOOPS, loops_in_numpy, needs_compiled, points_at_a_time
 from core.reference import reference_scan
 from pc2scan import ProjectionParams
 from pc2scan.core import kernel, plain
@@ -21,6 +20,7 @@ from pc2scan.core.moving import MovingTransform
 from pc2scan.core.project import ProjectedScan, Projector
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import rule_of
+from support.loops import BOTH_LOOPS, loops_in_numpy, needs_compiled, points_at_a_time
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -14,7 +14,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from core.loops import BOTH_LOOPS
 from core.reference import Expected, reference_moved, reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
 from pc2scan.core import plain
@@ -22,6 +21,7 @@ from pc2scan.core.params import CHOICES
 from pc2scan.core.project import Part, ProjectedScan, Projector
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import rule_of
+from support.loops import BOTH_LOOPS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
