@@ -225,6 +225,12 @@ def test_sums_of_floats_misplace_very_many_beams(scan: tuple[int, float], outcom
         assert outcome == "accepted" or "fewer beams" in judge(consumer, circle(*scan)).cure
 
 
+def test_a_hundredth_of_the_ranges_may_be_full() -> None:
+    scan = replace(circle(100, -math.pi), range_max=20.0)
+    found = [judged(replace(scan, full=full))["slam_toolbox"] for full in (0, 1, 2)]
+    assert found == ["accepted", "accepted", "misplaced"]
+
+
 def test_upstreams_defaults_and_its_sample_launch_file() -> None:
     # 360 beams of a full circle are what slam_toolbox expects; its infinite range_max is what others stumble on.
     full = replace(upstream(), infinite=100, returns=260)
@@ -285,6 +291,7 @@ MOVED = PLACED._replace(turned=math.radians(30), moved=0.2)
         ("slam_toolbox", replace(GOOD, **SIDE), None, PLACED._replace(up=-1.0), "115 deg"),
         ("slam_toolbox", replace(GOOD, beams=180, angle_increment=math.pi / 180), None, None, "180 ranges"),
         ("gmapping", GOOD, None, None, "7.16 deg (0.5 of an increment)"),
+        ("gmapping", replace(GOOD, angle_min=1.0, angle_max=-1.0), None, None, "236 deg (16.5 of an increment)"),
         ("nav2", GOOD, None, ScanTransforms(robot=False, missing="there is no frame"), "there is no frame"),
     ],
 )  # fmt: skip
