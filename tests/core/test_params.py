@@ -164,6 +164,10 @@ def test_numpys_numbers_are_taken_as_pythons() -> None:
         ProjectionParams(min_height=np.float32("nan"))  # type: ignore[arg-type]
 
 
+def test_a_tolerance_is_at_most_what_stamps_are_apart() -> None:
+    assert [ProjectionParams(transform_tolerance=value).tolerance_ns for value in (0.01, 1e300)] == [10**7, 2**62]
+
+
 def test_too_many_beams_are_counted_in_the_message() -> None:
     with pytest.raises(ParameterError, match=f"at most {MAX_BEAMS:,} are allowed"):
         ProjectionParams(angle_increment=1e-6)
