@@ -120,7 +120,7 @@ def test_no_numbers_stop_the_check(scan: Scan, data: st.DataObject) -> None:
         assert {judge(consumer, scan, None, placed).outcome for consumer in CONSUMERS} <= set(OUTCOMES)
 
 
-def test_upstreams_geometry_is_refused_by_slam_toolbox_and_the_last_beams_angle_never() -> None:
+def test_slam_toolbox_refuses_upstreams_angle_max_on_the_grid() -> None:
     assert len(GRID) == 300
     refused = 0
     for field, increment in GRID:

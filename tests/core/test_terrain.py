@@ -185,7 +185,7 @@ def test_a_planar_lidar_sees_no_ground() -> None:
     assert not on_ground(np.linspace(-30, 30, 3000), np.full(3000, 0.7), np.zeros(3000)).any()
 
 
-def test_the_same_cloud_has_the_same_ground_in_any_order_and_shape() -> None:
+def test_order_and_shape_of_a_cloud_do_not_change_its_ground() -> None:
     points = labelled("street", "64 rings").points
     found = ground_of(points)
     order = np.random.default_rng(2).permutation(len(points))

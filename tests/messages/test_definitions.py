@@ -83,7 +83,7 @@ def test_ros1_texts_equal_those_in_the_golden_bags() -> None:
 
 
 @needs_shared
-def test_ros2_text_equals_a_rosbag2_recording_but_for_one_corrected_comment() -> None:
+def test_ros2_text_is_that_of_a_recording_but_for_a_comment() -> None:
     from mcap.reader import make_reader
 
     with (RECORDINGS / "d435_depth.mcap").open("rb") as stream:

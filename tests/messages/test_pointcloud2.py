@@ -154,7 +154,7 @@ def test_a_view_is_not_a_copy_and_not_writable() -> None:
         ),
     ],
 )
-def test_contradictions_are_errors_with_the_numbers_and_the_stamp(kwargs: dict[str, Any], words: list[str]) -> None:
+def test_contradictions_are_errors_with_numbers_and_stamp(kwargs: dict[str, Any], words: list[str]) -> None:
     cloud = decoded(**kwargs)
     with pytest.raises(DecodeError) as caught:
         cloud.xyz()
@@ -202,7 +202,7 @@ def test_what_was_decoded_before_makes_no_difference(messages: list[tuple[bytes,
         assert outcome(decoders[serialization], data) == alone
 
 
-def test_what_all_clouds_of_a_topic_have_in_common_is_decoded_once() -> None:
+def test_what_clouds_have_in_common_is_decoded_once() -> None:
     data = bytes(ROS2.serialize_cdr(message(XYZ, bytes(24), width=2), POINTCLOUD2))
     later = data[:4] + struct.pack("<iI", 13, 1) + data[12:]
     decode = CloudDecoder("cdr")

@@ -58,7 +58,7 @@ def test_common_types_are_most_of_those_of_ros1() -> None:
 
 
 @pytest.mark.parametrize("msgtype", sorted(definitions.TYPES))
-def test_what_pc2scan_writes_itself_passes_through_with_the_same_definition(msgtype: str) -> None:
+def test_own_types_pass_through_with_the_same_definition(msgtype: str) -> None:
     for source, spelling, serialization in ((1, ros1_type(msgtype), "ros1"), (2, msgtype, "cdr")):
         text, digest = definitions.definition(msgtype, source)
         connection = Connection(1, "/topic", spelling, serialization, text, digest)
@@ -138,7 +138,7 @@ def test_any_type_goes_there_and_back(text: str, seed: int) -> None:
     check_both_ways(connection, "pkg/msg/Type", structs, seed)
 
 
-def test_definition_of_a_custom_type_is_written_in_the_other_ros_versions_words() -> None:
+def test_a_custom_type_is_defined_in_the_other_versions_words() -> None:
     there = transcoder(
         ros1(NESTED.replace("uint8 flag", "uint8 flag\nstring GREETING=hi # there\nint8 LOW=-5 # not it")), 2
     )
@@ -184,7 +184,7 @@ def test_old_type_names() -> None:
     )
 
 
-def test_other_ros_versions_field_names_where_the_layout_is_the_same() -> None:
+def test_the_other_versions_field_names_for_the_same_layout() -> None:
     there = transcoder(Connection(1, "/camera_info", "sensor_msgs/CameraInfo", "ros1"), 2).connection
     assert "float64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\n" in there.definition.text
     custom = transcoder(ros1("sensor_msgs/CameraInfo info\nuint8 D\n"), 2).connection
@@ -193,7 +193,7 @@ def test_other_ros_versions_field_names_where_the_layout_is_the_same() -> None:
 
 
 @pytest.mark.parametrize("msgtype", ["visualization_msgs/Marker", "sensor_msgs/Range"])
-def test_another_layout_keeps_the_recordings_definition_and_says_so(msgtype: str) -> None:
+def test_another_layout_keeps_its_definition_and_is_noted(msgtype: str) -> None:
     name = schema.canonical(msgtype)
     there = transcoder(Connection(1, "/topic", msgtype, "ros1"), 2)
     assert any(f"layout differs from ROS 2 jazzy's {name}: " in note for note in there.notes)
@@ -359,7 +359,7 @@ def test_hostile_names_are_refused_before_any_code_is_made(connection: Connectio
     assert not [source for source in executed if "f0" in source]
 
 
-def test_no_name_or_constant_of_a_recording_reaches_the_interpreter(executed: list[str]) -> None:
+def test_no_name_of_a_recording_reaches_the_interpreter(executed: list[str]) -> None:
     text = (
         "string CONSTANT_marker=value_marker'''\nfloat32 HUGE_marker=1e999\nMarked_marker field_marker\n"
         f"{SEPARATOR}\nMSG: package_marker/Marked_marker\nuint8 inner_marker\n"

@@ -116,7 +116,7 @@ def test_messages_out_of_order_repeated_and_damaged() -> None:
     assert any("1 message ignored: the stamp of another one" in warning for warning in found.warnings)
 
 
-def test_a_few_messages_without_an_orientation_are_ignored_and_counted() -> None:
+def test_messages_without_an_orientation_are_counted() -> None:
     world = simulated(2)
     messages = [
         each | {"orientation": turned, "first": (-1.0 if place % 10 == 0 else 0.0, 0.0, 0.0)}
