@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, parsed, ros1, ros2
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages import definitions, schema
-from pc2scan.messages.transcode import DISTROS, transcoder
+from pc2scan.messages.transcode import DISTROS, defined, transcoder
 from pc2scan.model import LATCHED_QOS, Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared, sampled
 
@@ -222,6 +223,24 @@ def test_without_definition_the_message_set_is_used_and_noted() -> None:
     assert transcoder(imu, 1, definitions=extra).connection.definition.text == "uint8 only\n"
     filled = transcoder(ros2("geometry_msgs/Point[] points\n"), 1).connection
     assert "MSG: geometry_msgs/Point\nfloat64 x\n" in filled.definition.text
+
+
+@pytest.mark.parametrize("msgtype", ["sensor_msgs/msg/Imu", "sensor_msgs/msg/LaserScan"])
+def test_a_connection_without_definition_gets_the_distributions(msgtype: str) -> None:
+    from rosbags.typesys import Stores, get_typestore
+
+    plain = Connection(1, "/t", msgtype, "cdr")
+    found = defined(plain)
+    jazzy = get_typestore(Stores.ROS2_JAZZY)
+    assert (found.definition.encoding, found.digest) == ("ros2msg", jazzy.hash_rihs01(msgtype))
+    assert parsed(found)[msgtype] == schema.known("ros2_jazzy")[msgtype]
+    assert defined(found) is found
+    # A digest that it has stays; what no distribution knows has none.
+    assert defined(replace(plain, digest="RIHS01_0")).digest == "RIHS01_0"
+    unknown = Connection(1, "/t", "pkg/msg/Unknown", "cdr")
+    assert defined(unknown) is unknown
+    ros1_scan = defined(Connection(1, "/t", ros1_type(msgtype), "ros1"), "noetic")
+    assert ros1_scan.digest == get_typestore(Stores.ROS1_NOETIC).generate_msgdef(msgtype, ros_version=1)[1]
 
 
 def test_distribution_tells_the_layout() -> None:

@@ -128,6 +128,13 @@ def test_quaternions_scale_as_they_do_in_a_lookup(far: float) -> None:
             np.testing.assert_allclose(ours[9:], theirs.translation, rtol=1e-12, atol=1e-9)
 
 
+def test_frames_in_each_other_have_no_transform() -> None:
+    buffer = built_of([moved(*pair, second) for second in (0, 1) for pair in (("a", "b"), ("b", "a"))])
+    stamps, rows, _ = buffer.rows("a", "b", at(0), at(1), SECOND, lambda *_: ENOUGH)
+    assert stamps.tolist() == [at(0), at(1)]
+    assert np.isnan(rows).all()
+
+
 def test_parents_that_change_all_the_time_are_an_error() -> None:
     def by_two_nodes(second: float) -> list[TransformRow]:
         return [moved("odom", "base", second, x=1), moved("map", "base", second + 0.001, x=2)]
