@@ -312,6 +312,7 @@ TWO = f"Item[] items\n{SEPARATOR}\nMSG: pkg/Item\nfloat64 a\nfloat64 b\n"
         ),
         (ros2("int32 a\n"), b"", "pkg/Type of 0 bytes begins with nothing, expected a CDR header"),
         (ros2("int32 a\n"), b"\0\7\0\0\1\1\1\1", "of 8 bytes begins with 00070000, expected a CDR header"),
+        (ros2("int32 a\n"), b"\0\1\0\0", "of 4 bytes cannot be re-encoded: its fields take 8"),
         (ros2("int32 a\n"), b"\0\1\0\0\1", "of 5 bytes cannot be re-encoded: its fields take 8"),
         (ros2("int32 a\n"), b"\0\0\0\0\1", "of 5 bytes cannot be re-encoded: Could not deserialize it"),
         (ros2("int32 a\n"), b"\0\1\0\0" + bytes(12), "of 16 bytes cannot be re-encoded: its fields take 8"),
