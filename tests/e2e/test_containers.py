@@ -287,7 +287,7 @@ def test_the_format_is_told_from_the_content(sources: dict[str, Path], tmp_path:
 
 ROS1_PYTHON = Path("/usr/bin/python3")
 ROSBAG = Path("/usr/bin/rosbag")
-ROS1_READER = ROOT / "tests" / "bags" / "rosbag1_reader.py"
+ROS1_READER = ROOT / "tests" / "support" / "rosbag1_reader.py"
 
 
 def ros1(*command: str | Path) -> subprocess.CompletedProcess[str]:

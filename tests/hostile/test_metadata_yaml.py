@@ -121,7 +121,7 @@ def test_aliases_that_unfold_in_what_is_made_text(drive: Path, tmp_path: Path) -
     "qos", ["- durability: " + "[" * 50_000, LAUGHS, "- depth: 1\n" * 5_900, "- a: !!python/name:os.system"]
 )
 def test_profiles_that_are_none_pass_as_they_are(qos: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("builders.qos_text", lambda *_, **__: qos)
+    monkeypatch.setattr("support.builders.qos_text", lambda *_, **__: qos)
     recording = Recording((POINTS,), tuple(CONTENT.of("/points")))
     source = write_mcap(tmp_path / "a.mcap", recording)
     for storage in ("mcap", "sqlite3"):
@@ -134,7 +134,7 @@ def test_profiles_too_long_to_be_any_are_not_repeated_in_metadata_yaml(
 ) -> None:
     """Writing 30 MB of them as YAML took half a minute, for a recording of 2 KB."""
     qos = "[" * 700_000
-    monkeypatch.setattr("builders.qos_text", lambda *_, **__: qos)
+    monkeypatch.setattr("support.builders.qos_text", lambda *_, **__: qos)
     source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), tuple(CONTENT.of("/points"))))
     done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / "out")
     assert done.status == 0, done.stderr

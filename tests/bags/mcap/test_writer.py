@@ -410,6 +410,7 @@ from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.model import Connection
 from pc2scan.errors import OutputError
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 writer = McapWriter(Path(sys.argv[1]), compression="none")
 handle = writer.add_connection(Connection(0, "/a", "a/msg/B", "cdr"))
