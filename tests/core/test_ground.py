@@ -52,7 +52,17 @@ def verdict(found: Ground, sensor: str, roll: float, pitch: float) -> str:
     return "named" if right else "wrong: another up"
 
 
-@pytest.mark.parametrize(("name", "sensor"), sampled(product(PLACES, SENSORS), 9))
+#: In the quick run; each of them is left alone or named for another reason.
+TELLING = {
+    ("empty hall", "camera, optical"), ("corridor", "scattering, ahead"), ("ramp up", "camera"),
+    ("warehouse", "64 rings"), ("hall", "16 rings"), ("street", "32 rings"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "sensor"),
+    [pair if pair in TELLING else pytest.param(*pair, marks=pytest.mark.slow) for pair in product(PLACES, SENSORS)],
+)
 def test_every_mounting_is_named_correctly_or_left_alone(name: str, sensor: str) -> None:
     place = PLACES[name]
     open_place = without(without(place, "floor"), "ceiling")
