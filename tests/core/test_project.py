@@ -18,7 +18,7 @@ from core.reference import Expected, reference_moved, reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
 from pc2scan.core import plain
 from pc2scan.core.params import CHOICES
-from pc2scan.core.project import Part, ProjectedScan, Projector
+from pc2scan.core.project import Part, ProjectedScan, Projector, compact
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import rule_of
 from support.loops import BOTH_LOOPS
@@ -135,14 +135,14 @@ HEIGHTS = st.sampled_from([(2.2250738585072014e-308, 1.7976931348623157e308), (-
 
 
 @st.composite
-def parameters(draw: st.DrawFn) -> ProjectionParams:
+def parameters(draw: st.DrawFn, reductions: tuple[str, ...]) -> ProjectionParams:
     (low, high), (near, far), (bottom, top) = draw(SECTORS), draw(LIMITS), draw(HEIGHTS)
     geometry, increment = draw(st.sampled_from(CHOICES["geometry"])), draw(INCREMENTS)
     if geometry != "upstream":
         span = draw(st.sampled_from([2 * PI, PI, 1.6]))
         low = -span / 2 if geometry == "symmetric" else draw(st.sampled_from([-PI, 0.0, -1.0]))
         high, increment = low + span, draw(st.sampled_from([PI / 180, PI / 4, 0.1, 0.7]))
-    reduce = draw(st.sampled_from(["min", *CHOICES["reduce"]]))
+    reduce = draw(st.sampled_from(reductions))
     return ProjectionParams(
         geometry=geometry,
         angle_min=low,
@@ -178,8 +178,8 @@ def edge_point(draw: st.DrawFn, params: ProjectionParams) -> tuple[float, float,
 
 
 @st.composite
-def clouds(draw: st.DrawFn) -> tuple[NDArray[np.float32], ProjectionParams]:
-    params = draw(parameters())
+def clouds(draw: st.DrawFn, reductions: tuple[str, ...]) -> tuple[NDArray[np.float32], ProjectionParams]:
+    params = draw(parameters(reductions))
     point: st.SearchStrategy[Any] = st.tuples(COORDINATES, COORDINATES, COORDINATES)
     if params.geometry == "upstream":
         point = st.one_of(point, edge_point(params))
@@ -202,21 +202,23 @@ def parts_of(
     return parts, np.concatenate(placed), [float(value) for value in values]
 
 
+@pytest.mark.parametrize("reductions", [("min", "max", "kth"), ("mean", "median", "surface")], ids="/".join)
 @given(
-    clouds(),
+    st.data(),
     st.integers(0, 60),
     st.tuples(st.booleans(), st.booleans()),
     st.tuples(st.booleans(), st.booleans()),
     st.sampled_from([1, 7, 16384]),
 )
 def test_any_cloud_is_projected_as_by_the_reference(
-    cloud: tuple[NDArray[np.float32], ProjectionParams],
+    reductions: tuple[str, ...],
+    data: st.DataObject,
     cut: int,
     moved: tuple[bool, bool],
     lit: tuple[bool, bool],
     block: int,
 ) -> None:
-    points, params = cloud
+    points, params = data.draw(clouds(reductions))
     parts, placed, values = parts_of(points, cut, moved, lit)
     expected = reference_scan(placed.tolist(), params, values=values)
     x, y, z = placed.T
@@ -277,7 +279,7 @@ def test_any_cloud_is_projected_as_by_the_reference(
 )
 def test_what_a_beam_reads(changes: dict[str, Any], ranges: list[float]) -> None:
     params = replace(CENTERED, angle_min=0.0, angle_max=1.0, beams=3, **changes)
-    along = [[reach * math.cos(a), reach * math.sin(a), 0] for reach, a in [(3, 0), (1, 0), (4, 0), (2, 0), (5, 0.5)]]
+    along = [[reach * math.cos(a), reach * math.sin(a), 0] for reach, a in [(5, 0.5), (3, 0), (1, 0), (4, 0), (2, 0)]]
     assert project(np.array(along), params).ranges.tolist() == pytest.approx(ranges)
 
 
@@ -418,6 +420,18 @@ def test_layouts_and_blocks_make_no_difference(view: str, block: int, monkeypatc
                 if params.range_min:
                     assert_same(Projector(params)(*cloud, None, cloud[0]), seen_in_scene(params))
     assert [axis.tobytes() for axis in cloud] == before
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_compact_copy_has_the_same_points(view: str) -> None:
+    cloud = VIEWS[view](SCENE)
+    copied = compact(*cloud)
+    for own, copy in zip(cloud, copied, strict=True):
+        np.testing.assert_array_equal(copy, own.reshape(-1))
+        assert not np.shares_memory(copy, own)
+    if view.endswith("<"):
+        # Coordinates that follow each other are copied together.
+        assert [axis.strides for axis in copied] == [(12,)] * 3
 
 
 TYPES = [">f8", "<f8", "f2", "i1", "u1", ">i2", "u2", "i4", ">u4", "i8", "?"]
