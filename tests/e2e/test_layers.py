@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import pytest
 
 import pc2scan
-from benchmarks.test_combining import write_two
+from benchmarks.clouds import write_two
 from support import ROOT
 
 if TYPE_CHECKING:
