@@ -13,6 +13,8 @@ settings.register_profile("pc2scan", deadline=None, derandomize="CI" in os.envir
 settings.register_profile("thorough", settings.get_profile("pc2scan"), max_examples=400)
 settings.load_profile("pc2scan")
 
+# As in the command: several threads for small matrices wait for each other most of the time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # With it, each of the thousands of commands that tests start would compile the whole package again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 

@@ -1,3 +1,5 @@
+"""The command keeps the memory that it frees, on glibc; a host's allocator stays as it is."""
+
 from __future__ import annotations
 
 import ctypes
@@ -6,15 +8,20 @@ import platform
 import subprocess
 import sys
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from benchmarks.clouds import FORMS, write_recording
 from pc2scan import memory
 from pc2scan.cli import main
 
+if TYPE_CHECKING:
+    from pathlib import Path
+
+#: Page faults of memory that is used and freed again and again. A page is 4 KiB at least: 24 MiB fifty times, or once.
 FAULTS = """
-import resource
+import resource, sys
 {prepare}
 faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 for _ in range(50):
@@ -22,20 +29,28 @@ for _ in range(50):
     del parts
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - faults)
 """
+KEEPS = "from pc2scan.memory import keep_freed_memory\nassert keep_freed_memory()"
+CONVERTS = "import pc2scan; pc2scan.convert(*sys.argv[1:], jobs=2)"
 
 
-def faults(prepare: str) -> int:
-    done = subprocess.run(
-        [sys.executable, "-c", FAULTS.format(prepare=prepare)], capture_output=True, text=True, timeout=60, check=True
-    )
-    return int(done.stdout)
+def faults(prepare: str, *args: object) -> int:
+    command = [sys.executable, "-c", FAULTS.format(prepare=prepare), *map(str, args)]
+    return int(subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout)
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc is told")
+on_glibc = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc is told")
+
+
+@on_glibc
 def test_freed_memory_is_used_again() -> None:
-    told = "from pc2scan.memory import keep_freed_memory\nassert keep_freed_memory()"
-    # A page is 4 KiB at least: 24 MiB fifty times, or only once.
-    assert 3 * faults(told) < faults("")
+    assert 3 * faults(KEEPS) < faults("")
+
+
+@on_glibc
+@pytest.mark.slow
+def test_a_hosts_allocator_stays_as_it_is(tmp_path: Path) -> None:
+    source = write_recording(tmp_path, FORMS["ROS 1, lz4"], 10_000_000)
+    assert faults(CONVERTS, source, tmp_path / "scans.mcap") > 0.9 * faults("")
 
 
 def test_the_command_keeps_freed_memory(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -78,7 +78,7 @@ def test_results_are_text_and_a_page_and_a_line(tmp_path: Path, capfd: pytest.Ca
     assert capfd.readouterr() == ("", "")
 
 
-def test_names_in_recordings_are_shown_as_they_are_and_do_nothing(evil: Path) -> None:
+def test_names_in_recordings_do_nothing_where_they_are_shown(evil: Path) -> None:
     for result in (
         pc2scan.info(evil),
         pc2scan.check(evil),

@@ -8,7 +8,6 @@ import pytest
 
 from pc2scan.bags.mcap import chunks as mcap_chunks
 from pc2scan.bags.mcap import reader as mcap_reader
-from support.rosbag1_files import ros1_missing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,12 +29,6 @@ def loads(monkeypatch: pytest.MonkeyPatch) -> list[Segment]:
     for module in (mcap_chunks, mcap_reader):
         monkeypatch.setattr(module, "with_payload", counting)
     return seen
-
-
-@pytest.fixture
-def needs_ros1() -> None:
-    if reason := ros1_missing():
-        pytest.skip(f"ROS 1's own rosbag (Debian: python3-rosbag, python3-std-msgs) is not here: {reason}")
 
 
 @pytest.fixture

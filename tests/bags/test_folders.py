@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -54,41 +54,28 @@ def test_recordings_of_a_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("first", "second", "why"),
     [
-        ({"messages": [("/a", 5)]}, {"messages": [("/a", 6)]}, ""),
+        ([("/a", 5)], [("/a", 6)], ""),
         # A part that is missing leaves a gap; a topic may begin late.
-        ({"messages": [("/a", 5)]}, {"messages": [("/a", 5 + MINUTE), ("/b", 6 + MINUTE)]}, ""),
+        ([("/a", 5)], [("/a", 5 + MINUTE), ("/b", 6 + MINUTE)], ""),
         # A recorder's threads may write messages late.
-        (
-            {"messages": [("/a", 0), ("/a", 9 * SECOND)]},
-            {"messages": [("/a", 8 * SECOND), ("/a", 19 * SECOND)]},
-            "",
-        ),
-        (
-            {"messages": [("/a", 0), ("/a", SECOND)]},
-            {"messages": [("/a", 0), ("/a", SECOND)]},
-            "x_1.mcap does not begin where x_0.mcap ends",
-        ),
-        ({"messages": [("/a", 5)]}, {"messages": []}, ""),
-        ({"messages": [("/a", 5)]}, {"messages": [("/b", 6)]}, "have no topic in common"),
-        (
-            {"messages": [("/a", 5)]},
-            {"messages": [("/a", 6)], "msgtype": "std_msgs/msg/Bool"},
-            "/a has other types in x_0.mcap and x_1.mcap",
-        ),
-        ({"messages": [("/a", 2 * SECOND)]}, {"messages": [("/a", 5)]}, "x_1.mcap does not begin where x_0.mcap ends"),
-        (
-            {"messages": [("/a", 5)]},
-            {"messages": [("/a", 6 + MINUTE)]},
-            r"x_1.mcap begins 60.000 s after the end of x_0.mcap",
-        ),
+        ([("/a", 0), ("/a", 9 * SECOND)], [("/a", 8 * SECOND), ("/a", 19 * SECOND)], ""),
+        ([("/a", 5)], [], ""),
+        ([("/a", 0), ("/a", SECOND)], [("/a", 0), ("/a", SECOND)], "x_1.mcap does not begin where x_0.mcap ends"),
+        ([("/a", 2 * SECOND)], [("/a", 5)], "x_1.mcap does not begin where x_0.mcap ends"),
+        ([("/a", 5)], [("/b", 6)], "have no topic in common"),
+        ([("/a", 5)], [("/a", 6), "std_msgs/msg/Bool"], "/a has other types in x_0.mcap and x_1.mcap"),
+        ([("/a", 5)], [("/a", 6 + MINUTE)], "x_1.mcap begins 60.000 s after the end of x_0.mcap"),
     ],
 )
-def test_parts_without_metadata(tmp_path: Path, first: dict[str, Any], second: dict[str, Any], why: str) -> None:
-    for number, content in enumerate((first, second)):
-        write_storage(tmp_path / f"x_{number}.mcap", **content)
+def test_parts_without_metadata_are_one_or_several(
+    first: list[tuple[str, int]], second: list[Any], why: str, tmp_path: Path
+) -> None:
+    later = [row for row in second if isinstance(row, tuple)]
+    write_storage(tmp_path / "x_0.mcap", first)
+    write_storage(tmp_path / "x_1.mcap", later, **({"msgtype": second[-1]} if later != second else {}))
     if not why:
         with closing(open_recording(tmp_path)) as reader:
-            assert len(list(reader.messages())) == len(first["messages"]) + len(second["messages"])
+            assert len(list(reader.messages())) == len(first) + len(second)
         return
     with pytest.raises(UsageError, match="holds 2 recordings") as caught:
         open_recording(tmp_path)
@@ -103,28 +90,30 @@ def test_a_part_may_be_missing(tmp_path: Path) -> None:
 
 
 def warnings_of(*paths: Path) -> list[str]:
-    readers = [open_recording(path) for path in paths]
-    try:
-        return overlap_warnings(readers)
-    finally:
-        for reader in readers:
-            reader.close()
+    with ExitStack() as stack:
+        return overlap_warnings([stack.enter_context(closing(open_recording(path))) for path in paths])
 
 
-def test_recordings_that_overlap(tmp_path: Path) -> None:
-    one, other, later = (tmp_path / f"{name}.mcap" for name in "abc")
-    write_storage(one, [("/a", 0), ("/a", 2 * SECOND)], qos="")
-    write_storage(other, [("/a", SECOND), ("/a", 3 * SECOND)], qos="")
-    write_storage(later, [("/a", 4 * SECOND)], qos="")
+def test_recordings_that_overlap_are_warned_of(tmp_path: Path) -> None:
+    one, other, later, first, second, elsewhere, latched = paths = [
+        tmp_path / f"{name}.mcap" for name in ("a", "b", "c", "x_0", "x_1", "other", "latched")
+    ]
+    for path, rows in zip(
+        paths,
+        (
+            [("/a", 0), ("/a", 2 * SECOND)],
+            [("/a", SECOND), ("/a", 3 * SECOND)],
+            [("/a", 4 * SECOND)],
+            [("/a", 0), ("/a", 2 * SECOND)],
+            [("/a", 2 * SECOND - 1), ("/a", 3 * SECOND)],
+            [("/b", 0), ("/b", 3 * SECOND)],
+            [("/a", 0), ("/a", 3 * SECOND)],
+        ),
+        strict=True,
+    ):
+        write_storage(path, rows, **({} if path == latched else {"qos": ""}))
     (warning,) = warnings_of(one, other, later)
     assert warning.startswith(f"{one} and {other} overlap in time, by up to 1.000 s, on /a: ")
     assert warnings_of(one, later) == warnings_of(other, later) == warnings_of(one) == []
-
-
-def test_recordings_that_may_overlap(tmp_path: Path) -> None:
-    paths = [tmp_path / name for name in ("x_0.mcap", "x_1.mcap", "other.mcap", "latched.mcap")]
-    write_storage(paths[0], [("/a", 0), ("/a", 2 * SECOND)], qos="")
-    write_storage(paths[1], [("/a", 2 * SECOND - 1), ("/a", 3 * SECOND)], qos="")
-    write_storage(paths[2], [("/b", 0), ("/b", 3 * SECOND)], qos="")
-    write_storage(paths[3], [("/a", 0), ("/a", 3 * SECOND)])
-    assert warnings_of(*paths) == []
+    # Parts, and recordings of other topics or of what is latched, may overlap.
+    assert warnings_of(first, second, elsewhere, latched) == []

@@ -2,127 +2,49 @@
 
 from __future__ import annotations
 
-import json
+import pickle
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from typer.testing import CliRunner
 
 import pc2scan
 from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, and_list, destinations, storages
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.reader import Reader
-from pc2scan.bags.units import Unit
 from pc2scan.batch.results import first_part, whole
-from pc2scan.cli.app import application
 from pc2scan.errors import DestinationError, RecordingError
-from pc2scan.model import Connection, Definition, RawMessage, Summary
 from pc2scan.options.table import options_of
 from support import ROOT
+from support.command import run
+from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable
     from pathlib import Path
 
-    from pc2scan.bags.damage import Damage
-    from pc2scan.model import Attachment, Buffer, ChunkRule, Metadata, StoredChunk
+    from pc2scan.model import Buffer, Connection
     from pc2scan.threads import Threads
 
 FIXTURES = ROOT / "fixtures"
-
 MAGIC = b"#TOY\n"
 
 
-class ToyReader(Reader):
-    """Lines of JSON: connections, and messages in hexadecimal digits."""
-
-    def __init__(self, path: Path, options: ReadOptions) -> None:
-        self._path = path
-        self.options = options
-        lines = [json.loads(line) for line in path.read_text().splitlines()[1:]]
-        self._connections = {
-            line["id"]: Connection(
-                **{**line, "definition": Definition(line["definition"][0], bytes.fromhex(line["definition"][1]))}
-            )
-            for line in lines
-            if isinstance(line, dict)
-        }
-        self._messages = [
-            RawMessage(self._connections[line[0]], line[1], bytes.fromhex(line[2]), line[1])
-            for line in lines
-            if isinstance(line, list)
-        ]
-
-    path = property(lambda self: self._path)
-    connections = property(lambda self: tuple(self._connections.values()))
-    bytes_read = property(lambda self: self._path.stat().st_size)
-
-    @property
-    def summary(self) -> Summary:
-        times = [message.log_time_ns for message in self._messages]
-        size = self._path.stat().st_size
-        return Summary("toy", "", ("none",), size, len(times), min(times), max(times))
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        return ()
-
-    def units(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterable[Unit]:
-        assert rule is None, "there are no chunks to be copied"
-        wanted = self._connections if connections is None else {connection.id for connection in connections}
-        found = [
-            message
-            for message in self._messages
-            if message.connection.id in wanted
-            and (start_ns is None or start_ns <= message.log_time_ns)
-            and (stop_ns is None or message.log_time_ns < stop_ns)
-        ]
-
-        def load(callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:
-            assert not whole
-            return list(map(callback, found))
-
-        return [Unit(min(m.log_time_ns for m in found), (0,), self.bytes_read, load)] if found else []
-
-    def counts(
-        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
-    ) -> dict[int, int]:
-        assert connections
-        assert (start_ns or 0) < (stop_ns or 1 << 64)
-        return {}
-
-    def close(self) -> None:
-        pass
+def toy_reader(path: Path, _: ReadOptions) -> MemoryReader:
+    return MemoryReader(path, *pickle.loads(path.read_bytes()[len(MAGIC) :]), container="toy")
 
 
 class ToyWriter:
-    """Writes what `ToyReader` reads; satisfies `pc2scan.model.Writer`."""
+    """Writes connections and messages as Python's pickles, and nothing else."""
 
     def __init__(self, path: Path, options: WriteOptions) -> None:
         assert options.compression == "none"
         self._file = path.open("xb")
-        self._file.write(MAGIC)
-        self._ids = 0
-
-    def _put(self, line: object) -> None:
-        self._file.write(json.dumps(line).encode() + b"\n")
-
-    def keep_ids(self, connections: Collection[Connection]) -> None:
-        raise AssertionError(f"{connections}: there are no chunks to be copied")
+        self._connections: list[Connection] = []
+        self._rows: list[tuple[int, int, bytes]] = []
 
     def add_connection(self, connection: Connection) -> int:
-        self._ids += 1
-        definition = connection.definition.encoding, connection.definition.data.hex()
-        self._put({**asdict(connection), "id": self._ids, "definition": definition, "message_count": None})
-        return self._ids
+        self._connections.append(replace(connection, id=len(self._connections)))
+        return self._connections[-1].id
 
     def declarations(self) -> frozenset[bytes]:
         return frozenset()
@@ -132,40 +54,35 @@ class ToyWriter:
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         assert publish_time_ns + sequence >= 0
-        self._put([handle, log_time_ns, data.hex()])
+        self._rows.append((handle, log_time_ns, bytes(data)))
 
-    def write_chunk(self, chunk: StoredChunk) -> None:
-        raise AssertionError(f"{chunk}: there are no chunks to be copied")
+    def _refuse(self, what: object) -> None:
+        raise AssertionError(f"{what}: neither chunks are copied nor is there a place for anything else")
 
-    def add_attachment(self, attachment: Attachment) -> None:
-        raise AssertionError(f"{attachment}: it has no place for them")
-
-    def add_metadata(self, metadata: Metadata) -> None:
-        raise AssertionError(f"{metadata}: it has no place for them")
+    keep_ids = write_chunk = add_attachment = add_metadata = _refuse
 
     def finish(self) -> None:
+        self._file.write(MAGIC + pickle.dumps((self._connections, self._rows)))
         self._file.close()
 
     def abort(self) -> None:
         self._file.close()
 
 
-TOY = Format(
-    name="toy",
-    readable="toys",
-    readable_one="toy",
-    open_reader=ToyReader,
-    open_writer=ToyWriter,
-    magic=MAGIC,
-    suffix=".toy",
-    to="toy",
-)
-
-
 @pytest.fixture
 def toy(monkeypatch: pytest.MonkeyPatch) -> None:
     """A new container needs only an entry in the table."""
-    monkeypatch.setitem(FORMATS, "toy", TOY)
+    entry = Format(
+        name="toy",
+        readable="toys",
+        readable_one="toy",
+        open_reader=toy_reader,
+        open_writer=ToyWriter,
+        magic=MAGIC,
+        suffix=".toy",
+        to="toy",
+    )
+    monkeypatch.setitem(FORMATS, "toy", entry)
 
 
 def content(path: Path) -> list[tuple[Any, ...]]:
@@ -210,14 +127,13 @@ def test_a_new_container_has_a_default_destination(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("toy")
 def test_the_command_and_batches_know_a_new_container(tmp_path: Path) -> None:
-    run = CliRunner().invoke
-    words = ["convert", str(FIXTURES / "hall.mcap"), "-o", str(tmp_path / "y.toy"), "--keep-clouds"]
-    dry = run(application(), [*words, "--dry-run"])
-    assert dry.exit_code == 0, dry.output
-    assert "y.toy: toy, about " in dry.output
-    done = run(application(), words)
+    words = ("convert", FIXTURES / "hall.mcap", "-o", tmp_path / "y.toy", "--keep-clouds")
+    dry = run(*words, "--dry-run")
+    assert dry.status == 0, dry.stderr
+    assert "y.toy: toy, about " in dry.stdout
+    done = run(*words)
     # No player is known.
-    assert done.output.splitlines()[-1] == f"next: pc2scan check {tmp_path / 'y.toy'}"
+    assert done.stdout.splitlines()[-1] == f"next: pc2scan check {tmp_path / 'y.toy'}"
     report = pc2scan.convert(FIXTURES / "hall.mcap", f"{tmp_path}/", to="toy", keep_clouds=True)
     assert report.destination == str(tmp_path / "hall_scan.toy")
     assert first_part("a_scan.toy") == "a_scan_0.toy"

@@ -14,10 +14,12 @@ import zstandard
 from pc2scan.bags import many, units
 from pc2scan.bags.many import Many
 from pc2scan.bags.mcap import messages as mcap_messages
+from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
 from pc2scan.bags.units import Extent, Unit, in_time_order
 from pc2scan.errors import RecordingError
+from pc2scan.model import StoredChunk
 from support import mcap_files, rosbag1_files
 
 if TYPE_CHECKING:
@@ -104,6 +106,9 @@ def test_the_messages_are_the_same(
     assert read(path, *cut) == expected
     assert any(len(each) > 7 for each in made)
     assert expected[0]
+    with closing(open_recording(path)) as reader:
+        loaded = [unit.load(lambda message: message, whole=False) for unit in reader.units(None, *cut)]
+    assert {isinstance(each, Many) for each in loaded if not isinstance(each, StoredChunk) and len(each) > 7} == {True}
 
 
 def test_items_of_one_time_stay_in_their_order() -> None:
@@ -137,3 +142,14 @@ def test_more_messages_than_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         few = unit._replace(extent=unit.extent._replace(length=80))
         with pytest.raises(RecordingError, match="more messages than bytes"):
             list(in_time_order([few]))
+
+
+def test_small_recordings_may_have_more_messages_than_bytes(tmp_path: Path) -> None:
+    writer = McapWriter(tmp_path / "a.mcap")
+    handle = writer.add_connection(mcap_files.connection())
+    for _ in range(20_000):
+        writer.write(handle, 1, b"", 1)
+    writer.finish()
+    with closing(open_recording(tmp_path / "a.mcap")) as reader:
+        assert sum(unit.extent.length for unit in reader.units() if unit.extent) < 5_000
+        assert len(list(reader.messages())) == 20_000

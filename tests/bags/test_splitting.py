@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pc2scan.bags.splitting import Cut, Part, SplitWriter, narrowed
 from pc2scan.errors import UnwritableError, UsageError
@@ -15,9 +19,15 @@ from support.rosbag1_files import connection
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
-SECOND = 1_000_000_000
+#: Handle, log time and data.
+Row = tuple[int, int, bytes]
+
+MAP, STATIC, PLAIN = (
+    replace(connection(name), latching=latching)
+    for name, latching in (("/map", True), ("/x/tf_static", False), ("/a", False))
+)
+UNWRITABLE = 1 << 63
 
 
 class Written:
@@ -25,48 +35,32 @@ class Written:
 
     def __init__(self, path: Path) -> None:
         path.write_bytes(b"")
-        self.messages: list[tuple[int, int, bytes]] = []
-        self.connections: list[Connection] = []
-        self.state = "open"
-        self.last_ns = 1 << 62
-
-    def keep_ids(self, connections: object) -> None:
-        self.kept = connections
+        self.rows: list[Row] = []
+        self.calls: list[object] = []
+        self.keep_ids = self.compress_ahead = self.add_attachment = self.calls.append
 
     def add_connection(self, each: Connection) -> int:
-        self.connections.append(each)
-        return len(self.connections) - 1
-
-    def declarations(self) -> frozenset[bytes]:
-        return frozenset()
-
-    def compress_ahead(self, pool: object) -> None:
-        self.pool = pool
+        self.calls.append(each)
+        return sum(isinstance(call, Connection) for call in self.calls) - 1
 
     def write(self, handle: int, log_time_ns: int, data: bytes, *_: int) -> None:
-        if log_time_ns > self.last_ns:
+        if log_time_ns >= UNWRITABLE:
             raise UnwritableError("too late")
-        self.messages.append((handle, log_time_ns, bytes(data)))
+        self.rows.append((handle, log_time_ns, bytes(data)))
 
     def write_chunk(self, chunk: StoredChunk) -> None:
-        self.messages += ((handle, time, b"chunk") for handle, entries in chunk.index.items() for time, _ in entries)
-
-    def add_attachment(self, _: object) -> None:
-        self.messages.append((-1, 0, b"attachment"))
-
-    add_metadata = add_attachment
+        self.rows += ((handle, time_ns, b"chunk") for handle, entries in chunk.index.items() for time_ns, _ in entries)
 
     def finish(self) -> None:
-        self.state = "finished"
+        self.calls.append("finished")
 
-    def abort(self) -> None:
-        self.state = "aborted"
+    abort = finish
 
 
 class Files:
     """A split writer, and the writers of its parts."""
 
-    def __init__(self, folder: Path, cut: Cut) -> None:
+    def __init__(self, folder: Path, cut: Cut, *connections: Connection) -> None:
         self.writers: list[Written] = []
         self.finishing: list[int] = []
 
@@ -75,14 +69,14 @@ class Files:
             return self.writers[-1], lambda part: self.finishing.append(sum(part.counts.values()))
 
         self.split = SplitWriter(lambda number: folder / f"{number}", open_part, cut)  # type: ignore[arg-type]
+        for each in connections:
+            self.split.add_connection(each)
 
-    @property
-    def times(self) -> list[list[int]]:
-        return [[time for _, time, _ in writer.messages] for writer in self.writers]
-
-
-def topic(name: str, *, latching: bool = False) -> Connection:
-    return replace(connection(name), latching=latching)
+    def write(self, *rows: Row) -> list[list[Row]]:
+        for handle, time_ns, data in rows:
+            self.split.write(handle, time_ns, data, time_ns)
+        self.split.finish()
+        return [writer.rows for writer in self.writers]
 
 
 @pytest.mark.parametrize(
@@ -96,154 +90,137 @@ def topic(name: str, *, latching: bool = False) -> Connection:
         ([], [[]]),
     ],
 )
-def test_by_time(times: list[int], expected: list[list[int]], tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(duration_ns=10))
-    handle = files.split.add_connection(topic("/a"))
-    for time in times:
-        files.split.write(handle, time, b"data", time)
-    files.split.finish()
-    assert files.times == expected
-    assert [writer.state for writer in files.writers] == ["finished"] * len(expected)
-    assert [len(part) for part in expected] == files.finishing
-    assert [sum(part.counts.values()) for part in files.split.parts] == files.finishing
+def test_time_cuts_on_a_grid(times: list[int], expected: list[list[int]], tmp_path: Path) -> None:
+    files = Files(tmp_path, Cut(duration_ns=10), PLAIN)
+    assert [[row[1] for row in part] for part in files.write(*((0, time_ns, b"data") for time_ns in times))] == expected
     assert [part.span_ns for part in files.split.parts] == [
         (min(part), max(part)) if part else None for part in expected
     ]
 
 
-def test_by_size_no_file_has_more(tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(size=1000))
-    handle = files.split.add_connection(topic("/a"))
-    for time, size in enumerate([400, 400, 100, 2000, 10, 900]):
-        files.split.write(handle, time, bytes(size), time)
-    files.split.finish()
-    # Forty bytes of each message are counted too; one that is larger than a file has a file of its own.
-    assert files.times == [[0, 1], [2], [3], [4, 5]]
+def expected_parts(rows: list[Row], cut: Cut) -> list[list[Row]]:
+    """Where each message belongs: forty bytes of each are counted too, and what lasts comes first in every part."""
+    parts: list[list[Row]] = [[]]
+    size = cell = own = 0
+    lasting: dict[tuple[int, bytes], bytes] = {}
+    for handle, time_ns, data in rows:
+        now = max((time_ns - cut.begin_ns) // cut.duration_ns, 0) if cut.duration_ns else 0
+        if own and (now > cell or (cut.size and size + len(data) + 40 > cut.size)):
+            # Of a latched topic the last message, of static transforms all that differ, the latest last.
+            repeated = sorted((handle, number) for number, (handle, _) in enumerate(lasting))
+            parts.append([(handle, time_ns, [*lasting.values()][number]) for handle, number in repeated])
+            size, own = sum(len(row[2]) + 40 for row in parts[-1]), 0
+        parts[-1].append((handle, time_ns, data))
+        size, own, cell = size + len(data) + 40, own + 1, max(cell, now)
+        if cut.repeats and handle < 2:
+            name = (handle, data if handle == 1 else b"")
+            lasting.pop(name, None)
+            lasting[name] = data
+    return parts
 
 
-def test_every_part_has_the_connections_the_ids_and_the_threads(tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(duration_ns=10))
-    connections = [topic("/a"), topic("/b")]
-    files.split.keep_ids(connections)
-    handles = [files.split.add_connection(each) for each in connections]
-    files.split.compress_ahead("threads")  # type: ignore[arg-type]
-    files.split.add_attachment("file")  # type: ignore[arg-type]
-    for time in (0, 10):
-        files.split.write(handles[1], time, b"data", time)
-    files.split.finish()
-    for writer in files.writers:
-        assert (writer.connections, writer.kept, writer.pool) == (connections, connections, "threads")
-    assert [(-1, 0, b"attachment") in writer.messages for writer in files.writers] == [True, False]
+@given(
+    rows=st.lists(st.tuples(st.integers(0, 2), st.integers(-5, 60), st.sampled_from([b"x", b"y" * 30, b"z" * 200]))),
+    cut=st.builds(
+        Cut, duration_ns=st.sampled_from([0, 7, 20]), size=st.sampled_from([0, 1, 250, 900]), repeats=st.booleans(),
+        begin_ns=st.integers(0, 3),
+    ),
+)  # fmt: skip
+def test_each_message_is_in_the_part_it_belongs_to(rows: list[Row], cut: Cut) -> None:
+    expected = expected_parts(rows, cut)
+    with tempfile.TemporaryDirectory() as folder:
+        files = Files(Path(folder), cut, MAP, STATIC, PLAIN)
+        assert files.write(*rows) == expected
+    assert files.finishing == [len(part) for part in expected]
+    parts = files.split.parts
+    assert [sum(part.counts.values()) for part in parts] == files.finishing
+    assert sum(part.own for part in parts) == len(rows)
+    assert [writer.calls.count("finished") for writer in files.writers] == [1] * len(expected)
 
 
 def test_what_lasts_is_repeated_at_the_time_of_the_part(tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(duration_ns=10, repeats=True))
-    map_, static, plain = (
-        files.split.add_connection(each) for each in (topic("/map", latching=True), topic("/x/tf_static"), topic("/a"))
-    )
-    for time, handle, data in (
-        (0, map_, b"first map"),
-        (1, static, b"left"),
-        (2, static, b"right"),
-        (3, map_, b"second map"),
-        (4, static, b"left"),
-        (12, plain, b"data"),
-        (25, map_, b"third map"),
-        (31, plain, b"data"),
-    ):
-        files.split.write(handle, time, data, time)
-    files.split.finish()
-    # Of a latched topic the last message, of static transforms all that differ, the latest last.
-    assert files.writers[1].messages == [
-        (map_, 12, b"second map"),
-        (static, 12, b"right"),
-        (static, 12, b"left"),
-        (plain, 12, b"data"),
-    ]
-    assert files.writers[3].messages[0] == (map_, 31, b"third map")
-    assert files.split.parts[1].counts == {map_: 1, static: 2, plain: 1}
-    assert files.split.parts[1].own == 1
+    files = Files(tmp_path, Cut(duration_ns=10, repeats=True), MAP, STATIC, PLAIN)
+    _, second, _, fourth = files.write(
+        (0, 0, b"first map"), (1, 1, b"left"), (1, 2, b"right"), (0, 3, b"second map"), (1, 4, b"left"),
+        (2, 12, b"data"), (0, 25, b"third map"), (2, 31, b"data"),
+    )  # fmt: skip
+    assert second == [(0, 12, b"second map"), (1, 12, b"right"), (1, 12, b"left"), (2, 12, b"data")]
+    assert fourth[0] == (0, 31, b"third map")
+    assert files.split.parts[1].counts == {0: 1, 1: 2, 2: 1}
 
 
-def test_repeated_messages_do_not_fill_a_part(tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(size=1000, repeats=True))
-    map_, plain = (files.split.add_connection(each) for each in (topic("/map", latching=True), topic("/a")))
-    files.split.write(map_, 0, bytes(950), 0)
-    for time in (1, 2):
-        files.split.write(plain, time, bytes(10), time)
-    files.split.finish()
-    assert files.times == [[0], [1, 1], [2, 2]]
+def test_of_very_many_static_transforms_the_last_are_repeated(tmp_path: Path) -> None:
+    files = Files(tmp_path, Cut(duration_ns=10, repeats=True), STATIC)
+    _, second = files.write(*((0, 0, b"%d" % number) for number in range(1_005)), (0, 10, b"new"))
+    assert [row[2] for row in second] == [*(b"%d" % number for number in range(5, 1_005)), b"new"]
 
 
-def chunk(first_ns: int, last_ns: int, size: int = 100) -> StoredChunk:
-    return StoredChunk("none", bytes(size), size, 0, {0: [(first_ns, 0), (last_ns, 50)]})
-
-
-def test_chunks_go_where_their_messages_do(tmp_path: Path) -> None:
+def test_every_part_has_connections_ids_and_threads(tmp_path: Path) -> None:
     files = Files(tmp_path, Cut(duration_ns=10))
-    files.split.add_connection(topic("/a"))
-    for first_ns in (0, 5, 10, 31):
-        files.split.write_chunk(chunk(first_ns, first_ns + 4))
-    files.split.finish()
-    assert files.times == [[0, 4, 5, 9], [10, 14], [31, 35]]
-    assert [part.counts for part in files.split.parts] == [{0: 4}, {0: 2}, {0: 2}]
-    files = Files(tmp_path / "..", Cut(size=250))
-    files.split.add_connection(topic("/a"))
-    for first_ns in (0, 5, 10):
-        files.split.write_chunk(chunk(first_ns, first_ns + 4))
-    files.split.finish()
-    assert files.times == [[0, 4, 5, 9], [10, 14]]
+    files.split.keep_ids([MAP, PLAIN])
+    for each in (MAP, PLAIN):
+        files.split.add_connection(each)
+    files.split.compress_ahead("threads")  # type: ignore[arg-type]
+    files.split.add_attachment("file")  # type: ignore[arg-type]
+    files.write((1, 0, b"data"), (1, 10, b"data"))
+    every = [[MAP, PLAIN], MAP, PLAIN, "threads"]
+    assert [writer.calls for writer in files.writers] == [[*every, "file", "finished"], [*every, "finished"]]
 
 
-def test_chunks_that_a_part_ends_in_or_that_are_repeated_are_not_whole() -> None:
+def chunk(first_ns: int, last_ns: int) -> StoredChunk:
+    return StoredChunk("none", bytes(100), 100, 0, {0: [(first_ns, 0), (last_ns, 50)]})
+
+
+@pytest.mark.parametrize(
+    ("cut", "starts", "expected"),
+    [
+        (Cut(duration_ns=10), (0, 5, 10, 31), [[0, 4, 5, 9], [10, 14], [31, 35]]),
+        (Cut(size=250), (0, 5, 10), [[0, 4, 5, 9], [10, 14]]),
+    ],
+)
+def test_chunks_go_where_their_messages_do(
+    cut: Cut, starts: tuple[int, ...], expected: list[list[int]], tmp_path: Path
+) -> None:
+    files = Files(tmp_path, cut, PLAIN)
+    for first_ns in starts:
+        files.split.write_chunk(chunk(first_ns, first_ns + 4))
+    assert [[row[1] for row in part] for part in files.write()] == expected
+    assert [part.counts for part in files.split.parts] == [{0: len(part)} for part in expected]
+
+
+def test_chunks_that_a_part_ends_in_are_not_whole() -> None:
     rule = ChunkRule("mcap", frozenset(), frozenset({1, 2, 3}))
-    connections = [replace(topic("/a"), id=1), replace(topic("/map", latching=True), id=2), replace(topic("/b"), id=3)]
+    connections = [replace(each, id=number) for number, each in enumerate((PLAIN, MAP, replace(PLAIN, topic="/b")), 1)]
     cut = Cut(duration_ns=10, begin_ns=100)
     by_time = narrowed(rule, cut, connections)
     assert by_time.connection_ids == rule.connection_ids
-    assert [by_time.is_cut(*span) for span in ((50, 109), (100, 110), (110, 119), (119, 120), (90, 111))] == [
-        False,
-        True,
-        False,
-        True,
-        True,
-    ]
+    spans = {(50, 109): False, (100, 110): True, (110, 119): False, (119, 120): True, (90, 111): True}
+    assert {span: by_time.is_cut(*span) for span in spans} == spans
     assert not narrowed(rule, Cut(size=5), connections).is_cut(0, 1000)
     assert narrowed(rule, replace(cut, repeats=True), connections).connection_ids == {1, 3}
 
 
-def test_a_message_that_cannot_be_written_leaves_no_empty_part(tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(duration_ns=10))
-    handle = files.split.add_connection(topic("/a"))
-    files.split.write(handle, 0, b"data", 0)
-    with pytest.raises(UnwritableError):
-        files.split.write(handle, 1 << 63, b"data", 0)
-    files.split.finish()
-    assert files.times == [[0], []]
-    assert [part.path.name for part in files.split.parts] == ["0"]
-    assert [entry.name for entry in tmp_path.iterdir()] == ["0"]
-    # And what follows goes into it, if anything does.
-    files = Files(tmp_path, Cut(duration_ns=10, repeats=True))
-    handle = files.split.add_connection(topic("/a", latching=True))
-    files.split.write(handle, 0, b"data", 0)
-    with pytest.raises(UnwritableError):
-        files.split.write(handle, 1 << 63, b"data", 0)
-    files.split.write(handle, 11, b"data", 0)
-    files.split.finish()
-    assert files.times == [[0], [11]]
+@pytest.mark.parametrize("latching", [False, True])
+def test_an_unwritable_message_leaves_no_empty_part(latching: bool, tmp_path: Path) -> None:
+    for follows in (False, True):
+        files = Files(tmp_path, Cut(duration_ns=10, repeats=latching), replace(PLAIN, latching=latching))
+        files.split.write(0, 0, b"data", 0)
+        with pytest.raises(UnwritableError):
+            files.split.write(0, UNWRITABLE, b"data", 0)
+        # What follows goes into the part that was begun, if anything does.
+        found = files.write(*[(0, 11, b"data")] * follows)
+        assert [[row[1] for row in part] for part in found] == [[0], [11] * follows]
+        assert [part.path.name for part in files.split.parts] == ["0", "1"][: 1 + follows]
+        assert sorted(entry.name for entry in tmp_path.iterdir()) == ["0", "1"][: 1 + follows]
 
 
-def test_a_unit_that_was_mistaken(tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(duration_ns=1))
-    handle = files.split.add_connection(topic("/a"))
-    with pytest.raises(UsageError, match="more than 10,000 files"):  # noqa: PT012  # which one it is does not matter
-        for time in range(20_000):
-            files.split.write(handle, time, b"", time)
+def test_a_unit_that_was_mistaken_is_refused(tmp_path: Path) -> None:
+    files = Files(tmp_path, Cut(duration_ns=1, first=9_990), PLAIN)
+    with pytest.raises(UsageError, match="more than 10,000 files"):
+        files.write(*((0, time_ns, b"") for time_ns in range(20)))
+    assert len(files.writers) == 10
 
 
-def test_names_of_parts() -> None:
-    assert [part_name(name, 3) for name in ("drive.bag", "a.b.mcap", "drive")] == [
-        "drive_3.bag",
-        "a.b_3.mcap",
-        "drive_3",
-    ]
+def test_names_of_parts_are_numbered() -> None:
+    found = [part_name(name, 3) for name in ("drive.bag", "a.b.mcap", "drive")]
+    assert found == ["drive_3.bag", "a.b_3.mcap", "drive_3"]

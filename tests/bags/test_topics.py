@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from pc2scan.bags.topics import find_topic
+from pc2scan.bags.topics import find_topic, matches
 from pc2scan.errors import TopicError
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -15,6 +15,14 @@ CLOUDS = ["/points", "camera/points"]
 )
 def test_a_leading_slash_is_no_difference(asked: str, found: str) -> None:
     assert find_topic(asked, TYPES, CLOUDS, CLOUD) == found
+
+
+@pytest.mark.parametrize(
+    ("pattern", "found"),
+    [("/cam/points", True), ("cam/*", True), ("/cam/[p]oints", True), ("cam", False), ("*/scan", False)],
+)
+def test_topics_match_names_and_globs(pattern: str, found: bool) -> None:
+    assert matches("/cam/points", ["/other", pattern]) is found
 
 
 @pytest.mark.parametrize(

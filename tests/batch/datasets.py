@@ -1,4 +1,4 @@
-"""A made-up dataset: 200 tiny recordings in every container, good, damaged, and not recordings at all."""
+"""A made-up dataset: tiny recordings in every container, good, damaged, and not recordings at all."""
 
 from __future__ import annotations
 
@@ -9,86 +9,64 @@ from typing import TYPE_CHECKING
 
 import zstandard
 
-from support.builders import CHATTER, CONTENT, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
+from support.batches import place
+from support.builders import CHATTER, CONTENT, Recording, write_mcap, write_rosbag1
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-#: Heights that leave points of the content in its scans.
-HEIGHTS = ("--min-height", "-2", "--max-height", "2")
+__all__ = ["make_dataset"]
 
 WITHOUT_CLOUDS = Recording((CHATTER,), tuple(CONTENT.of(CHATTER.topic)))
 
+#: Files and folders of the dataset, and what becomes of them; ``-`` for files that are ignored.
+OUTCOMES = {
+    **dict.fromkeys(("good.bag", "good.mcap", "good.db3", "rosbag2", "split", "packed.mcap.zst"), "converted"),
+    "nameless": "converted",
+    "cut.bag": "incomplete",
+    "cut.mcap": "incomplete",
+    **dict.fromkeys(("without.mcap", "empty.bag", "text.mcap"), "failed"),
+    "thumbs.db": "-",
+    "README.txt": "-",
+}
 
-def make_templates(folder: Path) -> dict[str, tuple[Path, str]]:
-    """One recording of each kind, and the outcome of its conversion; ``-`` for files that are ignored."""
-    folder.mkdir()
-    first, second = CONTENT.halves()
-    parts = folder / "split"
-    parts.mkdir()
-    write_rosbag1(parts / "drive_2020-11-04-18-39-50_0.bag", first)
-    write_rosbag1(parts / "drive_2020-11-04-18-39-51_1.bag", second)
-    bag = write_rosbag1(folder / "good.bag", CONTENT)
-    mcap = write_mcap(folder / "good.mcap", CONTENT)
-    packed = folder / "packed.mcap.zst"
-    packed.write_bytes(zstandard.compress(mcap.read_bytes()))
-    nameless = folder / "nameless"
-    nameless.write_bytes(mcap.read_bytes())
-    cut = folder / "cut.bag"
-    cut.write_bytes(bag.read_bytes()[: int(bag.stat().st_size * 0.8)])
-    cut_mcap = folder / "cut.mcap"
-    cut_mcap.write_bytes(mcap.read_bytes()[: int(mcap.stat().st_size * 0.8)])
-    empty, text, database, words = (folder / name for name in ("empty.bag", "text.mcap", "thumbs.db", "README.txt"))
-    empty.touch()
-    text.write_text("no recording")
-    words.write_text("about this dataset")
-    with closing(sqlite3.connect(database)) as opened:
+
+def make_templates(folder: Path) -> None:
+    """Write one recording of each kind."""
+    place(folder, "good.bag", "good.mcap", "good.db3", "rosbag2", "split/a.bag")
+    (folder / "split" / "a.bag").unlink()
+    for number, part in enumerate(CONTENT.halves()):
+        write_rosbag1(folder / "split" / f"drive_2020-11-04-18-39-5{number}_{number}.bag", part)
+    bag, mcap = ((folder / f"good.{suffix}").read_bytes() for suffix in ("bag", "mcap"))
+    written = {
+        "packed.mcap.zst": zstandard.compress(mcap),
+        "nameless": mcap,
+        "cut.bag": bag[: int(len(bag) * 0.8)],
+        "cut.mcap": mcap[: int(len(mcap) * 0.8)],
+        "empty.bag": b"",
+        "text.mcap": b"no recording",
+        "README.txt": b"about this dataset",
+    }
+    for name, data in written.items():
+        (folder / name).write_bytes(data)
+    write_mcap(folder / "without.mcap", WITHOUT_CLOUDS)
+    with closing(sqlite3.connect(folder / "thumbs.db")) as opened:
         opened.execute("CREATE TABLE thumbnails (name TEXT)")
         opened.commit()
-    return {
-        "bag": (bag, "converted"),
-        "mcap": (mcap, "converted"),
-        "db3": (write_db3(folder / "good.db3", CONTENT), "converted"),
-        "rosbag2": (write_rosbag2(folder / "rosbag2", CONTENT), "converted"),
-        "split": (parts, "converted"),
-        "packed": (packed, "converted"),
-        "nameless": (nameless, "converted"),
-        "cut": (cut, "incomplete"),
-        "cut_mcap": (cut_mcap, "incomplete"),
-        "without": (write_mcap(folder / "without.mcap", WITHOUT_CLOUDS), "failed"),
-        "empty": (empty, "failed"),
-        "text": (text, "failed"),
-        "database": (database, "-"),
-        "words": (words, "-"),
-    }
 
 
-def make_dataset(folder: Path, count: int = 200) -> dict[str, str]:
+def make_dataset(folder: Path, count: int) -> dict[str, str]:
     """Fill a folder with files and folders; return the outcome of each recording, by key."""
-    templates = make_templates(folder.parent / "templates")
+    templates = folder.parent / "templates"
+    make_templates(templates)
     expected: dict[str, str] = {}
-    kinds = list(templates.items())
     for number in range(count):
-        kind, (template, outcome) = kinds[number % len(kinds)]
-        place = folder / f"robot{number % 3}" / f"day{number % 5}"
-        place.mkdir(parents=True, exist_ok=True)
-        target = place / f"{kind}{number}{''.join(template.suffixes)}"
-        if template.is_dir():
-            shutil.copytree(template, target)
-        else:
-            shutil.copyfile(template, target)
-        key = target.relative_to(folder).as_posix()
-        if kind == "split":
-            key += "/drive_2020-11-04-18-39-50_0.bag"
+        name, outcome = list(OUTCOMES.items())[number % len(OUTCOMES)]
+        stem, dot, suffix = name.partition(".")
+        key = f"robot{number % 3}/day{number % 5}/{stem}{number}{dot}{suffix}"
+        (folder / key).parent.mkdir(parents=True, exist_ok=True)
+        template = templates / name
+        (shutil.copytree if template.is_dir() else shutil.copyfile)(template, folder / key)
         if outcome != "-":
-            expected[key] = outcome
+            expected[f"{key}/drive_2020-11-04-18-39-50_0.bag" if name == "split" else key] = outcome
     return expected
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """The content of every file in a folder and below, but for the manifest."""
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file() and path.name != "manifest.jsonl"
-    }

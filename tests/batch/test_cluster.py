@@ -11,88 +11,69 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from threading import Thread
 from typing import TYPE_CHECKING
 
 import pytest
 
 import pc2scan
-from batch.datasets import HEIGHTS, contents
-from batch.test_cutting import WORDS, drive
-from pc2scan.batch.manifest import read_begun
-from support.builders import CONTENT, POINTS, T0, Mcap, Recording, cloud, item, points_of, write_mcap, write_rosbag1
-from support.command import COMMAND, INTERRUPTED, environment, run
+from batch.cluster import cluster
+from batch.long_drive import WORDS, WRITERS, drive
+from pc2scan.batch import cutting
+from pc2scan.errors import UsageError
+from support.batches import HEIGHTS, batch, contents, in_this_process, manifest_of, place, run_batch
+from support.builders import POINTS, T0, Recording, cloud, item, points_of, write_rosbag1
+from support.command import COMMAND, INTERRUPTED, environment
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 psutil = pytest.importorskip("psutil", reason="psutil, which distributed needs, is not installed")
 distributed = pytest.importorskip("distributed", reason="distributed is not installed")
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+slow = pytest.mark.slow
 
 
 @pytest.fixture
 def drives(tmp_path: Path) -> Path:
-    folder = tmp_path / "drives"
-    folder.mkdir()
-    for number in range(4):
-        write_rosbag1(folder / f"{number}.bag", CONTENT)
-    write_mcap(folder / "b.mcap", CONTENT)
-    return folder
-
-
-def outputs(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "manifest.jsonl"}
+    return place(tmp_path / "drives", "0.bag", "1.bag", "2.bag", "b.mcap")
 
 
 def outcomes(folder: Path) -> dict[str, str]:
-    lines = [json.loads(line) for line in (folder / "manifest.jsonl").read_text().splitlines()]
-    return {line["key"]: line["outcome"] for line in lines}
+    return {key: line["outcome"] for key, line in manifest_of(folder).items()}
 
 
-@contextmanager
-def cluster(folder: Path, **variables: str) -> Iterator[str]:
-    """A scheduler and a worker, as their own commands start them; yields the address."""
-    with cluster_of(folder, {}, variables=variables) as (address, _):
-        yield address
+def test_a_cluster_converts_what_this_process_converts(drives: Path, tmp_path: Path) -> None:
+    batch(drives / "0.bag", tmp_path / "here")
+    assert batch(drives / "0.bag", tmp_path / "there", dask=True, jobs=1).exit_status == 0
+    assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 
-@contextmanager
-def cluster_of(
-    folder: Path, *workers: dict[str, str], variables: dict[str, str] | None = None
-) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """A scheduler, and workers with variables of their own; yields the address and the processes of the workers.
-
-    ``variables`` are those of all, the scheduler included.
-    """
-    file = folder / "scheduler.json"
-    dask = [sys.executable, "-m", "distributed.cli"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    started: list[subprocess.Popen[bytes]] = []
-    scheduler = "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"
-    worker = "dask_worker", "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny", "--no-dashboard"
-    try:
-        for own, (program, *options) in zip(({}, *workers), (scheduler, *[worker] * len(workers)), strict=True):
-            command = [*dask[:2], f"distributed.cli.{program}", *options, "--scheduler-file", str(file)]
-            env = {**environment(), **(variables or {}), **own}
-            started.append(subprocess.Popen(command, env=env, cwd=folder, **quiet))  # type: ignore[call-overload]
-            deadline = time.monotonic() + 30
-            while not file.exists() and time.monotonic() < deadline:
-                time.sleep(0.05)
-        yield json.loads(file.read_text())["address"], started[1:]
-    finally:
-        for process in reversed(started):
-            process.kill()
-            process.wait()
+def test_a_missing_package_and_a_wrong_address_are_named(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match="needs distributed, which is not installed") as raised:
+        pc2scan.batch(drives, tmp_path / "out", dask=True)
+    assert "pip install 'pc2scan[dask]'" in (raised.value.hint or "")
+    with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):
+        pc2scan.batch(drives, tmp_path / "out", dask="scheduler")
 
 
+def begun(*words: str | Path) -> subprocess.Popen[str]:
+    """A batch with a cluster of its own, in a process group of its own."""
+    command = [*COMMAND, "batch", "--dask", *map(str, words), "--jobs", "2", *HEIGHTS]
+    return subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment(), start_new_session=True
+    )
+
+
+@slow
 def test_a_worker_is_killed_and_everything_is_converted(drives: Path, tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
-    assert run("batch", drives, "-o", here, *HEIGHTS, "--quiet").status == 0
-    command = [*COMMAND, "batch", "--dask", str(drives), "-o", str(there), "--jobs", "2", *HEIGHTS]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment())
+    batch(drives, here)
+    process = begun(drives, "-o", there)
     killed = None
     while killed is None and process.poll() is None:
         # A worker, while it has a conversion below it.
@@ -109,59 +90,59 @@ def test_a_worker_is_killed_and_everything_is_converted(drives: Path, tmp_path: 
     assert process.returncode == 0, said
     assert "Dask's dashboard: http" in said
     assert "Traceback" not in said
-    assert outputs(there) == outputs(here)
+    assert contents(there) == contents(here)
     assert set(outcomes(there).values()) == {"converted"}
-    attempts = [json.loads(line)["attempts"] for line in (there / "manifest.jsonl").read_text().splitlines()]
     # The conversion was begun again, unless it was complete when its worker died.
-    assert max(attempts) in (1, 2)
+    assert max(line["attempts"] for line in manifest_of(there).values()) in (1, 2)
 
 
-def test_an_interrupted_batch_leaves_complete_recordings_and_goes_on(drives: Path, tmp_path: Path) -> None:
-    for number in range(4, 24):
-        write_rosbag1(drives / f"{number}.bag", CONTENT)
-    out = tmp_path / "out"
-    command = [*COMMAND, "batch", "--dask", str(drives), "-o", str(out), "--jobs", "2", *HEIGHTS]
-    process = subprocess.Popen(
-        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment(), start_new_session=True
-    )
-    manifest = out / "manifest.jsonl"
-    while process.poll() is None and not (manifest.exists() and manifest.read_bytes().count(b"\n")):
+@slow
+@pytest.mark.parametrize("seconds", [0.5, 1.2, 1.6, 2.5, None])
+def test_an_interrupted_batch_goes_on(seconds: float | None, drives: Path, tmp_path: Path) -> None:
+    """Interrupted at any time, or (None) when the first recording is converted."""
+    out, many = tmp_path / "out", tmp_path / "many"
+    # Enough that they take longer than the latest interruption, even on a fast machine.
+    for number in range(50):
+        shutil.copytree(drives, many / str(number))
+    process = begun(many, "-o", out)
+    time.sleep(seconds or 0)
+    while seconds is None and process.poll() is None and not manifest_of(out):
         time.sleep(0.01)
     # To all processes, like a terminal.
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate(timeout=60)
     assert process.returncode in INTERRUPTED, said
-    assert "Traceback" not in said
-    done = set(outcomes(out))
-    assert 0 < len(done) < 25
-    assert not list(out.glob("?*.pc2scan-*"))
-    assert run("batch", drives, "-o", out, *HEIGHTS, "--quiet").status == 0
-    assert len(outcomes(out)) == 25
+    assert not [word for word in ("Traceback", "distributed") if word in said], said
+    assert seconds is not None or manifest_of(out)
+    assert len(manifest_of(out)) < 200
+    # A conversion may have ended after its last event was read. The note has its output.
+    assert not [path.name for path in out.glob("*pc2scan-*") if path.name != ".pc2scan-begun.json"]
+    note = out / ".pc2scan-begun.json"
+    outputs = json.loads(note.read_text())["outputs"] if note.exists() else []
+    assert all((out / name).exists() for name in outputs)
+    if seconds is None:
+        assert batch(many, out).exit_status == 0
+        assert len(manifest_of(out)) == 200
 
 
+@slow
 def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> None:
     (drives / "bad.bag").write_bytes(b"no recording")
     out = tmp_path / "out"
-    with cluster(tmp_path) as address:
-        done = run("batch", drives, "-o", out, *HEIGHTS, "--dask", address)
+
+    async def cell(address: str) -> None:
+        pc2scan.batch(drives, tmp_path / "notebook", dask=address, min_height=-0.3)
+
+    with cluster(tmp_path, {}) as (address, _):
+        done = run_batch(drives, "-o", out, "--dask", address)
         assert done.status == 1, done.stderr
-        again = run("batch", drives, "-o", out, *HEIGHTS, "--dask", address)
+        again = run_batch(drives, "-o", out, "--dask", address)
         # A notebook runs its cells in an event loop.
-        asyncio.run(cell(drives, tmp_path / "notebook", address))
-    assert outcomes(out) == {**{f"{n}.bag": "converted" for n in range(4)}, "b.mcap": "converted", "bad.bag": "failed"}
-    assert "5 unchanged" in again.stderr
-    assert len(outputs(out)) == 5
-    assert len(outputs(tmp_path / "notebook")) == 5
-
-
-async def cell(drives: Path, out: Path, address: str) -> None:
-    """Convert from within an event loop."""
-    pc2scan.batch(drives, out, dask=address, min_height=-0.3)
-
-
-def wait_for_workers(address: str, count: int) -> None:
-    with distributed.Client(address, timeout=30) as client:
-        client.wait_for_workers(count, timeout=60)
+        asyncio.run(cell(address))
+    good = dict.fromkeys((path.name for path in drives.iterdir()), "converted")
+    assert outcomes(out) == {**good, "bad.bag": "failed"}
+    assert "4 unchanged" in again.stderr
+    assert len(contents(out)) == len(contents(tmp_path / "notebook")) == 4
 
 
 def kill_one_that_converts(workers: list[subprocess.Popen[bytes]], out: Path, killed: list[int]) -> None:
@@ -177,85 +158,73 @@ def kill_one_that_converts(workers: list[subprocess.Popen[bytes]], out: Path, ki
         time.sleep(0.005)
 
 
+@slow
 def test_a_long_recording_is_cut_and_a_worker_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from pc2scan.batch import cutting
-
-    source = write_mcap(tmp_path / "drive.mcap", drive(), Mcap(chunk_size=4_000))
-    pc2scan.batch(source, tmp_path / "here", **WORDS)
+    source = WRITERS["mcap"](tmp_path, drive())
+    with in_this_process():
+        pc2scan.batch(source, tmp_path / "here", **WORDS)
     monkeypatch.setattr(cutting, "PIECE_BYTES", source.stat().st_size // 6)
     out, killed = tmp_path / "there", list[int]()
-    words = {name: value for name, value in WORDS.items() if name != "jobs"}
-    with cluster_of(tmp_path, {}, {}) as (address, workers):
+    with cluster(tmp_path, {}, {}) as (address, workers):
         killer = Thread(target=kill_one_that_converts, args=(workers, out, killed))
         killer.start()
-        done = pc2scan.batch(source, out, dask=address, **words)
+        done = pc2scan.batch(source, out, dask=address, **WORDS)
         killer.join()
     assert killed
     assert done.exit_status == 3  # the last cloud is behind the last transform
     assert contents(out) == contents(tmp_path / "here")
-    (line,) = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
+    (line,) = manifest_of(out).values()
     assert line["attempts"] == 2
     assert len(line["report"]["files"]) == 12
 
 
-def test_a_worker_of_another_version_is_refused(drives: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other" / "pc2scan"
-    other.mkdir(parents=True)
-    (other / "__init__.py").touch()
-    (other / "version.py").write_text('__version__ = "0.0.1"\n')
-    with cluster(tmp_path, PYTHONPATH=str(other.parent)) as address:
-        done = run("batch", drives, "-o", tmp_path / "out", *HEIGHTS, "--dask", address)
-    assert done.status == 2, done.stderr
-    assert "has pc2scan 0.0.1, this is " in done.stderr
-    assert "pip install 'pc2scan[dask]==" in done.stderr
-    assert not (tmp_path / "out").exists()
+#: What is wrong with a worker, modules that make it so, and what is said.
+UNUSABLE = {
+    "another version": (
+        {"pc2scan/__init__.py": "", "pc2scan/version.py": '__version__ = "0.0.1"\n'},
+        ("has pc2scan 0.0.1, this is ", "pip install 'pc2scan[dask]=="),
+    ),
+    "no pc2scan": ({"pc2scan/__init__.py": "raise ModuleNotFoundError\n"}, ("has no pc2scan",)),
+    # As on a machine where the disk is not mounted.
+    **{
+        f"does not see {hidden}": (
+            {
+                "sitecustomize.py": "import os\nlexists = os.path.lexists\n"
+                f"os.path.lexists = lambda path: not str(path).startswith('{{folder}}/{hidden}') and lexists(path)\n"
+            },
+            (f"does not see {{folder}}/{hidden}", "must be on a disk that all workers share"),
+        )
+        for hidden in ("drives", "out")
+    },
+}
 
 
-def test_a_worker_without_pc2scan_is_refused(drives: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other" / "pc2scan"
-    other.mkdir(parents=True)
-    (other / "__init__.py").write_text("raise ModuleNotFoundError\n")
-    with cluster_of(tmp_path, {}, {"PYTHONPATH": str(other.parent)}) as (address, _):
-        wait_for_workers(address, 2)
-        done = run("batch", drives, "-o", tmp_path / "out", *HEIGHTS, "--dask", address)
+@slow
+@pytest.mark.parametrize("wrong", UNUSABLE)
+def test_a_worker_that_cannot_be_used_is_refused(wrong: str, drives: Path, tmp_path: Path) -> None:
+    modules, said = UNUSABLE[wrong]
+    for name, text in modules.items():
+        (tmp_path / "site" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "site" / name).write_text(text.format(folder=tmp_path))
+    with cluster(tmp_path, {}, {"PYTHONPATH": str(tmp_path / "site")}) as (address, _):
+        with distributed.Client(address, timeout=30) as client:
+            client.wait_for_workers(2, timeout=60)
+        done = run_batch(drives, "-o", tmp_path / "out", "--dask", address)
     assert done.status == 2, done.stderr
-    assert "has no pc2scan" in done.stderr
+    assert [text for text in said if text.format(folder=tmp_path) not in done.stderr] == []
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("hidden", ["drives", "out"])
-def test_a_worker_that_does_not_see_a_path_is_refused(hidden: str, drives: Path, tmp_path: Path) -> None:
-    # As on a machine where the disk is not mounted.
-    site = tmp_path / "site"
-    site.mkdir()
-    (site / "sitecustomize.py").write_text(
-        "import os\n"
-        "lexists = os.path.lexists\n"
-        f"os.path.lexists = lambda path: not str(path).startswith({str(tmp_path / hidden)!r}) and lexists(path)\n"
-    )
-    with cluster_of(tmp_path, {}, {"PYTHONPATH": str(site)}) as (address, _):
-        wait_for_workers(address, 2)
-        done = run("batch", drives, "-o", tmp_path / "out", *HEIGHTS, "--dask", address)
-    assert done.status == 2, done.stderr
-    assert f"does not see {tmp_path / hidden}" in done.stderr
-    assert "must be on a disk that all workers share" in done.stderr
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("listens", [False, True])
-def test_a_scheduler_that_does_not_answer_is_an_error_within_seconds(
-    listens: bool, drives: Path, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("listens", [False, pytest.param(True, marks=slow)])
+def test_a_scheduler_that_does_not_answer_is_an_error(listens: bool, drives: Path, tmp_path: Path) -> None:
     # No scheduler is there, or another program, which accepts connections and never answers.
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
         if listens:
             server.listen()
-        began = time.monotonic()
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        done = run("batch", drives, "-o", tmp_path / "out", *HEIGHTS, "--dask", address)
-        assert time.monotonic() - began < 60
+        done = run_batch(drives, "-o", tmp_path / "out", "--dask", address)
     assert done.status == 2, done.stderr
     assert f"--dask {address} does not answer as a Dask scheduler" in done.stderr
     assert "Traceback" not in done.stderr
@@ -294,10 +263,8 @@ class Killer:
 """
 
 
-def test_what_kills_every_worker_is_reported_and_the_rest_goes_on(
-    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-
+@slow
+def test_what_kills_every_worker_is_reported(drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "killing_filter.py").write_text(f"MARK = {str(tmp_path / 'mark')!r}\n{KILLER}")
     monkeypatch.syspath_prepend(str(tmp_path))
     import killing_filter  # type: ignore[import-not-found]
@@ -307,51 +274,12 @@ def test_what_kills_every_worker_is_reported_and_the_rest_goes_on(
         made = [item(POINTS, T0, lambda g, s, count=count: cloud(points_of(s, count), g, seq=s))]  # type: ignore[misc]
         write_rosbag1(drives / f"{name}.bag", Recording((POINTS,), tuple(made)))
     out = tmp_path / "out"
-    filters = [killing_filter.Killer()]
-    done = pc2scan.batch(drives, out, dask=True, jobs=2, min_height=-2, max_height=2, filters=filters)
-    assert done.exit_status == 1
+    assert batch(drives, out, dask=True, jobs=2, filters=[killing_filter.Killer()]).exit_status == 1
     found = outcomes(out)
     assert found.pop("killer.bag") == "died"
-    assert len(found) == 6
+    assert len(found) == 5
     assert set(found.values()) == {"converted"}
-    lines = {line["key"]: line for line in map(json.loads, (out / "manifest.jsonl").read_text().splitlines())}
-    assert "its Dask worker died" in lines["killer.bag"]["error"]["message"]
-    assert lines["killer.bag"]["attempts"] == 2
+    line = manifest_of(out)["killer.bag"]
+    assert "its Dask worker died" in line["error"]["message"]
+    assert line["attempts"] == 2
     assert not list(out.glob("*.pc2scan-*"))
-
-
-@pytest.mark.parametrize("seconds", [0.5, 1.2, 1.6, 2.5])
-def test_an_early_interruption_says_nothing_of_dask(seconds: float, drives: Path, tmp_path: Path) -> None:
-    out, many = tmp_path / "out", tmp_path / "many"
-    # Enough that they take longer than the latest interruption, even on a fast machine.
-    for number in range(40):
-        shutil.copytree(drives, many / str(number))
-    command = [*COMMAND, "batch", "--dask", str(many), "-o", str(out), "--jobs", "2", *HEIGHTS]
-    process = subprocess.Popen(
-        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment(), start_new_session=True
-    )
-    time.sleep(seconds)
-    os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    # Shells report both as 130. If the signal comes while Python starts, it ends the process itself.
-    assert process.returncode in (130, -signal.SIGINT), said
-    assert "Traceback" not in said
-    assert "distributed" not in said
-    # A conversion may have ended after its last event was read. The note has its output.
-    assert not [path.name for path in out.glob("*pc2scan-*") if path.name != ".pc2scan-begun.json"]
-    assert all((out / name).exists() for name in read_begun(out).outputs)
-
-
-def test_errors_name_the_missing_package_and_the_wrong_address(
-    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from pc2scan.errors import UsageError
-
-    with pytest.raises(UsageError, match="the address of a scheduler is tcp://HOST:PORT"):
-        pc2scan.batch(drives, tmp_path / "out", dask="scheduler")
-    with pytest.raises(UsageError, match="has no effect"):
-        pc2scan.batch(drives, tmp_path / "out", dask="tcp://127.0.0.1:1", jobs=2)
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(UsageError, match="needs distributed, which is not installed") as raised:
-        pc2scan.batch(drives, tmp_path / "out", dask=True)
-    assert "pip install 'pc2scan[dask]'" in (raised.value.hint or "")

@@ -1,21 +1,30 @@
-"""Recordings for benchmarks: clouds of 131,072 points of 32 bytes, as rotating lidars deliver them."""
+"""Clouds and recordings for benchmarks: 131,072 points of 32 bytes, as rotating lidars deliver them."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.test_projection import cloud
 from pc2scan.bags.destinations import open_writer, plan_destination
+from pc2scan.core.rigid import Rigid
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["CLOUD_BYTES", "FORMS", "POINTS", "POINT_BYTES", "TRIFLE", "Form", "serialized_clouds", "write_recording"]
+    from numpy.typing import NDArray
+
+    Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+
+__all__ = [
+    "CLOUD_BYTES", "FORMS", "POINTS", "POINT_BYTES", "TRIFLE", "Form", "cloud", "serialized_clouds", "write_recording",
+    "write_two",
+]  # fmt: skip
 
 #: The topic of the large clouds, and one with a single small cloud, for conversions that let the others pass.
 POINTS = "/points"
@@ -25,6 +34,7 @@ CLOUD_POINTS = 131_072
 POINT_BYTES = 32
 CLOUD_BYTES = CLOUD_POINTS * POINT_BYTES
 
+_TF = "tf2_msgs/msg/TFMessage"
 _PERIOD_NS = 100_000_000
 _BEGIN_NS = 1_700_000_000_000_000_000
 
@@ -62,6 +72,34 @@ FORMS = {
     "MCAP, zstd": Form(".mcap", "zstd"),
     "sqlite3": Form("", "none", "sqlite3"),
 }
+
+
+def cloud(points: int, layout: str, step: int = 32) -> Columns:
+    """A rotating lidar's view of a yard: x, y and z as views of points of ``step`` bytes."""
+    rng = np.random.default_rng(0)
+    rings = max(1, min(64, points // 256))
+    azimuth = np.linspace(-math.pi, math.pi, points // rings, endpoint=False) + 1e-4
+    elevation = np.deg2rad(np.linspace(-25, 15, rings))[:, None]
+    azimuth = azimuth + rng.normal(0, 2e-4, (rings, azimuth.size))
+    walls = np.minimum(20 / np.abs(np.cos(azimuth)), 12 / np.abs(np.sin(azimuth)))
+    walls = np.minimum(walls, 8 + 3 * np.sin(7 * azimuth) + 20 * (np.sin(3 * azimuth) > 0))
+    ground = np.where(elevation < 0, 1.8 / np.tan(np.maximum(-elevation, 1e-9)), np.inf)
+    length = np.minimum(walls, ground) * rng.normal(1, 0.002, azimuth.shape)
+    missing = rng.random(azimuth.shape) < 0.05
+    length[missing] = np.nan
+    scene = np.stack([length * np.cos(azimuth), length * np.sin(azimuth), length * np.tan(elevation)], axis=-1).astype(
+        np.float32
+    )
+    if layout == "column-major":
+        scene, missing = scene.swapaxes(0, 1), missing.T
+    if layout != "organised":
+        # Drivers keep the grid and mark what is missing, or leave both out.
+        scene = scene[~missing]
+    if layout == "random":
+        scene = rng.permutation(scene)
+    memory = np.zeros((*scene.shape[:-1], step // 4), np.float32)
+    memory[..., :3] = scene
+    return memory[..., 0], memory[..., 1], memory[..., 2]
 
 
 def serialized_clouds(serialization: str, points: int = CLOUD_POINTS, variety: int = _VARIETY) -> list[bytes]:
@@ -132,3 +170,43 @@ def write_recording(folder: Path, form: Form, size_bytes: int, points: int = CLO
     writer.write(handles[1], time_ns, trifle, time_ns)
     writer.finish()
     return target.path
+
+
+def write_two(path: Path, clouds: int) -> Path:
+    """Two lidars of 131,072 points of 32 bytes at 10 Hz, 37 ms apart, on a robot that drives straight on."""
+    x, y, z = cloud(131_072, "organised")
+    data = np.zeros((x.size, 8), "<f4")
+    for axis, values in enumerate((x, y, z)):
+        data[:, axis] = values.ravel()
+    points = data.tobytes()
+    writer = open_writer(plan_destination(path, compression="none", source_ros_version=2), path, path.name)
+    topics = {"/tf_static": _TF, "/tf": _TF, "/front": POINTCLOUD2, "/rear": POINTCLOUD2}
+    handles = {}
+    for topic, msgtype in topics.items():
+        text, digest = definition(msgtype, 2)
+        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
+    mounts = {"front": Rigid.from_rpy(0, 0, 0, (0.4, 0, 0.5)), "rear": Rigid.from_rpy(0, 0, 3.1, (-0.4, 0, 0.5))}
+    static = [("base_link", frame, _BEGIN_NS, *mount.pose) for frame, mount in mounts.items()]
+    writer.write(handles["/tf_static"], _BEGIN_NS, encode_transforms(static, "cdr"), _BEGIN_NS)
+    fields = [PointField(name, 4 * place, 7) for place, name in enumerate("xyz")]
+    for tick in range(clouds * 100 + 50):
+        time_ns = _BEGIN_NS + tick * 1_000_000
+        if tick % 20 == 0:
+            moved = Rigid.from_rpy(0, 0, 0, (tick * 0.0015, 0, 0))
+            row = ("odom", "base_link", time_ns, *moved.pose)
+            writer.write(handles["/tf"], time_ns, encode_transforms([row], "cdr"), time_ns)
+        for topic, phase in (("/front", 0), ("/rear", 37)):
+            if tick % 100 == phase and tick < clouds * 100:
+                message = encode_pointcloud2(
+                    serialization="cdr",
+                    sequence=0,
+                    stamp_ns=time_ns,
+                    frame_id=topic.removeprefix("/"),
+                    fields=fields,
+                    point_step=32,
+                    data=points,
+                    height=x.shape[0],
+                )
+                writer.write(handles[topic], time_ns, message, time_ns)
+    writer.finish()
+    return path

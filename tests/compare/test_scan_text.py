@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -111,15 +111,26 @@ def test_a_reader_sees_what_is_in_a_scan() -> None:
     assert f"stamp {T0 // 10**9}.{T0 % 10**9:09d}" in text
 
 
-def test_what_text_cannot_hold_is_refused() -> None:
-    padded = deserialized(cloud(points_of(1, 4), 2), CLOUD, 2)
-    data = np.full((4, 16), 7, np.uint8)
-    data[:, :12] = padded.data.reshape(4, 12)
-    wide = replace(padded, point_step=16, row_step=64, data=data.ravel())
-    with pytest.raises(UsageError, match="padding would be lost"):
-        render_messages([message(serialized(typestore(2), wide, CLOUD, 2), POINTCLOUD2)])
-    with pytest.raises(UsageError, match="cannot be written as text"):
-        render_messages([message(string("hello", 2), STRING)])
+def altered(**changes: Any) -> bytes:
+    """A cloud of four points with other parts."""
+    base = deserialized(cloud(points_of(1, 4), 2), CLOUD, 2)
+    return serialized(typestore(2), replace(base, **changes), CLOUD, 2)
+
+
+PADDED = np.full((4, 16), 7, np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("data", "msgtype", "refusal"),
+    [
+        (altered(point_step=16, row_step=64, data=PADDED.ravel()), POINTCLOUD2, "padding would be lost"),
+        (altered(fields=[]), POINTCLOUD2, "points would be lost"),
+        (string("hello", 2), STRING, "cannot be written as text"),
+    ],
+)
+def test_what_text_cannot_hold_is_refused(data: bytes, msgtype: str, refusal: str) -> None:
+    with pytest.raises(UsageError, match=refusal):
+        render_messages([message(data, msgtype)])
 
 
 def test_only_its_own_text_is_taken_for_it(tmp_path: Path) -> None:
@@ -130,60 +141,45 @@ def test_only_its_own_text_is_taken_for_it(tmp_path: Path) -> None:
         open_source(path)
 
 
+SCAN_TEXT = render_messages([message(scan(np.array([1, 2, 3], np.float32), 2))])
+CLOUD_TEXT = render_messages([message(cloud(np.full((2, 3), 2.5, np.float32), 2), POINTCLOUD2)])
+
+
 @pytest.mark.parametrize(
-    ("old", "new", "blamed"),
+    ("text", "old", "new", "blamed"),
     [
-        ("range_max 30.0", "range_maximum 30.0", "range_maximum"),
-        ("ranges 3", "ranges 4", "intensities 0"),
-        ("0: 1.0 2.0 3.0", "1: 1.0 2.0 3.0", "1: 1.0"),
-        ("0: 1.0 2.0 3.0", "0: 1.0 two 3.0", "two"),
-        ('topic "/scan"', '<<<<<<< ours\ntopic "/scan"', "<<<<<<<"),
-        ('frame_id "laser"', "frame_id laser", "frame_id"),
+        (SCAN_TEXT, "range_max 30.0", "range_maximum 30.0", "range_maximum"),
+        (SCAN_TEXT, "ranges 3", "ranges 4", "intensities 0"),
+        (SCAN_TEXT, "0: 1.0 2.0 3.0", "1: 1.0 2.0 3.0", "1: 1.0"),
+        (SCAN_TEXT, "0: 1.0 2.0 3.0", "0: 1.0 two 3.0", "two"),
+        (SCAN_TEXT, 'topic "/scan"', '<<<<<<< ours\ntopic "/scan"', "<<<<<<<"),
+        (SCAN_TEXT, 'frame_id "laser"', "frame_id laser", "frame_id"),
+        (CLOUD_TEXT, 'frame_id "lidar"', "frame_id 5", ""),
+        (CLOUD_TEXT, 'frame_id "lidar"', "frame_id " + "[" * 100_000, ""),
+        (CLOUD_TEXT, 'message "/scan"', 'message ["/scan"]', ""),
+        (CLOUD_TEXT, 'topic "/scan"', "topic 5", ""),
+        (CLOUD_TEXT, "log_time 1", "log_time 99999999999991", ""),
+        (CLOUD_TEXT, "height 1", "height 99999999999", ""),
+        (CLOUD_TEXT, "point_step 12", "point_step 99999999999", ""),
+        (CLOUD_TEXT, "point_step 12", "point_step 8", ""),
+        (CLOUD_TEXT, "0 float32 1", "0 float32 99999999999", ""),
+        (CLOUD_TEXT, "0 float32 1", "-4 float32 1", ""),
+        (CLOUD_TEXT, "field 4 float32", "fold 4 float32", "fold"),
+        (CLOUD_TEXT, "points 2", "points 0", ""),
+        (CLOUD_TEXT, "points 2", "points 99999999999", ""),
+        (CLOUD_TEXT, "0: 2.5 ", "0: 1e300 ", ""),
     ],
+    ids=lambda text: text[:30],
 )
-def test_damage_is_named_with_its_line(old: str, new: str, blamed: str, tmp_path: Path) -> None:
-    path = tmp_path / "expected.txt"
-    text = render_messages([message(scan(np.array([1, 2, 3], np.float32), 2))])
+def test_changes_by_hand_are_named_with_their_line(text: str, old: str, new: str, blamed: str, tmp_path: Path) -> None:
     assert old in text
+    path = tmp_path / "expected.txt"
     path.write_text(text.replace(old, new, 1))
-    (line,) = [n for n, line in enumerate(path.read_text().splitlines(), 1) if blamed in line]
-    with pytest.raises(RecordingError, match=rf"line {line} has been changed") as caught:
+    lines = [number for number, line in enumerate(path.read_text().splitlines(), 1) if blamed in line]
+    with pytest.raises(RecordingError, match=rf"line ({'|'.join(map(str, lines))}) has been changed") as caught:
         open_scan_text(path)
     assert "`update=True`" in (caught.value.hint or "")
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('frame_id "lidar"', "frame_id 5"),
-        ('frame_id "lidar"', "frame_id " + "[" * 100_000),
-        ('message "/scan"', 'message ["/scan"]'),
-        ('topic "/scan"', "topic 5"),
-        ("log_time 1", "log_time 99999999999991"),
-        ("height 1", "height 99999999999"),
-        ("point_step 12", "point_step 99999999999"),
-        ("point_step 12", "point_step 8"),
-        ("0 float32 1", "0 float32 99999999999"),
-        ("0 float32 1", "-4 float32 1"),
-        ("points 2", "points 0"),
-        ("points 2", "points 99999999999"),
-        ("0: 2.5 ", "0: 1e300 "),
-    ],
-)
-def test_numbers_and_names_that_cannot_be(old: str, new: str, tmp_path: Path) -> None:
-    path = tmp_path / "expected.txt"
-    points = np.full((2, 3), 2.5, np.float32)
-    text = render_messages([message(cloud(points, 2), POINTCLOUD2)])
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
-    with pytest.raises(RecordingError, match=r"line \d+ has been changed"):
-        open_scan_text(path)
-
-
-def test_points_without_fields_are_refused() -> None:
-    bare = replace(deserialized(cloud(points_of(1, 4), 2), CLOUD, 2), fields=[])
-    with pytest.raises(UsageError, match="points would be lost"):
-        render_messages([message(serialized(typestore(2), bare, CLOUD, 2), POINTCLOUD2)])
+    assert len(lines) == 1 or not blamed
 
 
 def test_a_field_of_no_points_may_have_any_number_of_elements(tmp_path: Path) -> None:

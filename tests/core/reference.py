@@ -1,16 +1,16 @@
-"""The projection one point at a time, in the words of upstream's callback: what the fast one has to equal."""
+"""The projection one point at a time: what the fast one has to equal. Upstream's is in the words of its callback."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from pc2scan.core.counts import PointCounts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -54,39 +54,95 @@ def reference_rotation(quaternion: Iterable[float]) -> NDArray[np.float32]:
     return np.array(rows)
 
 
+class Expected(NamedTuple):
+    """What a scan of points is, and which beams have how many returns."""
+
+    ranges: NDArray[np.float32]
+    counts: PointCounts
+    intensities: NDArray[np.float32]
+    returns: NDArray[np.intp]
+
+
 def reference_scan(
-    points: Iterable[Iterable[float]], params: ProjectionParams, angles: NDArray[np.float32] | None = None
-) -> tuple[NDArray[np.float32], PointCounts]:
-    """Ranges and counts of points, given as Python floats; with other angles of theirs than the correct ones."""
-    angle_min, angle_max = float32(params.angle_min), float32(params.angle_max)
-    angle_increment = float32(params.angle_increment)
-    count = math.ceil(float32(float32(angle_max - angle_min) / angle_increment))
-    empty = math.inf if params.use_inf else float32(float32(params.range_max) + params.inf_epsilon)
-    ranges = [empty] * count
-    nan = height = too_far = outside = past_end = total = 0
-    for point in points:
+    points: Iterable[Iterable[float]],
+    params: ProjectionParams,
+    angles: NDArray[np.float32] | None = None,
+    values: Sequence[float] | None = None,
+) -> Expected:
+    """Project points, given as Python floats; with other angles of theirs than the correct ones, and with values."""
+    empty = params.empty_range
+    if not params.no_return:
+        empty = math.inf if params.use_inf else float32(float32(params.range_max) + params.inf_epsilon)
+    # Upstream's beams begin with the range of no return, and closer points replace it.
+    limit = empty if params.no_return in {"", "inf", "range-max-plus"} else math.inf
+    rejected = dict.fromkeys(("nan", "height", "range", "angle", "past_end"), 0)
+    beams: list[list[tuple[float, int]]] = [[] for _ in range(params.length)]
+    total = 0
+    for number, point in enumerate(points):
         total += 1
         x, y, z = (float32(value) for value in point)
-        if math.isnan(x) or math.isnan(y) or math.isnan(z):
-            nan += 1
-            continue
-        if z > params.max_height or z < params.min_height:
-            height += 1
-            continue
         reach = float32(math.sqrt(x * x + y * y))
-        if reach < params.range_min or reach > params.range_max:
-            too_far += 1
-            continue
-        angle = float32(math.atan2(y, x)) if angles is None else float(angles[total - 1])
-        if angle < angle_min or angle > angle_max:
-            outside += 1
-            continue
-        index = int((angle - angle_min) / angle_increment)
-        if index >= count:
-            past_end += 1
-        elif reach < ranges[index]:
-            ranges[index] = reach
-    used = total - nan - height - too_far - outside - past_end
-    return np.array(ranges, np.float32), PointCounts(
-        total, used, nan=nan, height=height, range=too_far, angle=outside, past_end=past_end
+        beam: int | str
+        if math.isnan(x) or math.isnan(y) or math.isnan(z):
+            beam = "nan"
+        elif z > params.max_height or z < params.min_height:
+            beam = "height"
+        elif reach < params.range_min or reach > params.range_max:
+            beam = "range"
+        else:
+            beam = _beam_of(float32(math.atan2(y, x)) if angles is None else float(angles[number]), params)
+        if isinstance(beam, str):
+            rejected[beam] += 1
+        elif reach < limit:
+            beams[beam].append((reach, number))
+    ranges, lit = np.full(len(beams), empty, np.float32), np.zeros(len(beams), np.float32)
+    with np.errstate(all="ignore"):
+        for beam, returns in enumerate(beams):
+            if len(returns) >= max(params.min_points, params.kth, 1):
+                ranges[beam], lit[beam] = _reading(returns, values or [0.0] * total, params)
+    counts = PointCounts(total, total - sum(rejected.values()), **rejected)
+    return Expected(ranges, counts, lit if values is not None else lit[:0], np.array([*map(len, beams)], np.intp))
+
+
+def _beam_of(angle: float, params: ProjectionParams) -> int | str:
+    """The beam of an angle, or why it has none."""
+    layout = params.layout
+    if params.geometry == "upstream":
+        low, high = float32(params.angle_min), float32(params.angle_max)
+        increment = float32(params.angle_increment)
+        if angle < low or angle > high:
+            return "angle"
+        beam = int((angle - low) / increment)
+        return beam if beam < math.ceil(float32(float32(high - low) / increment)) else "past_end"
+    offset, beam = min(
+        (abs(math.remainder(angle - layout.angle_min - beam * layout.angle_increment, math.tau)), beam)
+        for beam in range(layout.count)
     )
+    return beam if layout.full_circle or offset <= layout.angle_increment / 2 else "angle"
+
+
+def _reading(
+    returns: list[tuple[float, int]], values: Sequence[float], params: ProjectionParams
+) -> tuple[float, float]:
+    """The range and the value of a beam, of the range and the number of each return; the first of equals counts."""
+    ordered = sorted(returns)
+    match params.reduce:
+        case "mean":
+            length = value = 0.0
+            for reach, number in returns:
+                length, value = length + reach, value + values[number]
+            return length / len(returns), value / len(returns)
+        case "surface":
+            closest = ordered[0][0]
+            depth = params.surface_depth + params.surface_slope * params.layout.angle_increment * closest
+            near = [entry for entry in ordered if entry[0] <= closest + depth]
+            chosen = near[(len(near) - 1) // 2]
+        case "max":
+            chosen = max(returns, key=lambda entry: (entry[0], -entry[1]))
+        case "median":
+            chosen = ordered[(len(ordered) - 1) // 2]
+        case "kth":
+            chosen = ordered[params.kth - 1]
+        case _:
+            chosen = ordered[0]
+    return chosen[0], values[chosen[1]]

@@ -203,7 +203,7 @@ def test_a_full_circle_has_no_end() -> None:
             np.testing.assert_array_equal(chosen(np.roll(ranges, turn)), np.roll(found, turn))
 
 
-def test_points_between_an_edge_and_the_wall_behind_it_are_shadows() -> None:
+def test_points_between_an_edge_and_its_wall_are_shadows() -> None:
     ranges = np.full(200, 5.0, F)
     ranges[80:120] = 2.0
     ranges[[78, 79, 120, 121]] = [4.0, 3.0, 3.0, 4.0]

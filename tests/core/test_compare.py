@@ -55,77 +55,78 @@ def test_a_single_bit_is_found(bit: int) -> None:
     bits = a.view(np.uint32).copy()
     bits[1] ^= np.uint32(1 << bit)
     found = compare_arrays(a, bits.view(np.float32), EXACT, limits=ALL)
-    assert (found.changed, found.shifted) == (1, 0)
-    assert found.worst is not None
-    assert found.worst.index == 1
+    assert (found.changed, found.shifted, found.worst and found.worst.index) == (1, 0, 1)
 
 
-def test_other_bits_of_one_value_are_no_distance_but_a_difference() -> None:
-    found = compare_arrays(f32(0.0), f32(-0.0))
-    assert found.changed == 1
-    assert found.worst is not None
-    assert found.worst.difference == 0
-    payload = np.array([0x7FC00001], np.uint32).view(np.float32)
-    assert compare_arrays(f32(math.nan), payload).changed == 1
-    assert compare_arrays(f32(math.nan, 0.0), np.append(payload, f32(-0.0)), Tolerance(atol=1e-9)).differing == 0
+INF, NAN = math.inf, math.nan
+PAYLOAD, SIGNALLING = np.array([0x7FC0_0001, 0x7FA0_0000], np.uint32).view(np.float32)
+LIMITS = (0.1, 30.0)
+SCAN = np.linspace(1, 9, 50, dtype=np.float32)
 
 
-def test_the_reference_is_the_first() -> None:
-    tolerance = Tolerance(rtol=0.1)
-    assert compare_arrays(f32(10.0), f32(9.05), tolerance).differing == 0
-    assert compare_arrays(f32(9.05), f32(10.0), tolerance).differing == 1
-
-
-def test_an_infinite_distance_is_the_worst() -> None:
-    found = compare_arrays(f32(1.0, 2.0, math.nan), f32(500.0, math.inf, math.nan))
-    assert found.worst is not None
-    assert (found.worst.index, found.worst.difference) == (1, math.inf)
-
-
-class TestShifts:
-    def test_a_return_one_beam_over(self) -> None:
-        inf = math.inf
-        found = compare_arrays(f32(inf, 4.0, inf, 7.0), f32(inf, inf, 4.0, 7.0), limits=(0.1, 30.0))
-        assert (found.changed, found.shifted, found.shift) == (0, 2, 0)
-
-    def test_a_changed_range_is_not_a_shift(self) -> None:
-        found = compare_arrays(f32(1.0, 4.0, 6.0), f32(1.0, 5.0, 6.0), limits=(0.1, 30.0))
-        assert (found.changed, found.shifted) == (1, 0)
-
-    def test_what_stands_for_no_return_does_not_move(self) -> None:
+@pytest.mark.parametrize(
+    ("a", "b", "tolerance", "limits", "expected"),
+    [
+        # Other bits of one value are no distance, but a difference, unless there is a tolerance.
+        ([0.0], [-0.0], EXACT, None, (1, 0)),
+        ([NAN], [PAYLOAD], EXACT, None, (1, 0)),
+        ([NAN, 0.0], [PAYLOAD, -0.0], Tolerance(atol=1e-9), None, (0, 0)),
+        # A NaN that signals is one like any other.
+        ([SIGNALLING, 1.0], [NAN, 2.0], Tolerance(rtol=1e-3), ALL, (1, 0)),
+        ([1.0, 1.0], [SIGNALLING, 1.0], EXACT, ALL, (1, 0)),
+        # The reference is the first.
+        ([10.0], [9.05], Tolerance(rtol=0.1), None, (0, 0)),
+        ([9.05], [10.0], Tolerance(rtol=0.1), None, (1, 0)),
+        # A return one beam over, and a changed range, which is not one.
+        ([INF, 4.0, INF, 7.0], [INF, INF, 4.0, 7.0], EXACT, LIMITS, (0, 2)),
+        ([1.0, 4.0, 6.0], [1.0, 5.0, 6.0], EXACT, LIMITS, (1, 0)),
+        ([9.0, 4.0], [4.001, 9.0], Tolerance(atol=0.01), LIMITS, (0, 2)),
         # 31 says that nothing came back: one return vanished and another appeared, which is no shift.
-        found = compare_arrays(f32(31.0, 5.5), f32(5.0, 31.0), limits=(0.1, 30.0))
-        assert (found.changed, found.shifted) == (2, 0)
-
-    @pytest.mark.parametrize("direction", [1, -1])
-    def test_a_whole_scan(self, direction: int) -> None:
-        a = np.linspace(1, 9, 50, dtype=np.float32)
-        found = compare_arrays(a, np.roll(a, direction), limits=(0.1, 30.0))
-        assert found.shift == direction
-        assert found.differing == 50
-        assert found.shifted >= 49
-
-    def test_without_limits_nothing_is_called_shifted(self) -> None:
-        found = compare_arrays(f32(1.0, 2.0), f32(2.0, 1.0))
-        assert (found.changed, found.shifted) == (2, 0)
-
-    def test_with_a_tolerance(self) -> None:
-        found = compare_arrays(f32(9.0, 4.0), f32(4.001, 9.0), Tolerance(atol=0.01), limits=(0.1, 30.0))
-        assert (found.changed, found.shifted) == (0, 2)
+        ([31.0, 5.5], [5.0, 31.0], EXACT, LIMITS, (2, 0)),
+        # Without limits nothing is called shifted.
+        ([1.0, 2.0], [2.0, 1.0], EXACT, None, (2, 0)),
+    ],
+)
+def test_what_has_changed_and_what_is_shifted(
+    a: list[float], b: list[float], tolerance: Tolerance, limits: tuple[float, float] | None, expected: tuple[int, int]
+) -> None:
+    found = compare_arrays(f32(*a), f32(*b), tolerance, **({"limits": limits} if limits else {}))
+    assert (found.changed, found.shifted) == expected
 
 
-def test_elements_of_several_values_count_once() -> None:
-    a = np.zeros((3, 2), np.int16)
-    b = a.copy()
-    b[2] = (5, -7)
-    found = compare_arrays(a, b, Tolerance(atol=100))
-    assert (found.elements, found.changed) == (3, 1)
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_whole_scan_that_is_shifted(direction: int) -> None:
+    assert compare_arrays(f32(INF, 4, INF, 7), f32(INF, INF, 4, 7), limits=LIMITS).shift == 0
+    found = compare_arrays(SCAN, np.roll(SCAN, direction), limits=LIMITS)
+    assert (found.shift, found.differing) == (direction, 50)
+    assert found.shifted >= 49
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "tolerance", "index", "difference"),
+    [
+        (f32(0.0), f32(-0.0), EXACT, 0, 0),
+        (f32(1.0, 2.0, NAN), f32(500.0, INF, NAN), EXACT, 1, INF),
+        # Elements of several values count once.
+        (np.zeros((3, 2), np.int16), np.array([[0, 0], [0, 0], [5, -700]], np.int16), Tolerance(atol=100), 2, 700),
+    ],
+)
+def test_the_worst_difference(a: Any, b: Any, tolerance: Tolerance, index: int, difference: float) -> None:
+    found = compare_arrays(a, b, tolerance)
+    assert found.elements == len(a)
     assert found.worst is not None
-    assert (found.worst.index, found.worst.value) == (2, -7)
+    assert (found.worst.index, found.worst.difference) == (index, difference)
 
 
-def test_the_byte_order_makes_no_difference_and_arrays_stay_as_they_are() -> None:
-    a = f32(1.0, math.nan, -0.0)
+def test_several_values_of_an_element_count_once() -> None:
+    found = compare_arrays(
+        np.zeros((3, 2), np.int16), np.array([[0, 0], [0, 0], [5, -7]], np.int16), Tolerance(atol=100)
+    )
+    assert (found.elements, found.changed, found.worst and found.worst.value) == (3, 1, -7)
+
+
+def test_arrays_of_any_byte_order_stay_as_they_are() -> None:
+    a = f32(1.0, NAN, -0.0)
     before = a.tobytes()
     assert compare_arrays(a, a.astype(">f4")).differing == 0
     assert a.tobytes() == before
@@ -136,18 +137,8 @@ def test_what_cannot_be_compared() -> None:
         compare_arrays(f32(1.0), f32(1.0, 2.0))
     with pytest.raises(ValueError, match="float64"):
         compare_arrays(f32(1.0), np.ones(1))
-
-
-@pytest.mark.parametrize("value", [-1e-9, math.nan, math.inf])
-def test_tolerances_that_cannot_be(value: float) -> None:
-    with pytest.raises(UsageError, match="at least 0"):
-        Tolerance(atol=value)
-    with pytest.raises(UsageError, match="rtol"):
-        Tolerance(rtol=value)
-
-
-def test_a_nan_that_signals_is_a_nan_like_any_other() -> None:
-    signalling = np.array([0x7FA0_0000, 0x3F80_0000], np.uint32).view(np.float32)
-    found = compare_arrays(signalling, f32(math.nan, 2.0), Tolerance(rtol=1e-3), limits=ALL)
-    assert (found.changed, found.worst and found.worst.index) == (1, 1)
-    assert compare_arrays(f32(1.0, 1.0), signalling, EXACT, limits=ALL).changed == 1
+    for value in (-1e-9, NAN, INF):
+        with pytest.raises(UsageError, match="at least 0"):
+            Tolerance(atol=value)
+        with pytest.raises(UsageError, match="rtol"):
+            Tolerance(rtol=value)

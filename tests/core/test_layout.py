@@ -103,6 +103,7 @@ def test_half_open_beams_are_the_centered_ones(angle_min: float, span: float, be
         centered.angle_increment,
     )
     assert layout.angle_max == float32(layout.angle_min + layout.count * layout.angle_increment)
+    assert half_open_layout(0.0, 1.0, 0.25).count == centered_layout(0.0, 1.0, 0.25).count == 5
 
 
 @given(st.floats(0.05, 4), st.integers(3, 3000))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.core import kernel, plain
@@ -50,7 +50,6 @@ def reference(scans: Sequence[Sequence[Ray]]) -> dict[tuple[int, int], float]:
 rays = st.lists(st.tuples(*[st.integers(-40, 40)] * 4, st.booleans()), max_size=30)
 
 
-@settings(max_examples=150, deadline=None)
 @given(st.lists(rays, min_size=1, max_size=6))
 def test_cells_are_those_of_the_rules(scans: list[list[Ray]]) -> None:
     grid = OccupancyGrid(0.5, 10_000)

@@ -118,7 +118,7 @@ def test_the_directions_that_atan2_doubles_are_one_beam() -> None:
 
 
 @pytest.mark.parametrize("start", [-PI / 2, np.nextafter(np.float32(-PI / 2), np.float32(0)), PI + PI / 2])
-def test_pi_as_float32_beyond_an_edge_at_pi_belongs_to_the_next_beam(start: float) -> None:
+def test_pi_as_float32_is_beyond_an_edge_at_pi(start: float) -> None:
     layout = centered_layout(float(start), float(start) + 2 * PI, PI)
     angle = np.float32(PI)
     beams, _ = nearest(layout, float(angle))

@@ -5,25 +5,22 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from core.consumer_rules import mrpt_2_5, mrpt_ros_bridge_3_2
-from pc2scan.cli.spelling import as_typed
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.options.table import options_of
 from support import GOLDEN, ROOT
 from support.command import run
 from support.scan_recordings import GOOD, scans, write
+from support.tables import rows
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+TABLES = Path(__file__).with_name("check.txt")
 HALL = ROOT / "fixtures" / "hall.bag"
-#: 180 beams where slam_toolbox expects 181.
-HALF = ("--min-height", "-0.3", "--angle-min", "-1.57", "--angle-max", "1.57", "--range-max", "30")
 
 
 def test_the_choices_are_the_consumers() -> None:
@@ -57,16 +54,7 @@ def test_scans_without_transforms_are_not_ok(tmp_path: Path) -> None:
     assert "--tf-from reads them from another recording" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("change", "consumer", "outcome", "told"),
-    [
-        ({"range_max": math.inf, "ranges": [math.inf] * 9}, "gmapping", "aborts", "9 infinite ranges"),
-        ({"range_max": 20.0, "ranges": [19.9999] * 9}, "slam_toolbox", "misplaced", "9 ranges of range_max 20"),
-        ({"time_increment": -1e-3}, "cartographer", "misplaced", "time_increment -0.001 s"),
-        ({"frame_id": "/laser"}, "cartographer", "aborts", "frame_id '/laser'"),
-        ({"angle_min": 0.0, "angle_max": 2.0}, "mrpt", "misplaced", "ranges"),
-    ],
-)
+@pytest.mark.parametrize(("change", "consumer", "outcome", "told"), rows(TABLES, "changes of a good scan"))
 def test_what_was_accepted_and_is_not(
     change: dict[str, Any], consumer: str, outcome: str, told: str, tmp_path: Path
 ) -> None:
@@ -78,7 +66,7 @@ def test_what_was_accepted_and_is_not(
     assert told in done.stdout
 
 
-def test_more_than_a_circle_optical_frames_and_empty_scans_are_defects(tmp_path: Path) -> None:
+def test_optical_frames_and_scans_without_returns_are_defects(tmp_path: Path) -> None:
     degrees = replace(GOOD, angle_min=-180.0, angle_max=180.0, angle_increment=45.0)
     path = write(tmp_path / "degrees.mcap", *scans(3, degrees))
     done = run("check", path, "--for", "amcl")
@@ -93,29 +81,6 @@ def test_more_than_a_circle_optical_frames_and_empty_scans_are_defects(tmp_path:
     done = run("check", empty, "--for", "nav2")
     assert done.status == 1
     assert "defect: 3 of 3 scans have no return at all" in done.stdout
-
-
-@pytest.mark.parametrize("consumer", CONSUMERS)
-def test_a_preset_is_accepted_by_its_consumer(consumer: str, tmp_path: Path) -> None:
-    made = run("convert", HALL, "-o", tmp_path / "out.mcap", "--preset", consumer, "--min-height", "-0.3", "--quiet")
-    assert (made.status, made.stderr) == (0, "")
-    done = run("check", tmp_path / "out.mcap", "--for", consumer)
-    assert (done.status, done.stdout.splitlines()[-1]) == (0, f"ok: accepted by {consumer}")
-
-
-def test_convert_warns_for_the_preset_that_was_chosen(tmp_path: Path) -> None:
-    def warned(*options: str) -> str:
-        done = run("convert", HALL, "-o", tmp_path / "out.mcap", "--overwrite", "--min-height", "-0.3", *options)
-        assert done.status == 0, done.stderr
-        return done.stderr
-
-    # slam_toolbox would refuse these, but they are not made for it.
-    assert warned("--preset", "gmapping", "--angle-min", "-1.5", "--angle-max", "1.5") == ""
-    walls = warned("--preset", "slam_toolbox", "--range-max", "20", "--no-return", "range-max-minus")
-    assert walls.startswith("warning: /scan: slam_toolbox would misplace these scans:")
-    assert "--no-return inf, or --range-max 100.0" in walls
-    assert "gmapping would turn these scans" in warned("--preset", "gmapping", "--geometry", "centered")
-    assert "gmapping would abort" in warned("--preset", "gmapping", "--range-max", "inf", "--no-return", "inf")
 
 
 @pytest.mark.parametrize("angle", ["1.5707963", "1.5707963267948966"])
@@ -140,51 +105,6 @@ def test_beams_that_mrpt_misreads_are_counted(tmp_path: Path) -> None:
     assert "allowed: angle_min -1.57079768, angle_max 1.5707953\n" in done.stdout
 
 
-def test_a_sector_to_one_side_cannot_be_made_for_mrpt(tmp_path: Path) -> None:
-    done = run(
-        "convert", HALL, "-o", tmp_path / "out.mcap", "--preset", "mrpt", "--angle-min", "0", "--angle-max", "1.5"
-    )
-    assert done.status == 2
-    assert "not symmetric around 0" in done.stderr
-    assert "--angle-min -1.5 --angle-max 1.5" in done.stderr
-
-
-@pytest.mark.parametrize("name", ["out.bag", "out.mcap", "out"])
-def test_convert_warns_and_check_says_why(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    done = run("convert", HALL, "-o", path, *HALF, "--report", tmp_path / "report.json")
-    assert done.status == 0
-    (warning,) = done.stderr.splitlines()
-    assert warning.startswith("warning: /scan: slam_toolbox would ignore these scans: 180 ranges where it allows 181")
-    assert "--geometry centered" in warning
-    # The report is the library's, which names parameters.
-    (reported,) = json.loads((tmp_path / "report.json").read_text())["warnings"]
-    assert "`geometry=centered`" in reported
-    assert as_typed(reported) == warning.removeprefix("warning: ")
-
-    done = run("check", path, "--for", "slam_toolbox")
-    assert done.status == 1
-    assert "slam_toolbox  ignored" in done.stdout
-    assert "here  180 ranges; allowed: 181 ranges" in done.stdout
-    assert "cure  advertise angle_max 1.55413" in done.stdout
-    assert "cartographer" not in done.stdout
-    assert done.stdout.splitlines()[-1] == "not ok; ignored: slam_toolbox"
-
-    done = run("check", path, "--for", "cartographer", "--for", "nav2")
-    assert done.status == 0
-    found = run("check", path, "--json")
-    (topic,) = json.loads(found.stdout)["topics"]
-    assert {c["consumer"]: c["outcome"] for c in topic["consumers"]} == {
-        "slam_toolbox": "ignored",
-        "cartographer": "accepted",
-        "gmapping": "accepted",
-        "amcl": "accepted",
-        "nav2": "accepted",
-        "mrpt": "misplaced",
-    }
-    assert json.loads(found.stdout)["exit_status"] == found.status == 1
-
-
 def test_what_upstream_wrote_for_its_defaults_and_its_sample() -> None:
     """Of the nodes' own outputs, which have a last beam that is not angle_max; the recordings have no transforms."""
     for name, wrong in (
@@ -195,26 +115,3 @@ def test_what_upstream_wrote_for_its_defaults_and_its_sample() -> None:
         found = json.loads(run("check", expected, "--json", "--base-frame", "lidar", "--odom-frame", "lidar").stdout)
         outcomes = {c["consumer"]: c["outcome"] for topic in found["topics"] for c in topic["consumers"]}
         assert outcomes == dict.fromkeys(CONSUMERS, "accepted") | wrong, name
-
-
-def test_nothing_is_warned_of_where_nobody_refuses(tmp_path: Path) -> None:
-    done = run("convert", HALL, "-o", tmp_path / "out.bag", "--min-height", "-0.3")
-    assert (done.status, done.stderr) == (0, "")
-    done = run("convert", tmp_path / "out.bag", "-o", tmp_path / "back.bag", "--reverse", "--quiet")
-    assert (done.status, done.stderr) == (0, "")
-
-
-def test_wrong_usage(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.mcap", *scans(2))
-    unknown = run("check", path, "--for", "hector")
-    assert unknown.status == 2
-    assert "slam_toolbox" in unknown.stderr
-    assert run("check").status == 2
-    missing = run("check", path, "--topic", "/scam")
-    assert missing.status == 2
-    assert "did you mean /scan?" in missing.stderr
-    clouds = run("check", HALL)
-    assert clouds.status == 2
-    assert "pc2scan convert" in clouds.stderr
-    gone = run("check", tmp_path / "gone.bag")
-    assert (gone.status, "Traceback" in gone.stderr) == (2, False)

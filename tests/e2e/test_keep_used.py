@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
-from typing import TYPE_CHECKING, Any
+from itertools import product
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,18 +18,17 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.cli.app import application
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
-from pc2scan.errors import TopicError, UsageError
+from pc2scan.errors import TopicError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.model import Connection, Definition
-from support import ROOT
+from support import ROOT, sampled
+from support.tables import rows
 from support.worlds.moving import Lidar, write_world
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+TABLES = Path(__file__).with_name("keep_used.txt")
 HALL = ROOT / "fixtures" / "hall.mcap"
 T0 = 1_700_000_000_000_000_000
 
@@ -42,19 +43,11 @@ def clouds(path: Path, topic: str) -> list[PointCloud2]:
     return [decode_pointcloud2(data, serialization) for _, serialization, data in messages(path, topic)]
 
 
+# Each container once, each choice once, and all pairs in the long run.
 @pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"target_frame": "base_link", "where": "ring > 3", "exclude_box": "base_link 0 2 -9 9 -1 3"},
-        {"preset": "slam_toolbox", "reduce": "surface", "angle_increment": 0.02},
-        {"reduce": "median", "intensity_field": "intensity", "min_points": 2},
-        {"reduce": "kth", "kth": 2, "angle_increment": 0.03},
-        {"remove": "shadows", "target_frame": "base_link"},
-    ],
-    ids=str,
+    ("options", "source"),
+    sampled(product([row for (row,) in rows(TABLES, "of one cloud")], ("hall.mcap", "hall.bag", "hall")), 4),
 )
-@pytest.mark.parametrize("source", ["hall.bag", "hall.mcap", "hall"])
 def test_the_kept_points_give_the_same_scans(source: str, options: dict[str, Any], tmp_path: Path) -> None:
     """And only they are left, with their own fields."""
     recording, options = HALL.with_name(source), {"min_height": -0.4, "max_height": 1.0, **options}
@@ -68,48 +61,32 @@ def test_the_kept_points_give_the_same_scans(source: str, options: dict[str, Any
     for cloud, used, (_, serialization, data) in zip(
         clouds(kept, "/points"), clouds(kept, "/used"), scans, strict=True
     ):
-        assert (used.stamp_ns, used.frame_id) == (cloud.stamp_ns, cloud.frame_id)
         assert [field.name for field in used.fields] == [*(field.name for field in cloud.fields), "beam"]
         read = set(np.flatnonzero(np.isfinite(decode_laserscan(data, serialization).ranges)).tolist())
         beams = set(used.field("beam").reshape(-1).tolist())
         # Whether a beam is removed depends on its own range and on those of its neighbours.
         assert beams >= read if "remove" in options else beams == read
-        rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
-        own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)
-        assert all(bytes(row[: cloud.point_step]) in rows for row in own)
+        assert_recorded(cloud, used)
 
 
-@pytest.mark.parametrize("jobs", [1, 4])
-def test_the_number_of_jobs_does_not_matter(jobs: int, tmp_path: Path) -> None:
-    paths = [tmp_path / "one.mcap", tmp_path / "more.mcap"]
-    for path, threads in zip(paths, (1, jobs), strict=True):
-        pc2scan.convert(HALL, path, keep_used="/used", min_height=-0.4, jobs=threads)
-    assert paths[0].read_bytes() == paths[1].read_bytes()
+def assert_recorded(cloud: PointCloud2, used: PointCloud2) -> None:
+    """All points that are kept are in the cloud, byte by byte."""
+    assert (used.stamp_ns, used.frame_id) == (cloud.stamp_ns, cloud.frame_id)
+    rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
+    own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)
+    assert all(bytes(row[: cloud.point_step]) in rows for row in own)
 
 
 def test_deskewed_points_are_kept_as_they_were_recorded(tmp_path: Path) -> None:
     kept = tmp_path / "kept.mcap"
-    report = pc2scan.convert(
-        HALL,
-        kept,
-        keep_used="/used",
-        keep_clouds=True,
-        deskew=True,
-        fixed_frame="odom",
-        min_height=-0.4,
-        where="ring > 1",
-    )
-    assert report.exit_status in {0, 3}
+    moved: dict[str, Any] = {"deskew": True, "fixed_frame": "odom", "where": "ring > 1"}
+    pc2scan.convert(HALL, kept, keep_used="/used", keep_clouds=True, min_height=-0.4, **moved)
     found = {cloud.stamp_ns: cloud for cloud in clouds(kept, "/points")}
     kept_clouds = clouds(kept, "/used")
     assert kept_clouds
     for used in kept_clouds:
-        cloud = found[used.stamp_ns]
-        assert used.frame_id == cloud.frame_id
-        rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
-        own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)
-        assert len(own)
-        assert all(bytes(row[: cloud.point_step]) in rows for row in own)
+        assert used.width
+        assert_recorded(found[used.stamp_ns], used)
 
 
 def recorded(path: Path, data: bytes, msgtype: str = POINTCLOUD2) -> Path:
@@ -170,15 +147,6 @@ def test_other_types_of_clouds_keep_their_fields(tmp_path: Path, monkeypatch: py
     }
 
 
-def test_the_report_counts_the_topic(tmp_path: Path) -> None:
-    words = ["convert", str(HALL), "-o", str(tmp_path / "a.mcap"), "--keep-used", "/used", "--min-height", "-0.4"]
-    done = CliRunner().invoke(application(), words)
-    assert done.exit_code == 0, done.output
-    assert "added: the points that the beams of /scan read" in done.output
-    dry = CliRunner().invoke(application(), [*words, "-n", "--overwrite"])
-    assert "added: the points that the beams of /scan read" in dry.output
-
-
 def test_each_output_has_its_own(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     scans: dict[str, Any] = {
@@ -203,20 +171,14 @@ def test_a_cloud_that_is_skipped_is_skipped_once(tmp_path: Path) -> None:
     assert "more (" not in done.output
 
 
-def test_a_topic_of_its_own(tmp_path: Path) -> None:
-    for topic in ("/scan", "/tf"):
-        with pytest.raises(TopicError, match=topic):
-            pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used=topic)
+def test_two_outputs_keep_points_on_topics_of_their_own(tmp_path: Path) -> None:
     with pytest.raises(TopicError, match=r"/b .*and /a .*would both become /u|/a .*and /b .*would both become /u"):
         pc2scan.convert(HALL, tmp_path / "a.mcap", scans={"/a": {"keep_used": "/u"}, "/b": {"keep_used": "/u"}})
-    with pytest.raises(UsageError, match="`reverse` converts scans"):
-        pc2scan.convert(HALL, tmp_path / "a.mcap", keep_used="/used", reverse=True)
 
 
 FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)), columns=360)
 REAR = Lidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, 3.0, (-0.4, 0.1, 0.6)), phase=0.037, columns=360)
 FLAT = Lidar("/flat", "flat", Rigid.from_rpy(0.0, 0.0, -1.2, (0.1, -0.3, 0.4)), kind="flat", phase=0.061, columns=720)
-TWO: dict[str, Any] = {"topics": ["/front:=/scan", "/rear:=/scan"], "target_frame": "base_link"}
 
 
 @pytest.fixture(scope="module")
@@ -224,61 +186,38 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_world(tmp_path_factory.mktemp("world") / "w.mcap", [FRONT, REAR, FLAT], seconds=0.8)
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        TWO,
-        TWO | {"fixed_frame": "odom", "deskew": True},
-        TWO | {"fixed_frame": "odom", "reduce": "mean", "exclude_box": "base_link 0 2 -9 9 -1 3"},
-        TWO | {"topics": ["/front:=/scan", "/rear:=/scan", "/flat:=/scan"], "fixed_frame": "odom", "deskew": True},
-        {"topics": "/front", "target_frame": "base_link", "fixed_frame": "odom", "accumulate": "3clouds"},
-        {"topics": "/rear:=/scan", "target_frame": "base_link", "fixed_frame": "odom", "every": 0.2, "deskew": True},
-        {"topics": "/flat:=/scan", "rebin": True, "target_frame": "base_link"},
-        TWO | {"remove": "speckles", "reduce": "kth", "kth": 2},
-        TWO | {"fixed_frame": "odom", "level": True, "deskew": True},
-    ],
-    ids=str,
-)
-def test_points_of_scans_of_several_messages_give_the_same_scans(
-    options: dict[str, Any], world: Path, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("options", sampled([row for (row,) in rows(TABLES, "of joined clouds")], 3), ids=str)
+def test_kept_points_of_joined_clouds_give_the_same_scans(options: dict[str, Any], world: Path, tmp_path: Path) -> None:
     """Points are written as they were projected, so converting them again needs no frames or times."""
     common: dict[str, Any] = {"min_height": 0.1, "beams": 720}
-    kept, again = tmp_path / "kept.mcap", tmp_path / "again.mcap"
+    kept, again, one = (tmp_path / f"{name}.mcap" for name in ("kept", "again", "one"))
     keeping = pc2scan.convert(world, kept, keep_used="/used", **common, **options)
-    target = "/front/scan" if options["topics"] == "/front" else "/scan"
-    target = target if messages(kept, target) else "/scan"
     projection = {name: options[name] for name in ("reduce", "kth", "remove") if name in options}
     pc2scan.convert(kept, again, topics="/used:=/scan2", **common, **projection)
-    scans, points = messages(kept, target), messages(kept, "/used")
+    scans, points = messages(kept, "/scan"), messages(kept, "/used")
     assert len(scans) >= 3
     assert [log_time for log_time, _, _ in points] == [log_time for log_time, _, _ in scans]
     first, second = (
         [decode_laserscan(data, serialization) for _, serialization, data in found]
         for found in (scans, messages(again, "/scan2"))
     )
+    numbers = set()
     for scan, same, used in zip(first, second, clouds(kept, "/used"), strict=True):
         assert (scan.stamp_ns, scan.frame_id) == (same.stamp_ns, same.frame_id) == (used.stamp_ns, used.frame_id)
         assert np.array_equal(scan.ranges, same.ranges)
         names = [field.name for field in used.fields]
-        assert names[:3] == ["x", "y", "z"]
-        assert names[-2:] == ["source", "beam"]
+        assert (names[:3], names[-2:]) == (["x", "y", "z"], ["source", "beam"])
         assert "t" in names or "/flat" in str(options)
-        beams = used.field("beam").reshape(-1)
         read = set(np.flatnonzero(np.isfinite(scan.ranges)).tolist())
-        assert set(beams.tolist()) >= read if "remove" in options else set(beams.tolist()) == read
-        if "topics" in options and isinstance(options["topics"], list) and "exclude_box" not in options:
-            sources = used.field("source").reshape(-1)
-            assert set(sources.tolist()) <= set(range(len(options["topics"])))
-    if isinstance(options["topics"], list):
-        # Not of one lidar alone.
-        assert any(len(set(used.field("source").reshape(-1).tolist())) > 1 for used in clouds(kept, "/used"))
-    one = tmp_path / "one.mcap"
+        beams = set(used.field("beam").reshape(-1).tolist())
+        assert beams >= read if "remove" in options else beams == read
+        numbers |= set(used.field("source").reshape(-1).tolist())
+    topics = options["topics"] if isinstance(options["topics"], list) else [options["topics"]]
+    assert numbers == set(range(len(topics)))
+    # The scans are those of any number of jobs, and of a conversion that keeps no points.
     pc2scan.convert(world, one, keep_used="/used", jobs=1, **common, **options)
     assert one.read_bytes() == kept.read_bytes()
-    # The scans are those of a conversion that keeps no points.
     plain = pc2scan.convert(world, one, overwrite=True, **common, **options)
-    assert messages(one, target) == scans
-    assert [entry.points for entry in keeping.topics if entry.target == target] == [
-        entry.points for entry in plain.topics if entry.target == target
-    ]
+    assert messages(one, "/scan") == scans
+    counts = [[entry.points for entry in each.topics if entry.target == "/scan"] for each in (keeping, plain)]
+    assert counts[0] == counts[1]

@@ -7,12 +7,12 @@ import importlib.util
 import subprocess
 import sys
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
 import pc2scan
-from benchmarks.test_combining import write_two
+from benchmarks.clouds import write_two
 from support import ROOT
 
 if TYPE_CHECKING:
@@ -107,9 +107,20 @@ def name_of(path: Path) -> str:
 NAMES = {name_of(path): path for path in MODULES}
 
 
-def imports_in(text: str, package: str, *, types: bool) -> set[str]:
-    """Everything that a module of ``package`` imports, by absolute name; ``types``: what only type checkers see too."""
-    found: set[str] = set()
+class Imports(NamedTuple):
+    """What a module imports, by absolute name: always, and what only type checkers see."""
+
+    always: set[str]
+    types: set[str]
+
+    @property
+    def all(self) -> set[str]:
+        return self.always | self.types
+
+
+def imports_in(text: str, package: str) -> Imports:
+    """Everything that a module of ``package`` imports."""
+    found = Imports(set(), set())
     parents = package.split(".")
 
     def imported(module: str, name: str) -> str:
@@ -120,32 +131,37 @@ def imports_in(text: str, package: str, *, types: bool) -> set[str]:
         home = pc2scan._HOMES.get(name) if module == "pc2scan" else None
         return f"pc2scan.{home}" if home else module
 
-    def visit(node: ast.AST) -> None:
-        if not types and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+    def visit(node: ast.AST, into: set[str]) -> None:
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            for other in node.body:
+                visit(other, found.types)
             for other in node.orelse:
-                visit(other)
+                visit(other, into)
             return
         if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
+            into.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             start = ".".join(parents[: len(parents) - node.level + 1]) if node.level else ""
             module = ".".join(filter(None, (start, node.module)))
-            found.update(imported(module, alias.name) for alias in node.names)
+            into.update(imported(module, alias.name) for alias in node.names)
         # By name. Where that is a variable, it is a module of a table.
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "import_module":
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "import_module":
             names = [name.value for name in node.args[:1] if isinstance(name, ast.Constant)]
-            found.update(importlib.util.resolve_name(str(name), package) for name in names)
+            into.update(importlib.util.resolve_name(str(name), package) for name in names)
         for child in ast.iter_child_nodes(node):
-            visit(child)
+            visit(child, into)
 
-    visit(ast.parse(text))
+    visit(ast.parse(text), found.always)
     return found
 
 
 @cache
-def imports_of(path: Path, *, types: bool = True) -> set[str]:
-    package = name_of(path) if path.name == "__init__.py" else name_of(path).rpartition(".")[0]
-    return imports_in(path.read_text("utf-8"), package, types=types) - {name_of(path)}
+def graph() -> dict[Path, Imports]:
+    """What every module imports."""
+    return {
+        path: imports_in(path.read_text("utf-8"), name if path.name == "__init__.py" else name.rpartition(".")[0])
+        for name, path in NAMES.items()
+    }
 
 
 def test_imports_are_found() -> None:
@@ -166,58 +182,44 @@ def late():
     read = import_module(".params_file", __package__)
 """
     always = {"pc2scan.errors", "pc2scan.api", "pc2scan.pipeline.routes", "pc2scan.pipeline.plan", "pc2scan.tf.buffer"}
-    always |= {"pc2scan.requests", "pc2scan.pipeline.params_file"}
-    elsewhere = {"__future__", "typing", "numpy"}
-    assert imports_in(text, "pc2scan.pipeline", types=False) == always | elsewhere
-    types = {"pc2scan.model", "pc2scan.bags"}
-    assert imports_in(text, "pc2scan.pipeline", types=True) == always | types | elsewhere
+    always |= {"pc2scan.requests", "pc2scan.pipeline.params_file", "__future__", "typing", "numpy"}
+    assert imports_in(text, "pc2scan.pipeline") == (always, {"pc2scan.model", "pc2scan.bags"})
     assert {layer_of(path) for path in MODULES} == {*ALLOWED, "__init__", "__main__"}
 
 
-def test_imports_point_one_way() -> None:
+def test_layers_import_only_what_they_may() -> None:
     wrong = []
-    for path in MODULES:
+    for path, imports in graph().items():
         layer = layer_of(path)
-        if layer in ("__init__", "__main__"):
-            continue
-        allowed = {f"pc2scan.{name}" for name in {layer, *ALLOWED[layer], *GROUND}}
+        allowed = {f"pc2scan.{name}" for name in {layer, *ALLOWED.get(layer, ALLOWED), *GROUND}}
+        own = {name for name in imports.all if name.split(".")[0] == "pc2scan"} - {name_of(path)}
         wrong += [
             f"{name_of(path)} imports {name}"
-            for name in imports_of(path)
-            if name.split(".")[0] == "pc2scan" and not any(name == a or name.startswith(f"{a}.") for a in allowed)
+            for name in own
+            if not any(name == other or name.startswith(f"{other}.") for other in allowed)
         ]
-    assert wrong == []
-
-
-def test_no_modules_import_each_other() -> None:
-    # Also where it would work, because one of the imports is late or for types only: such modules are one.
-    left = {name: imports_of(path) & NAMES.keys() for name, path in NAMES.items()}
-    while free := [name for name, needed in left.items() if not needed & left.keys()]:
-        for name in free:
-            del left[name]
-    assert left == {}
-
-
-def test_libraries_stay_in_their_layers() -> None:
-    wrong = []
-    for path in MODULES:
-        libraries = {name.split(".")[0] for name in imports_of(path, types=False)}
-        libraries -= {"pc2scan", *sys.stdlib_module_names, *THIRD_PARTY.get(layer_of(path), ())}
+        libraries = {name.split(".")[0] for name in imports.always}
+        libraries -= {"pc2scan", *sys.stdlib_module_names, *THIRD_PARTY.get(layer, ())}
         wrong += [f"{name_of(path)} imports {library}" for library in libraries]
     assert wrong == []
 
 
-def test_no_packages_import_each_other() -> None:
-    left: dict[str, set[str]] = {}
-    for path in MODULES:
-        layer = layer_of(path)
-        others = {name.split(".")[1] for name in imports_of(path) & NAMES.keys() if "." in name} - {layer}
-        left[layer] = left.get(layer, set()) | others
-    # The package itself has the public API, and nothing imports it.
-    while free := [layer for layer, needed in left.items() if not needed & left.keys()]:
-        for layer in free:
-            del left[layer]
-    assert left == {}
+def circles(left: dict[str, set[str]]) -> dict[str, set[str]]:
+    """What is left of a graph when everything is gone that needs nothing of the rest."""
+    while free := [name for name, needed in left.items() if not needed & left.keys()]:
+        for name in free:
+            del left[name]
+    return left
+
+
+def test_neither_modules_nor_packages_import_each_other() -> None:
+    # Also where it would work, because one of the imports is late or for types only: such modules are one.
+    modules = {name_of(path): (imports.all & NAMES.keys()) - {name_of(path)} for path, imports in graph().items()}
+    packages: dict[str, set[str]] = {}
+    for path, imports in graph().items():
+        others = {name.split(".")[1] for name in imports.all & NAMES.keys() if "." in name}
+        packages.setdefault(layer_of(path), set()).update(others - {layer_of(path)})
+    assert (circles(modules), circles(packages)) == ({}, {})
 
 
 HEAVY = ("fsspec", "numpy", "rosbags", "mcap", "rich.progress", "sqlite3", "ruamel", "lz4", "zstandard")

@@ -19,6 +19,7 @@ def shown(outputs: list[list[dict[str, Any]]]) -> list[list[dict[str, Any]]]:
     return json.loads(re.sub(r"\d+(\.\d)? kB", "(size)", json.dumps(outputs)))  # type: ignore[no-any-return]
 
 
+@pytest.mark.slow
 def test_the_notebook_shows_what_its_cells_return() -> None:
     pytest.importorskip("pandas")
     pytest.importorskip("xarray")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,6 +14,7 @@ import pytest
 from pc2scan import scans
 from pc2scan.cli.in_process import run_command
 from pc2scan.errors import RecordingWarning, UnconnectedError
+from support import sampled
 from support.builders import (
     CONTENT,
     POINTS,
@@ -28,13 +31,14 @@ from support.builders import (
     write_rosbag2,
 )
 from support.command import run
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from support.command import Finished
 
+TABLES = Path(__file__).with_name("nothing_converted.txt")
 HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 SOURCES = {"bag": "drive.bag", "mcap": "drive.mcap", "rosbag2": "drive"}
 WRITERS: dict[str, Callable[[Path, Recording], Path]] = {
@@ -71,19 +75,6 @@ def silent(*topics: str) -> Recording:
 # --- What is known beforehand ---
 
 
-def test_a_target_frame_that_nothing_connects(folder: Path) -> None:
-    done, report = convert(folder, "--target-frame", "moon", status=1)
-    assert "error: /points: nothing can be converted: " in done.stderr
-    assert '"moon"' in done.stderr or "'moon'" in done.stderr or "[moon]" in done.stderr
-    assert "--static-tf" in done.stderr
-    assert report["error"]["class"] == "UnconnectedError"
-    assert report["error"]["place"] == "/points"
-    # Known in the tree, but in another part of it.
-    convert(folder, "--target-frame", "moon", "--static-tf", "moon crater 0 0 0 0 0 0", status=1)
-    convert(folder, "--target-frame", "base_link", "--source-frame", "sun", status=1)
-    convert(folder, "--target-frame", "base_link", *HEIGHTS, status=0)
-
-
 def in_frames(path: Path, *frame_ids: str) -> None:
     """Write a recording of clouds in these frames, and a transform of another one."""
     clouds = [
@@ -98,7 +89,7 @@ def framed(frame_id: str, stamp_ns: int, ros_version: int, seq: int) -> bytes:
     return cloud(points_of(seq), ros_version, seq=seq, stamp_ns=stamp_ns, frame_id=frame_id)
 
 
-@pytest.mark.parametrize("before", [0, 5, 9, 10, 16])
+@pytest.mark.parametrize("before", sampled([9, 5, 10, 0, 16], 2))
 def test_a_frame_that_comes_late_is_converted(before: int, folder: Path) -> None:
     in_frames(folder / "late.bag", *["nowhere"] * before, "base_link")
     done, report = convert(
@@ -112,8 +103,7 @@ def test_a_frame_that_comes_late_is_converted(before: int, folder: Path) -> None
     assert run_command(["convert", str(folder / "late.bag"), "--target-frame", "base_link", "--dry-run"]).status == 0
 
 
-@pytest.mark.parametrize("count", [3, 16])
-@pytest.mark.parametrize("options", [(), ("--start", "0.1"), ("--jobs", "1")])
+@pytest.mark.parametrize(("count", "options"), sampled(product([16, 3], [(), ("--start", "0.1"), ("--jobs", "1")]), 3))
 def test_frames_that_nothing_connects(count: int, options: tuple[str, ...], folder: Path) -> None:
     in_frames(folder / "far.bag", *["nowhere", "elsewhere"] * count)
     done, report = convert(folder, "--target-frame", "base_link", *options, status=1, source="far.bag")
@@ -124,24 +114,6 @@ def test_frames_that_nothing_connects(count: int, options: tuple[str, ...], fold
     dry = run_command(["convert", str(folder / "far.bag"), "--target-frame", "base_link", "--dry-run"])
     assert dry.status == 1
     assert "nothing can be converted" in dry.messages
-
-
-@pytest.mark.parametrize("kind", ["bag", "mcap", "rosbag2"])
-@pytest.mark.parametrize(
-    ("cut", "words"),
-    [
-        (("--start", "3600"), "the cut is outside of the recording: --start is "),
-        (("--end", "@1000000000"), "the cut is outside of the recording: --end is 1000000000.000000000"),
-        (("--start", "0.21"), "the cut is outside of the recording: --start"),
-        (("--start", "0.12", "--end", "0.15"), "no messages on /points in the cut"),
-    ],
-)
-def test_a_cut_without_clouds(kind: str, cut: tuple[str, ...], words: str, tmp_path: Path) -> None:
-    source = SOURCES[kind]
-    WRITERS[kind](tmp_path / source, CONTENT)
-    done, report = convert(tmp_path, *cut, status=2, source=source)
-    assert words in done.stderr
-    assert report["error"]["exit_status"] == 2
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap", "rosbag2"])
@@ -185,63 +157,10 @@ def test_one_converted_message_is_enough(folder: Path) -> None:
     assert "2 messages were skipped (--fail-on warning)" in done.stderr
 
 
-# --- Scans without returns ---
-
-
-def test_scans_that_all_are_empty_have_a_status_of_their_own(folder: Path) -> None:
-    done, report = convert(folder, "--min-height", "50", status=4)
-    assert "3 of 3 scans on /scan have no return" in done.stderr
-    assert report["error"] is None
-    assert (folder / "out" / "drive_scan.bag").exists()
-
-
-@pytest.mark.parametrize("strictness", ["empty", "warning"])
-def test_empty_scans_can_be_made_an_error(strictness: str, folder: Path) -> None:
-    done, report = convert(folder, "--min-height", "50", "--fail-on", strictness, status=1)
-    assert f"3 of 3 scans on /scan have no return (--fail-on {strictness})" in done.stderr
-    assert report["error"]["class"] == "ResultError"
-    convert(folder, *HEIGHTS, "--fail-on", strictness, status=0)
-
-
-def test_warnings_can_be_made_an_error(folder: Path) -> None:
-    convert(folder, *HEIGHTS, "--keep", "/nothing", status=0)
-    done, _ = convert(folder, *HEIGHTS, "--keep", "/nothing", "--fail-on", "warning", "--overwrite", status=1)
-    assert "--keep /nothing matches no topic (--fail-on warning)" in done.stderr
-    (folder / "cut.bag").write_bytes((folder / "drive.bag").read_bytes()[:-100])
-    done, _ = convert(folder, *HEIGHTS, "--fail-on", "warning", status=1, source="cut.bag")
-    assert "cut.bag: a source is damaged (--fail-on warning)" in done.stderr
-
-
-@pytest.mark.parametrize(("share", "status"), [("0.1", 0), ("1%", 0), ("99.9%", 1), ("1", 1)])
-def test_a_share_of_the_points_can_be_demanded(share: str, status: int, folder: Path) -> None:
-    done, report = convert(folder, *HEIGHTS, "--min-used", share, status=status)
-    if status:
-        assert "of the points of /points are in the scans on /scan, less than" in done.stderr
-        assert report["error"]["class"] == "ResultError"
-
-
-@pytest.mark.parametrize("share", ["1.5", "-1", "200%", "half", "nan", "%"])
-def test_shares_that_cannot_be(share: str, folder: Path) -> None:
-    done, _ = convert(folder, f"--min-used={share}", status=2)
-    assert "--min-used" in done.stderr
-
-
 # --- The report of a run that failed ---
 
 
-@pytest.mark.parametrize(
-    ("options", "kind", "status"),
-    [
-        (("--topic", "/nothing"), "TopicError", 2),
-        (("--angle-min", "x"), "ParameterError", 2),
-        (("--min-height", "2", "--max-height", "1"), "ParameterError", 2),
-        (("--params-file", "missing.yaml"), "UsageError", 2),
-        (("--start", "yesterday"), "UsageError", 2),
-        (("--storage", "mcap"), "DestinationError", 2),
-        (("--tf-from", "missing.bag", "--target-frame", "odom"), "MissingError", 2),
-        (("--static-tf", "a b c"), "UsageError", 2),
-    ],
-)
+@pytest.mark.parametrize(("options", "kind", "status"), rows(TABLES, "failures"))
 def test_the_report_of_a_failure(options: tuple[str, ...], kind: str, status: int, folder: Path) -> None:
     done, report = convert(folder, *options, status=status)
     error = report["error"]
@@ -260,7 +179,7 @@ def test_the_report_of_a_source_that_is_none(folder: Path) -> None:
     assert report["destination"] is None
 
 
-def test_a_report_of_a_failure_is_written_over_nothing_of_the_users(folder: Path) -> None:
+def test_a_report_of_a_failure_replaces_no_file_of_the_users(folder: Path) -> None:
     (folder / "thesis.tex").write_text("three years of work")
     before = (folder / "drive.bag").read_bytes()
     for report in ("drive.bag", "thesis.tex"):

@@ -9,7 +9,7 @@ import pytest
 
 import pc2scan
 from pc2scan.cli.in_process import run_command
-from support import ROOT
+from support import ROOT, sampled
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +30,7 @@ def ranges_of(folder: Path, *options: str, source: Path = HALL) -> NDArray[np.fl
         return np.stack([scan.ranges for scan in scans])
 
 
-@pytest.mark.parametrize("epsilon", EPSILONS)
+@pytest.mark.parametrize("epsilon", sampled(EPSILONS, 2))
 @pytest.mark.parametrize(
     "options",
     [
@@ -46,7 +46,7 @@ def test_ranges_are_those_of_the_node(options: tuple[str, ...], epsilon: str, tm
     np.testing.assert_array_equal(ranges_of(tmp_path, *chosen, *options), ranges_of(tmp_path, *chosen))
 
 
-@pytest.mark.parametrize("epsilon", EPSILONS)
+@pytest.mark.parametrize("epsilon", sampled(EPSILONS, 1))
 def test_rebinned_scans_have_the_ranges_of_their_points(epsilon: str, tmp_path: Path) -> None:
     scans, clouds = tmp_path / "scans.bag", tmp_path / "clouds.bag"
     fine = ("--min-height", "-0.3", "--angle-increment", "0.01", "--intensity-field", "intensity", "--only-scans")

@@ -35,18 +35,18 @@ ELSEWHERE = {
     *("--install-completion", "--version", "--help"),
     *("--clock", "--repeat", "--memory", "--pc2scan-golden", "--pc2scan-update"),
 }
+OPTION = r"(?<![\w-])--[a-z][a-z0-9-]*"
 
 
 @cache
-def help_of(command: str, how: str = "--help") -> str:
-    done = run(command, how if "--help-all" in run(command, "--help").stdout else "--help")
-    assert done.status == 0, done.stderr
-    return done.stdout
+def help_of(command: str) -> str:
+    shown = run(command, "--help").stdout
+    return run(command, "--help-all").stdout if "--help-all" in shown else shown
 
 
 @cache
 def options_of(command: str) -> frozenset[str]:
-    return frozenset(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", help_of(command, "--help-all")))
+    return frozenset(re.findall(OPTION, help_of(command)))
 
 
 def code_blocks(language: str, text: str = TEXT) -> list[str]:
@@ -55,114 +55,73 @@ def code_blocks(language: str, text: str = TEXT) -> list[str]:
 
 def commands_in(text: str) -> list[list[str]]:
     """The pc2scan commands of shell code, as words; what follows a pipe or ``||`` is not theirs."""
-    joined = text.replace("\\\n", " ")
     found = []
-    for line in joined.splitlines():
+    for line in text.replace("\\\n", " ").splitlines():
         code = line.split(" #")[0].split("||")[0]
         if match := re.search(r"(?:^|\s|/)pc2scan\s+(?=[a-z-])(.*)", code):
             found.append(shlex.split(match[1]))
     return found
 
 
-def test_every_option_in_the_readme_exists() -> None:
+def after(text: str, mark: str, end: str = "\n## ") -> str:
+    """The part of a page from a mark to the next heading."""
+    assert mark in text
+    return text.partition(mark)[2].partition(end)[0]
+
+
+def quoted(text: str, pattern: str = r"\w+") -> set[str]:
+    """The words in backticks."""
+    return set(re.findall(rf"`({pattern})`", text))
+
+
+# --- names ---
+
+
+def test_every_option_in_the_docs_exists() -> None:
     known = frozenset().union(*(options_of(command) for command in COMMANDS)) | ELSEWHERE
     # A mention in prose, or in a table, ends at whatever an option cannot contain.
     ours = [text for name, text in PAGES.items() if name != "from-ros"]
     lines = [line for text in (README, *ours) for line in text.splitlines() if "python tests/" not in line]
-    mentioned = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", "\n".join(lines)))
+    mentioned = set(re.findall(OPTION, "\n".join(lines)))
     assert len(mentioned) > 25
     assert mentioned - known == set()
 
 
-def test_every_command_in_the_readme_takes_the_options_shown() -> None:
+def test_every_command_takes_the_options_shown() -> None:
     shown = [words for block in code_blocks("sh") for words in commands_in(block)]
     shown += [words for line in re.findall(r"`(pc2scan [^`\n]+)`", TEXT) for words in commands_in(line)]
-    assert len(shown) >= 8
-    for words in shown:
-        if words[0] in ELSEWHERE:
-            continue
+    ours = [words for words in shown if words[0] not in ELSEWHERE]
+    assert len(ours) >= 8
+    for words in ours:
         assert words[0] in COMMANDS, words
         known = options_of(words[0]) | {"--help", "--ros-args"}
         assert {word.split("=")[0] for word in words if word.startswith("--")} <= known
 
 
-def test_every_command_is_in_the_readme() -> None:
-    done = run("--help")
-    assert done.status == 0
-    listed = re.findall(r"^  ([a-z]+)  ", done.stdout[done.stdout.index("Commands:") :], re.MULTILINE)
+def test_every_command_parameter_and_preset_is_named() -> None:
+    listed = re.findall(r"^  ([a-z]+)  ", run("--help").stdout.partition("Commands:")[2], re.MULTILINE)
     assert set(listed) == set(COMMANDS)
-    for command in listed:
-        assert f"pc2scan {command}" in README
-
-
-def test_every_parameter_is_in_the_readmes_table() -> None:
+    assert all(f"pc2scan {command}" in README for command in listed)
     rows = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.*?) \|", TEXT, re.MULTILINE))))
     assert PARAMETERS.keys() <= rows
-    assert all(parameter.spelling in options_of("convert") for parameter in PARAMETERS.values())
-
-
-def test_every_preset_is_in_the_readme_and_the_help() -> None:
-    section = PAGES["slam"]
-    help_text = " ".join(help_of("convert").split())
-    for consumer in PRESETS:
-        assert re.search(rf"\b{consumer}\b", section)
-    assert f"consumer of the scans: {', '.join(PRESETS)}." in help_text
-
-
-def test_the_dataset_recipe_ends_in_scans_that_are_accepted(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
-    block = PAGES["slam"].partition("<!-- dataset recipe -->")[2].split("```")[1].removeprefix("sh\n")
-    commands = commands_in(block)
-    assert [words[0] for words in commands] == ["info", "tf", "convert", "check"]
-    for words in commands:
-        done = run(*words, cwd=tmp_path)
-        assert (done.status, done.stderr) == (0, ""), words
-    assert "ok: accepted by slam_toolbox" in done.stdout
-
-
-def test_the_recipe_of_each_program_makes_what_it_accepts(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
-    section = PAGES["slam"].partition("## A recipe for each program")[2].partition("\n## ")[0]
-    commands = [words for block in code_blocks("sh", section) for words in commands_in(block)]
-    assert {words[-1] for words in commands if words[0] == "check"} >= {
-        "slam_toolbox",
-        "cartographer",
-        "gmapping",
-        "mrpt",
-    }
-    for words in commands:
-        done = run(*words, cwd=tmp_path)
-        assert (done.status, done.stderr) == (0, ""), words
-
-
-@pytest.mark.parametrize("page", ["README", "tutorial"])
-def test_from_a_bag_to_a_map(page: str, tmp_path: Path) -> None:
-    """All commands of the way, each with what the ones before it wrote."""
-    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
-    text = PAGES.get(page) or README.partition("## From a bag to a map")[2].partition("\n## ")[0]
-    commands = [words for block in code_blocks("sh", text) for words in commands_in(block)]
-    assert [words[0] for words in commands if words[0] in {"info", "convert", "check"}] == ["info", "convert", "check"]
-    for words in commands:
-        done = run(*words, cwd=tmp_path)
-        assert (done.status, done.stderr) == (0, ""), words
-    assert "ok: accepted by slam_toolbox" in done.stdout
+    assert {parameter.spelling for parameter in PARAMETERS.values()} <= options_of("convert")
+    assert all(re.search(rf"\b{consumer}\b", PAGES["slam"]) for consumer in PRESETS)
+    assert f"consumer of the scans: {', '.join(PRESETS)}." in " ".join(help_of("convert").split())
 
 
 def test_exit_statuses_are_told_alike() -> None:
-    help_text = run("--help").stdout
     report = PAGES["report"]
     table = report[report.index("| status | `convert`") :].split("\n\n")[0]
     told = re.findall(r"^\| (\d) \|", table, re.MULTILINE)
     assert told == ["0", "1", "2", "3", "4"]
-    for status in told:
-        assert re.search(rf"\b{status}\b", help_text[help_text.index("Exit status") :])
+    said = run("--help").stdout.partition("Exit status")[2]
+    assert all(re.search(rf"\b{status}\b", said) for status in told)
 
 
-def test_the_report_has_the_keys_of_the_readme(tmp_path: Path) -> None:
-    report = tmp_path / "report.json"
-    done = run("convert", ROOT / "fixtures" / "hall.bag", "-o", tmp_path / "out.bag", "--report", report)
-    assert done.status == 0, done.stderr
-    found = json.loads(report.read_text())
+def test_the_report_has_the_keys_of_its_page(tmp_path: Path) -> None:
+    done = run("convert", ROOT / "fixtures" / "hall.bag", "-o", "out.bag", "--report", "report.json", cwd=tmp_path)
+    assert done.status == 0
+    found = json.loads((tmp_path / "report.json").read_text())
     text = PAGES["report"]
     table = text[text.index("| key | |") :].split("\n\n")[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
@@ -170,52 +129,73 @@ def test_the_report_has_the_keys_of_the_readme(tmp_path: Path) -> None:
     top = set(re.findall(r"all are in `(\w+)`", table))
     inner: dict[str, set[str]] = {}
     for names, description in rows:
-        for name in re.findall(r"`([\w\[\]]+)`", names):
+        for name in quoted(names, r"[\w\[\]]+"):
             top.add(name.removesuffix("[]"))
             if name.endswith("[]"):
                 # ``points`` (`total`, ...) names the keys of a key; ``action`` (`converted`, ...) its values.
-                outer = re.sub(r"\([^)]*\)", "", description)
-                inner[name[:-2]] = set(re.findall(r"`(\w+)`", outer))
+                inner[name[:-2]] = quoted(re.sub(r"\([^)]*\)", "", description))
     assert found.keys() == top
     assert all(topic.keys() == inner["topics"] for topic in found["topics"])
     points = re.search(r"`points` \(([^)]*)\)", table)
     assert points is not None
-    assert all(topic["points"].keys() == set(re.findall(r"`(\w+)`", points[1])) for topic in found["topics"])
+    assert all(topic["points"].keys() == quoted(points[1]) for topic in found["topics"])
     assert {topic["action"] for topic in found["topics"]} <= {"converted", "passed", "re-encoded", "skipped"}
-    # No fixture has a message to skip: the keys of those are what the code says, and the README must name them.
+    # No fixture has a message to skip: the keys of those are what the code says, and the page must name them.
     assert inner["skipped"] >= {"topic", "log_time_ns", "stamp_ns", "reason", "hint"}
 
 
-def test_the_example_for_the_library_runs(tmp_path: Path) -> None:
-    (block,) = code_blocks("python", PAGES["python"])
-    shutil.copytree(ROOT / "fixtures", tmp_path / "fixtures")
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", block],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=environment(),
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    first, *scans, last = done.stdout.splitlines()
-    assert first.startswith("0 [")
-    assert "('/points', 4)" in first
-    assert [line.split()[:2] for line in scans] == [[f"2023-11-14T22:13:20.{i}00000000", "lidar"] for i in (1, 2, 3, 4)]
-    assert last.split() == ["1.0", "2.0", "2"]
-    assert (tmp_path / "hall_scans.mcap").exists()
+def row_of(name: str) -> str:
+    (row,) = [line for line in TEXT.splitlines() if line.startswith(f"| `{name}`")]
+    return row
 
 
-@pytest.mark.parametrize("fixture", ["hall.bag", "hall.mcap", "hall"])
-def test_the_first_command_works_on_every_fixture(fixture: str, tmp_path: Path) -> None:
-    (line,) = [line for line in code_blocks("sh", README) if "fixtures/hall.bag" in line]
-    (words,) = commands_in(line)
-    words[words.index("fixtures/hall.bag")] = str(ROOT / "fixtures" / fixture)
-    done = run(*words, cwd=tmp_path)
-    assert done.status == 0, done.stderr
-    assert (tmp_path / "scans.mcap").exists()
-    assert done.stderr == ""
+def test_what_is_said_of_diff_and_golden() -> None:
+    # Of the geometry one name stands for all.
+    assert quoted(row_of("--ignore NAME")) == IGNORABLE.keys() - {*GEOMETRY} | {"angle_max"}
+    assert quoted(row_of("case.yaml")) - {"convert", "diff"} == set(KEYS)
+    report = json.loads(run("diff", ROOT / "fixtures" / "hall.bag", ROOT / "fixtures" / "hall.mcap", "--json").stdout)
+    keys = {
+        name.removesuffix("[]") for name in quoted(after(PAGES["diff"], "`--json` prints", "Exit"), r"\w+(?:\[\])?")
+    }
+    assert {"same", "exit_status", "topics", "values", "worst"} < keys <= {*report, *report["topics"][0]}
+    (block,) = code_blocks("python", PAGES["golden"])
+    compile(block, "golden.md", "exec")
+    asked = re.search(r"def test_\w+\((.*)\)", block)
+    assert asked is not None
+    assert set(asked[1].split(", ")) == set(pytest_plugin.__all__)
+
+
+# --- commands, in the order of a page, each with what the ones before it wrote ---
+
+
+@pytest.mark.parametrize(
+    ("blocks", "commands", "accepted"),
+    [
+        (
+            code_blocks("sh", after(PAGES["slam"], "<!-- dataset recipe -->"))[:1],
+            "info tf convert check",
+            "slam_toolbox",
+        ),
+        (
+            code_blocks("sh", after(PAGES["slam"], "## A recipe for each program")),
+            "",
+            "slam_toolbox cartographer gmapping mrpt",
+        ),
+        (code_blocks("sh", after(README, "## From a bag to a map")), "info convert check", "slam_toolbox"),
+        (code_blocks("sh", PAGES["tutorial"]), "info convert check", "slam_toolbox"),
+    ],
+    ids=["dataset", "programs", "README", "tutorial"],
+)
+def test_a_recipe_ends_in_accepted_scans(blocks: list[str], commands: str, accepted: str, tmp_path: Path) -> None:
+    shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
+    typed = [words for block in blocks for words in commands_in(block)]
+    assert not commands or [words[0] for words in typed if words[0] in commands.split()] == commands.split()
+    assert {words[-1] for words in typed if words[0] == "check"} >= set(accepted.split())
+    for words in typed:
+        done = run(*words, cwd=tmp_path)
+        assert (done.status, done.stderr) == (0, ""), words
+        if words[0] == "check":
+            assert words[-1] in done.stdout.partition("ok: accepted by ")[2]
 
 
 def test_the_shown_commands_run_on_a_recording(tmp_path: Path) -> None:
@@ -234,6 +214,16 @@ def test_the_shown_commands_run_on_a_recording(tmp_path: Path) -> None:
     assert ran >= 6
 
 
+@pytest.mark.parametrize("fixture", ["hall.bag", "hall.mcap", "hall"])
+def test_the_first_command_works_on_every_fixture(fixture: str, tmp_path: Path) -> None:
+    (line,) = [line for line in code_blocks("sh", README) if "fixtures/hall.bag" in line]
+    (words,) = commands_in(line)
+    words[words.index("fixtures/hall.bag")] = str(ROOT / "fixtures" / fixture)
+    done = run(*words, cwd=tmp_path)
+    assert (done.status, done.stderr) == (0, "")
+    assert (tmp_path / "scans.mcap").exists()
+
+
 def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
     """Its commands, then those of the workflow, then a change that it is there to find."""
     shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
@@ -247,71 +237,59 @@ def test_the_recipe_for_ci_works_from_start_to_finish(tmp_path: Path) -> None:
     commands = [*block.splitlines(), *in_ci]
     assert len(commands) == 6
     for command in commands:
-        words = shlex.split(command)
-        if words[0] == "pc2scan":
-            done = run(*words[1:], cwd=tmp_path)
-            assert done.status == 0, (command, done)
+        program, *words = shlex.split(command)
+        if program == "pc2scan":
+            assert run(*words, cwd=tmp_path).status == 0, command
         else:
-            subprocess.run(words, cwd=tmp_path, check=True)
+            subprocess.run([program, *words], cwd=tmp_path, check=True)
     assert [(tmp_path / path).is_file() for path in uploaded] == [True]
     (tmp_path / "golden" / "drive" / "params.yaml").write_text(params.replace("-0.3", "-0.2"))
     (words,) = commands_in(in_ci[0])
     assert run(*words, cwd=tmp_path).status == 1
 
 
-def row_of(name: str) -> str:
-    (row,) = [line for line in TEXT.splitlines() if line.startswith(f"| `{name}`")]
-    return row
+# --- the library ---
 
 
-def test_what_is_said_of_diff_and_golden() -> None:
-    named = set(re.findall(r"`(\w+)`", row_of("--ignore NAME")))
-    # Of the geometry one name stands for all.
-    assert named == IGNORABLE.keys() - {*GEOMETRY} | {"angle_max"}
-    assert set(re.findall(r"`(\w+)`", row_of("case.yaml"))) - {"convert", "diff"} == set(KEYS)
-    report = json.loads(run("diff", ROOT / "fixtures" / "hall.bag", ROOT / "fixtures" / "hall.mcap", "--json").stdout)
-    told = PAGES["diff"].partition("`--json` prints")[2].partition("Exit status")[0]
-    keys = set(re.findall(r"`(\w+)(?:\[\])?`", told))
-    assert keys <= {*report, *report["topics"][0]}
-    assert keys > {"same", "exit_status", "topics", "values", "worst"}
-
-
-def test_the_fixtures_for_pytest_are_those_of_the_plugin() -> None:
-    (block,) = code_blocks("python", PAGES["golden"])
-    compile(block, "golden.md", "exec")
-    asked = re.search(r"def test_\w+\((.*)\)", block)
-    assert asked is not None
-    assert set(asked[1].split(", ")) == set(pytest_plugin.__all__)
-
-
-def test_the_readme_is_short() -> None:
-    assert len(README.splitlines()) <= 200
-
-
-def test_the_readmes_python_runs(tmp_path: Path) -> None:
-    (block,) = code_blocks("python", README)
-    shutil.copytree(ROOT / "fixtures", tmp_path / "fixtures")
+def output_of(block: str, folder: Path) -> list[str]:
+    """The lines that a page's example prints."""
+    shutil.copytree(ROOT / "fixtures", folder / "fixtures")
     command = [sys.executable, "-W", "error", "-c", block]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment(), check=False)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment(), check=False)
     assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) == 5
+    return done.stdout.splitlines()
+
+
+def test_the_example_for_the_library_runs(tmp_path: Path) -> None:
+    (block,) = code_blocks("python", PAGES["python"])
+    first, *scans, last = output_of(block, tmp_path)
+    assert first.startswith("0 [")
+    assert "('/points', 4)" in first
+    assert [line.split()[:2] for line in scans] == [[f"2023-11-14T22:13:20.{i}00000000", "lidar"] for i in (1, 2, 3, 4)]
+    assert last.split() == ["1.0", "2.0", "2"]
+    assert (tmp_path / "hall_scans.mcap").exists()
+
+
+def test_the_python_of_the_readme_runs(tmp_path: Path) -> None:
+    (block,) = code_blocks("python", README)
+    assert len(output_of(block, tmp_path)) == 5
+
+
+# --- the pages ---
+
+
+def test_the_readme_is_short_and_yaml_is_yaml() -> None:
+    assert len(README.splitlines()) <= 200
+    blocks = code_blocks("yaml")
+    assert len(blocks) >= 4
+    assert all(YAML(typ="safe").load(block) is not None for block in blocks)
 
 
 @pytest.mark.parametrize(
-    "page",
-    [
-        "README",
-        "DESIGN",
-        "SECURITY",
-        "CHANGELOG",
-        "CONTRIBUTING",
-        "CODE_OF_CONDUCT",
-        *(f"docs/{name}" for name in PAGES),
-    ],
+    "page", [*sorted(path.name for path in ROOT.glob("*.md")), *(f"docs/{name}.md" for name in PAGES)]
 )
-def test_links_lead_somewhere(page: str) -> None:
-    """To files that are there, and to headings of theirs."""
-    path = ROOT / f"{page}.md"
+def test_links_lead_to_files_and_headings(page: str) -> None:
+    path = ROOT / page
     for link in re.findall(r"\]\(([^)\s]+)\)", path.read_text("utf-8")):
         if link.startswith(("https://", "mailto:")):
             continue
@@ -322,10 +300,3 @@ def test_links_lead_somewhere(page: str) -> None:
             headings = re.findall(r"^#+ (.*)$", target.read_text("utf-8"), re.MULTILINE)
             anchors = {re.sub(r"[^a-z0-9 _-]", "", heading.lower()).replace(" ", "-") for heading in headings}
             assert anchor in anchors, link
-
-
-def test_yaml_in_the_docs_is_yaml() -> None:
-    blocks = code_blocks("yaml")
-    assert len(blocks) >= 4
-    for block in blocks:
-        assert YAML(typ="safe").load(block) is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from contextlib import closing
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,16 +17,17 @@ from pc2scan.cli.spelling import as_typed
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
 from pc2scan.messages.laserscan import decode_laserscan
+from support import sampled
+from support.tables import rows
 from support.worlds.labelled import labelled
 from support.worlds.mounted import write_clouds
 from support.worlds.veiled import LIDARS, PLANS, Kind, Scan, Veiled, scan_of, veiled
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
 LOWEST, HIGHEST = -0.3, 0.6
+TABLES = Path(__file__).with_name("removing.txt")
 BEAMS = (360, 720)
 #: In these there is an edge every few degrees.
 CROWDED = {"store 1", "store 2", "store 3"}
@@ -68,7 +70,7 @@ def converted(recording: Path, beams: int, *options: str) -> Converted:
     return Converted(scans, warnings, topic["removed_beams"])
 
 
-@pytest.mark.parametrize("plan", sorted(PLANS.keys() - CROWDED))
+@pytest.mark.parametrize("plan", sampled(sorted(PLANS.keys() - CROWDED), 1))
 def test_shadows_keep_clean_walls_and_posts(plan: str, tmp_path: Path) -> None:
     clouds = [veiled(plan, lidar, noise=noise) for lidar in LIDARS for noise in (0.0, 0.02)]
     recording = written(tmp_path, *clouds)
@@ -82,6 +84,7 @@ def test_shadows_keep_clean_walls_and_posts(plan: str, tmp_path: Path) -> None:
             assert not gone[kinds == Kind.POST].any()
 
 
+@pytest.mark.slow
 def test_shadows_remove_most_mixed_pixels(tmp_path: Path) -> None:
     clouds = [veiled(plan, lidar, noise=0.02, mixed=True) for plan in PLANS for lidar in ("16 rings", "1 ring")]
     recording = written(tmp_path, *clouds)
@@ -111,17 +114,7 @@ def test_laser_filters_values_remove_walls_with_a_warning(tmp_path: Path) -> Non
     np.testing.assert_array_equal(one.scans, found.scans)
 
 
-@pytest.mark.parametrize(
-    ("plan", "lidar", "options", "said"),
-    [
-        (
-            "empty corridor", "1 ring", ("--remove", "speckles max_range=30"),
-            "--remove 'speckles max_range=30 max_range_difference=0.2' removes fewer",
-        ),
-        ("room with posts", "1 ring", ("--reduce", "kth", "--kth", "3"), "lower these, or use more heights or wider"),
-        ("room with posts", "1 ring", ("--min-points", "3"), "they have fewer returns than --min-points or --kth"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("plan", "lidar", "options", "said"), rows(TABLES, "filters that remove a tenth"))
 def test_filters_that_remove_a_tenth_are_warned_of(
     plan: str, lidar: str, options: tuple[str, ...], said: str, tmp_path: Path
 ) -> None:
@@ -148,7 +141,7 @@ def test_scans_whose_every_beam_is_sparse_are_explained(tmp_path: Path) -> None:
     assert "720 of 720 beams (100%) were removed as sparse; they have fewer returns than --min-points" in ended.messages
 
 
-@pytest.mark.parametrize(("lidar", "height"), [("16 rings", 1.0), ("32 rings", 1.8), ("64 rings", 1.8)])
+@pytest.mark.parametrize(("lidar", "height"), sampled([("16 rings", 1.0), ("32 rings", 1.8), ("64 rings", 1.8)], 1))
 def test_beams_end_on_boxes_where_the_ground_is_removed(lidar: str, height: float, tmp_path: Path) -> None:
     cloud = labelled("boxes of 0.3 m", lidar, lidar=height)
     high = ~cloud.ground & (cloud.above > 0.16 + 0.008 * np.hypot(cloud.points[:, 0], cloud.points[:, 1]))
@@ -161,13 +154,7 @@ def test_beams_end_on_boxes_where_the_ground_is_removed(lidar: str, height: floa
     assert not np.isfinite(scan[~np.isfinite(boxes)]).any()
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ("--where", "x > 0"), ("--exclude-box", "lidar 0 9 -9 9 -1 1"), ("--min-height-slope", "0.05"),
-        ("--reduce", "kth", "--kth", "2"), ("--remove", "speckles"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("options", sampled([pytest.param(*row) for row in rows(TABLES, "what is asked for")], 2))
 def test_what_is_asked_for_draws_no_warning(options: tuple[str, ...], tmp_path: Path) -> None:
     recording = written(tmp_path, veiled("room with posts", "16 rings", noise=0.02))
     assert not converted(recording, 360, *options).warnings

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
-import subprocess
 import sys
 import threading
+from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,115 +12,123 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.errors import DestinationError, MissingError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.errors import MissingError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.remote.store import RemotePath
-from support import ROOT
+from support import RECORDINGS, ROOT, needs_shared
+from support.command import run
+from support.stores import memory_store, s3_server
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
 fsspec = pytest.importorskip("fsspec")
 
 FIXTURES = ROOT / "fixtures"
 NAMES = ["hall.bag", "hall.mcap", "hall"]
 HEIGHTS: dict[str, Any] = {"min_height": 0.1}
+HALL = "memory://bucket/hall.bag"
 
 
-@pytest.fixture
-def bucket() -> Iterator[Any]:
-    fs = fsspec.filesystem("memory")
-    for name in NAMES[:2]:
-        fs.put_file(str(FIXTURES / name), f"/bucket/{name}")
-    fs.put(f"{FIXTURES / 'hall'}/", "/bucket/hall/", recursive=True)
-    yield fs
-    fs.rm("/", recursive=True)
+@pytest.fixture(autouse=True)
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    with memory_store(monkeypatch) as fs:
+        for name in NAMES[:2]:
+            fs.put_file(str(FIXTURES / name), f"/bucket/{name}")
+        fs.put(f"{FIXTURES / 'hall'}/", "/bucket/hall/", recursive=True)
+        yield fs
 
 
-@pytest.fixture
-def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+@pytest.fixture(autouse=True)
+def scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """The folder for temporary files; nothing may stay there."""
     folder = tmp_path / "scratch"
     folder.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(folder))
-    return folder
+    yield folder
+    assert list(folder.iterdir()) == []
 
 
-@pytest.mark.usefixtures("bucket")
+def contents(fs: Any) -> dict[str, bytes]:
+    return {name: fs.cat_file(name) for name in fs.find("/")}
+
+
 @pytest.mark.parametrize("name", NAMES)
-def test_info_and_tf_are_those_of_the_file(name: str, scratch: Path) -> None:
+def test_what_is_at_a_url_is_as_the_file(name: str, bucket: Any, scratch: Path, tmp_path: Path) -> None:
     url, local = f"memory://bucket/{name}", str(FIXTURES / name)
     assert str(pc2scan.info(url)) == str(pc2scan.info(local)).replace(local, url)
     assert pc2scan.tf(url).as_dict() == pc2scan.tf(local).as_dict()
-    assert list(scratch.iterdir()) == []
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_conversion_is_that_of_the_file(name: str, bucket: Any, scratch: Path, tmp_path: Path) -> None:
-    report = pc2scan.convert(f"memory://bucket/{name}", f"memory://out/{name}", report=tmp_path / "r.json", **HEIGHTS)
-    assert report.sources == [f"memory://bucket/{name}"]
-    assert report.destination == f"memory://out/{name}"
-    assert str(scratch) not in (tmp_path / "r.json").read_text()
-    assert json.loads((tmp_path / "r.json").read_text())["destination"] == f"memory://out/{name}"
-    pc2scan.convert(FIXTURES / name, tmp_path / name, **HEIGHTS)
-    bucket.get(f"/out/{name}", str(tmp_path / "got" / name), recursive=True)
+    report = pc2scan.convert(url, f"memory://out/{name}", report=tmp_path / "r.json", **HEIGHTS)
+    assert (report.sources, report.destination) == ([url], f"memory://out/{name}")
+    said = (tmp_path / "r.json").read_text()
+    assert str(scratch) not in said
+    assert f'"destination": "memory://out/{name}"' in said
     expected = tmp_path / name
-    for file in sorted(expected.iterdir()) if expected.is_dir() else [expected]:
-        assert (tmp_path / "got" / file.relative_to(tmp_path)).read_bytes() == file.read_bytes()
-    assert list(scratch.iterdir()) == []
+    pc2scan.convert(local, expected, **HEIGHTS)
+    files = sorted(expected.iterdir()) if expected.is_dir() else [expected]
+    made = {key: data for key, data in contents(bucket).items() if key.startswith("/out")}
+    assert made == {f"/out/{file.relative_to(tmp_path)}": file.read_bytes() for file in files}
 
 
-def test_without_a_destination_it_goes_next_to_the_source(bucket: Any) -> None:
-    assert pc2scan.convert("memory://bucket/hall.bag", **HEIGHTS).destination == "memory://bucket/hall_scan.bag"
+def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
+    assert pc2scan.convert(HALL, **HEIGHTS).destination == "memory://bucket/hall_scan.bag"
     assert bucket.exists("/bucket/hall_scan.bag")
-    with pytest.raises(DestinationError, match=r"memory://bucket/hall_scan\.bag: exists already"):
-        pc2scan.convert("memory://bucket/hall.bag", **HEIGHTS)
+    pc2scan.convert(HALL, "memory://out/", split="0.2s", **HEIGHTS)
+    assert bucket.find("/out") == [f"/out/hall_scan_{number}.bag" for number in range(3)]
 
 
-def test_a_folder_and_several_files(bucket: Any) -> None:
-    pc2scan.convert("memory://bucket/hall.bag", "memory://out/", split="0.2s", **HEIGHTS)
-    found = sorted(path.rpartition("/")[2] for path in bucket.find("/out"))
-    assert found[:2] == ["hall_scan_0.bag", "hall_scan_1.bag"]
+#: What is typed behind ``convert``, and why it is refused.
+REFUSED = {
+    f"{HALL} -o memory://out/x.bag": "memory://out/x.bag: exists already",
+    "memory://out/x.bag": "memory://out/x_scan.bag: exists already",
+    f"{HALL} -o memory://out/mine": "folders in a store are never replaced",
+    f"{HALL} -o memory://out/mine --overwrite": "folders in a store are never replaced",
+    f"{HALL} -o memory://out/drive.bag --split 0.2s": "exists already",
+    f"{HALL} -o {HALL} --overwrite": "is a source",
+    f"{HALL} -o memory://bucket/x/../hall.bag --overwrite": "is a source",
+    f"memory://bucket/hall.mcap -o {HALL} --tf-from {HALL} --overwrite": "is a source",
+    # It has the name of a numbered file.
+    "memory://out/drive_7.bag -o memory://out/drive.bag --split 0.02s --overwrite": "is a source",
+    f"{HALL} -o memory://out/y.bag --scratch-size 1kB": "local copies of the sources take",
+    f"{FIXTURES}/hall.bag -o x.bag --scratch .": "no source and no destination is a URL",
+    "memory://bucket/none.bag -o memory://out/y.bag": "memory://bucket/none.bag: does not exist",
+}
 
 
-def test_an_existing_destination_stays(bucket: Any) -> None:
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_is_refused_changes_nothing(words: str, bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    hall = bucket.cat_file("/bucket/hall.bag")
+    for name, data in {"x.bag": hall, "x_scan.bag": b"", "mine/thesis.tex": b"", "drive_1.bag": b"old"}.items():
+        bucket.pipe_file(f"/out/{name}", data)
+    bucket.pipe_file("/out/drive_7.bag", hall)
+    before = contents(bucket)
+    if "--scratch-size" in words:
+        # Before anything is read.
+        monkeypatch.setattr(RemotePath, "download", lambda *_: pytest.fail("downloaded"))
+    done = run("convert", *words.split(), "--min-height", "0.1")
+    assert (done.status, REFUSED[words] in done.stderr) == (2, True), done.stderr
+    assert contents(bucket) == before
+
+
+def test_overwriting_replaces_what_it_writes(bucket: Any) -> None:
     bucket.pipe_file("/out/x.bag", b"mine")
-    with pytest.raises(DestinationError, match="exists already"):
-        pc2scan.convert("memory://bucket/hall.bag", "memory://out/x.bag", **HEIGHTS)
-    assert bucket.cat_file("/out/x.bag") == b"mine"
-    pc2scan.convert("memory://bucket/hall.bag", "memory://out/x.bag", overwrite=True, **HEIGHTS)
+    pc2scan.convert(HALL, "memory://out/x.bag", overwrite=True, **HEIGHTS)
     assert bucket.cat_file("/out/x.bag").startswith(b"#ROSBAG")
+    for number in (1, 7):
+        bucket.pipe_file(f"/out/drive_{number}.bag", b"mine")
+    report = pc2scan.convert(HALL, "memory://out/drive.bag", split="0.2s", overwrite=True, **HEIGHTS)
+    assert bucket.cat_file("/out/drive_7.bag") == b"mine"
+    assert any("drive_7.bag" in text and "it stays" in text for text in report.warnings)
+    assert bucket.find("/out") == [*(f"/out/drive_{number}.bag" for number in (0, 1, 2, 7)), "/out/x.bag"]
 
 
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_a_folder_of_a_store_is_never_replaced(bucket: Any, overwrite: bool) -> None:
-    bucket.pipe_file("/out/mine/thesis.tex", b"mine")
-    with pytest.raises(DestinationError, match="folders in a store are never replaced"):
-        pc2scan.convert("memory://bucket/hall.bag", "memory://out/mine", overwrite=overwrite, **HEIGHTS)
-    assert bucket.find("/out/mine") == ["/out/mine/thesis.tex"]
+def test_only_some_commands_read_urls() -> None:
+    with pytest.raises(MissingError, match=r"memory://bucket/none\.bag: does not exist"):
+        pc2scan.info("memory://bucket/none.bag")
+    with pytest.raises(UsageError, match="only convert, info and tf read URLs"):
+        pc2scan.check("https://me:secret@example.org/a.bag?token=1")
 
 
-@pytest.mark.usefixtures("bucket")
-def test_a_source_is_never_the_destination() -> None:
-    with pytest.raises(DestinationError, match="is a source"):
-        pc2scan.convert("memory://bucket/hall.bag", "memory://bucket/hall.bag", overwrite=True, **HEIGHTS)
-
-
-@pytest.mark.usefixtures("bucket")
-def test_too_little_scratch_is_refused_before_anything_is_read(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(RemotePath, "download", lambda *_: pytest.fail("downloaded"))
-    with pytest.raises(UsageError, match="local copies of the sources take"):
-        pc2scan.convert("memory://bucket/hall.bag", "memory://out/x.bag", scratch_size="1kB", **HEIGHTS)
-    assert list(scratch.iterdir()) == []
-
-
-def test_scratch_without_urls_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="no source and no destination is a URL"):
-        pc2scan.convert(FIXTURES / "hall.bag", tmp_path / "x.bag", scratch=tmp_path, **HEIGHTS)
-
-
-def test_a_source_that_changes_meanwhile_is_an_error(
-    bucket: Any, scratch: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_source_that_changes_meanwhile_is_an_error(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     get_file = bucket.get_file
 
     def changing(key: str, target: str, **options: Any) -> None:
@@ -132,14 +137,13 @@ def test_a_source_that_changes_meanwhile_is_an_error(
 
     monkeypatch.setattr(type(bucket), "get_file", staticmethod(changing))
     with pytest.raises(RecordingError, match="was changed while it was read"):
-        pc2scan.convert("memory://bucket/hall.bag", "memory://out/x.bag", **HEIGHTS)
+        pc2scan.convert(HALL, "memory://out/x.bag", **HEIGHTS)
     assert not bucket.exists("/out/x.bag")
-    assert list(scratch.iterdir()) == []
 
 
 @pytest.mark.parametrize("failure", [OSError("gone"), KeyboardInterrupt()])
 def test_an_upload_that_fails_leaves_nothing(
-    failure: BaseException, bucket: Any, scratch: Path, monkeypatch: pytest.MonkeyPatch
+    failure: BaseException, bucket: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     put_file = bucket.put_file
 
@@ -150,19 +154,17 @@ def test_an_upload_that_fails_leaves_nothing(
 
     monkeypatch.setattr(type(bucket), "put_file", staticmethod(failing))
     with pytest.raises((Pc2ScanError, KeyboardInterrupt)):
-        pc2scan.convert("memory://bucket/hall.bag", "memory://out/x", **HEIGHTS)
+        pc2scan.convert(HALL, "memory://out/x", **HEIGHTS)
     assert bucket.find("/out") == []
-    assert list(scratch.iterdir()) == []
 
 
+@needs_shared
 def test_only_ranges_are_read(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = ROOT.parent / "shared" / "recordings" / "luminar_highway.bag"
-    if not recording.exists():
-        pytest.skip("no real recordings here")
+    recording = RECORDINGS / "luminar_highway.bag"
     read: list[int] = []
-    bytes_at = RemotePath.bytes_at
+    bytes_at: Callable[..., Any] = RemotePath.bytes_at
 
-    def counted(self: RemotePath, start: int, stop: int) -> bytes | None:
+    def counted(self: RemotePath, start: int, stop: int) -> Any:
         read.append(stop - start)
         return bytes_at(self, start, stop)
 
@@ -174,119 +176,55 @@ def test_only_ranges_are_read(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> N
     assert 0 < sum(read) < recording.stat().st_size * 0.8
 
 
-def test_a_source_in_a_store_is_never_replaced(bucket: Any) -> None:
-    before = {name: bucket.cat_file(name) for name in bucket.find("/bucket")}
-    url = "memory://bucket/hall.bag"
-    cases: list[tuple[str, str, dict[str, Any]]] = [
-        (url, url, {}),
-        (url, "memory://bucket/x/../hall.bag", {}),
-        ("memory://bucket/hall.mcap", url, {"tf_from": url}),
-    ]
-    for source, destination, options in cases:
-        with pytest.raises(DestinationError, match="is a source"):
-            pc2scan.convert(source, destination, overwrite=True, **options, **HEIGHTS)
-    # Nor one that has the name of a numbered file.
-    bucket.pipe_file("/bucket/drive_2.bag", before["/bucket/hall.bag"])
-    with pytest.raises(DestinationError, match="is a source"):
-        pc2scan.convert("memory://bucket/drive_2.bag", "memory://bucket/drive.bag", split="0.1s", overwrite=True)
-    bucket.rm_file("/bucket/drive_2.bag")
-    assert {name: bucket.cat_file(name) for name in bucket.find("/bucket")} == before
+# --- The command ---
 
 
-def test_other_numbered_files_in_a_store_stay(bucket: Any) -> None:
-    bucket.pipe_file("/out/drive_1.bag", b"old")
-    bucket.pipe_file("/out/drive_7.bag", b"mine")
-    with pytest.raises(DestinationError, match="exists already"):
-        pc2scan.convert("memory://bucket/hall.bag", "memory://out/drive.bag", split="0.2s", **HEIGHTS)
-    report = pc2scan.convert(
-        "memory://bucket/hall.bag", "memory://out/drive.bag", split="0.2s", overwrite=True, **HEIGHTS
-    )
-    assert bucket.cat_file("/out/drive_7.bag") == b"mine"
-    assert any("drive_7.bag" in text and "it stays" in text for text in report.warnings)
-    assert sorted(bucket.find("/out")) == [f"/out/drive_{number}.bag" for number in (0, 1, 2, 7)]
-
-
-@pytest.mark.usefixtures("bucket")
-def test_nothing_there_and_other_commands() -> None:
-    with pytest.raises(MissingError, match=r"memory://bucket/none\.bag: does not exist"):
-        pc2scan.info("memory://bucket/none.bag")
-    with pytest.raises(UsageError, match="only convert, info and tf read URLs"):
-        pc2scan.check("https://me:secret@example.org/a.bag?token=1")
-
-
-def run(*words: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "pc2scan", *words]
-    return subprocess.run(
-        command, capture_output=True, text=True, check=False, timeout=120, env={**os.environ, **(environment or {})}
-    )
-
-
-def test_a_file_url_is_the_path_that_it_names(tmp_path: Path) -> None:
-    shutil.copy(FIXTURES / "hall.mcap", tmp_path)
-    url = f"file://{tmp_path}"
-    done = run("convert", f"{url}/hall.mcap", "-o", f"{url}/x%20y.mcap", "--min-height", "0.1")
-    assert done.returncode == 0, done.stderr
-    assert f"{tmp_path}/x y.mcap" in done.stdout
-    shown = run("info", f"FILE://localhost{tmp_path}/x%20y.mcap")
-    assert shown.stdout.startswith(f"{tmp_path}/x y.mcap: mcap")
-    # Every command takes it, not only those that read stores.
-    assert run("check", f"file:{tmp_path}/x y.mcap").returncode in (0, 1)
-
-
-def test_a_missing_library_is_named() -> None:
-    code = "import sys; sys.modules['fsspec'] = sys.modules['fsspec.core'] = None; from pc2scan.cli import main; main()"
-    command = [sys.executable, "-c", code, "info", "s3://bucket/a.mcap"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
+def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("fsspec", "fsspec.core"):
+        monkeypatch.setitem(sys.modules, name, None)
+    done = run("info", "s3://bucket/a.mcap")
+    assert done.status == 2
     assert "pip install 'pc2scan[remote]' s3fs" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-@pytest.fixture
-def web() -> Iterator[str]:
+def test_a_web_server_is_read_only(tmp_path: Path) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp reads https")
 
     class Handler(SimpleHTTPRequestHandler):
-        def __init__(self, *args: Any) -> None:
-            super().__init__(*args, directory=str(FIXTURES))
-
         def log_message(self, *_: object) -> None:
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(FIXTURES))) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"127.0.0.1:{server.server_port}"
+        source = f"http://me:secret@127.0.0.1:{server.server_port}/hall.bag?token=geheim"
+        done = run("convert", source, "-o", tmp_path / "x.bag", "--report", tmp_path / "r.json")
+        refused = run("convert", source)
         server.shutdown()
+    assert done.status == 0, done.stderr
+    assert (refused.status, "can only be read" in refused.stderr) == (2, True)
+    said = done.stdout + done.stderr + (tmp_path / "r.json").read_text() + refused.stderr
+    for secret in ("secret", "geheim"):
+        assert secret not in said
 
 
-def test_a_web_server_is_read_only(web: str, tmp_path: Path) -> None:
-    source = f"http://me:secret@{web}/hall.bag?token=geheim"
-    done = run("convert", source, "-o", str(tmp_path / "x.bag"), "--report", str(tmp_path / "r.json"))
-    assert done.returncode == 0, done.stderr
-    assert "secret" not in done.stdout + done.stderr + (tmp_path / "r.json").read_text()
-    assert "geheim" not in done.stdout + done.stderr + (tmp_path / "r.json").read_text()
-    refused = run("convert", source)
-    assert refused.returncode == 2
-    assert "can only be read" in refused.stderr
-    assert "geheim" not in refused.stderr
-
-
-def test_an_s3_server(s3_server: dict[str, str]) -> None:
-    code = "import fsspec, sys; s3 = fsspec.filesystem('s3'); s3.mkdir('drives'); "
-    code += "s3.put(sys.argv[1], 'drives/in/hall.bag')"
-    command = [sys.executable, "-c", code, str(FIXTURES / "hall.bag")]
-    subprocess.run(command, check=True, timeout=120, env=os.environ | s3_server)
-    done = run("info", "s3://drives/in/hall.bag", environment=s3_server)
-    assert done.returncode == 0, done.stderr
-    for name in ("x.bag", "x"):
-        done = run("convert", "s3://drives/in/hall.bag", "-o", f"s3://drives/out/{name}", environment=s3_server)
-        assert done.returncode == 0, done.stderr
-        assert "testing-secret" not in done.stdout + done.stderr
-    done = run("convert", "s3://drives/in/hall.bag", "-o", "s3://drives/out/x.bag", environment=s3_server)
-    assert done.returncode == 2
-    assert "exists already" in done.stderr
-    shown = run("info", "s3://drives/out/x", environment=s3_server)
-    assert shown.stdout.startswith("s3://drives/out/x: rosbag2 mcap"), shown.stderr
-    missing = run("info", "s3://drives/none.bag", environment=s3_server)
-    assert missing.returncode == 2
-    assert "does not exist" in missing.stderr
+def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    with s3_server() as variables:
+        for name, value in variables.items():
+            monkeypatch.setenv(name, value)
+        s3 = fsspec.filesystem("s3", skip_instance_cache=True)
+        s3.mkdir("drives")
+        s3.put_file(str(FIXTURES / "hall.bag"), "drives/in/hall.bag")
+        expected = [
+            ("info s3://drives/in/hall.bag", 0, "s3://drives/in/hall.bag: rosbag1"),
+            ("convert s3://drives/in/hall.bag -o s3://drives/out/x.bag", 0, "s3://drives/out/x.bag"),
+            ("convert s3://drives/in/hall.bag -o s3://drives/out/x", 0, "s3://drives/out/x"),
+            ("convert s3://drives/in/hall.bag -o s3://drives/out/x.bag", 2, "exists already"),
+            ("info s3://drives/out/x", 0, "s3://drives/out/x: rosbag2 mcap"),
+            ("info s3://drives/none.bag", 2, "does not exist"),
+            ("batch s3://no-such-bucket/in -o s3://no-such-bucket/out", 1, "no such bucket"),
+        ]
+        for words, status, said in expected:
+            done = run(*words.split())
+            assert (done.status, said in done.stdout + done.stderr) == (status, True), done
+            assert "testing-secret" not in done.stdout + done.stderr

@@ -48,36 +48,41 @@ def elsewhere(path: Path) -> None:
     Path(path.name).write_text("x")
 
 
+def _other(path: Path) -> Path:
+    return path.with_name("other")
+
+
+#: What no command may do to a file, and the name of what is touched.
+WAYS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "nothing": (Path.read_text, ""),
+    "write": (lambda path: path.write_text("x"), "target"),
+    "append": (lambda path: path.open("ab").close(), "target"),
+    "update": (lambda path: path.open("rb+").close(), "target"),
+    "create": (lambda path: _other(path).touch(), "other"),
+    "truncate": (lambda path: os.truncate(path, 0), "target"),
+    "remove": (Path.unlink, "target"),
+    "remove from a folder": (lambda path: shutil.rmtree(path.parent), "target"),
+    "rename": (lambda path: path.rename(_other(path)), "other"),
+    "replace": (lambda path: (path.parent / "new").replace(path), "new"),
+    "link": (lambda path: os.link(path, _other(path)), "other"),
+    "symlink": (lambda path: _other(path).symlink_to(path), "other"),
+    "mode": (lambda path: path.chmod(0o600), "target"),
+    "owner": (lambda path: os.chown(path, os.getuid(), os.getgid()), "target"),
+    "times": (os.utime, "target"),
+    "attribute": (lambda path: os.setxattr(path, "user.x", b"x"), "target"),
+    "folder": (lambda path: _other(path).mkdir(), "other"),
+    "fifo": (lambda path: os.mkfifo(_other(path)), "other"),
+    "through a link": (lambda path: (path.parent / "out" / "link").write_text("x"), "target"),
+    "mode of an open file": (lambda path: os.fchmod(os.open(path, os.O_RDONLY), 0o600), "target"),
+    "in another folder": (elsewhere, "target"),
+    "by another program": (lambda path: os.execv("/bin/rm", ["rm", str(path)]), "target"),
+}
+
+
 def misbehave(what: str, target: str) -> None:
     """Do what no command may do, for the test that this is seen."""
-    path = Path(target)
-    other = path.with_name("other")
-    ways: dict[str, Callable[[], object]] = {
-        "write": lambda: path.write_text("x"),
-        "append": lambda: path.open("ab").close(),
-        "update": lambda: path.open("rb+").close(),
-        "create": other.touch,
-        "truncate": lambda: os.truncate(path, 0),
-        "remove": path.unlink,
-        "remove from a folder": lambda: shutil.rmtree(path.parent),
-        "rename": lambda: path.rename(other),
-        "replace": lambda: (path.parent / "new").replace(path),
-        "link": lambda: os.link(path, other),
-        "symlink": lambda: other.symlink_to(path),
-        "mode": lambda: path.chmod(0o600),
-        "owner": lambda: os.chown(path, os.getuid(), os.getgid()),
-        "times": lambda: os.utime(path),
-        "attribute": lambda: os.setxattr(path, "user.x", b"x"),
-        "folder": other.mkdir,
-        "fifo": lambda: os.mkfifo(other),
-        "through a link": lambda: (path.parent / "out" / "link").write_text("x"),
-        "mode of an open file": lambda: os.fchmod(os.open(path, os.O_RDONLY), 0o600),
-        "in another folder": lambda: elsewhere(path),
-        "nothing": path.read_text,
-        "by another program": lambda: os.execv("/bin/rm", ["rm", str(path)]),
-    }
     with suppress(OSError):
-        ways[what]()
+        WAYS[what][0](Path(target))
 
 
 def run(arguments: list[str], folder: str, seconds: int) -> tuple[int, str]:

@@ -11,14 +11,6 @@ def test_the_command_offers_the_formats() -> None:
     assert options_of("export")["format"].value.words == tuple(FORMATS)
 
 
-def test_every_format_names_its_writer() -> None:
-    from importlib import import_module
-
-    for entry in FORMATS.values():
-        module, name = entry.home
-        assert hasattr(import_module(f"pc2scan.export.{module}"), name)
-
-
 def test_names_are_safe_and_never_the_same() -> None:
     topics = [
         "/a/b",

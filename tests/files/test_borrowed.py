@@ -26,7 +26,7 @@ def test_a_buffer_is_free_again_when_nobody_refers_to_the_loan() -> None:
     assert borrowed(buffers)[1] is memory
 
 
-def test_what_is_kept_is_not_lent_again_before_the_last_keeper_is_gone() -> None:
+def test_what_is_kept_is_not_lent_before_the_last_keeper_ends() -> None:
     buffers = Buffers()
     loan, memory = borrowed(buffers)
     memory[:] = b"7" * len(memory)

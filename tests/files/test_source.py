@@ -83,28 +83,23 @@ def large(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("reused", [True, False])
+@pytest.mark.parametrize("system", ["as it is", "without preadv", "with short answers"])
 @pytest.mark.parametrize(
     ("offset", "length"),
     [(0, 3 << 20), (12_345, 1 << 20), (3 << 20, 0), (5, (1 << 18) - 1), (5, 1 << 18), (9, (1 << 20) + 1)],
 )
 def test_what_is_borrowed_is_what_would_be_read(
-    offset: int, length: int, reused: bool, large: Path, monkeypatch: pytest.MonkeyPatch
+    offset: int, length: int, system: str, large: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if not reused:
+    preadv = getattr(os, "preadv", None)
+    if system == "without preadv":
         monkeypatch.delattr(os, "preadv", raising=False)
+    elif system == "with short answers" and preadv is not None:
+        monkeypatch.setattr(os, "preadv", lambda fd, views, offset: preadv(fd, [views[0][:99_999]], offset))
     with closing(SourceFile(large)) as file:
         for _ in range(2):
             seen = file.borrow(offset, length, lambda data: (data.readonly, bytes(data), own(data)))
             assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
-
-
-@pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
-def test_short_answers_are_completed_in_a_buffer_too(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = os.preadv
-    monkeypatch.setattr(os, "preadv", lambda fd, views, offset: real(fd, [views[0][:99_999]], offset))
-    with closing(SourceFile(large)) as file:
-        assert file.borrow(7, 1 << 20, bytes) == LARGE[7 : 7 + (1 << 20)]
 
 
 @pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
@@ -147,32 +142,30 @@ def test_a_file_that_was_cut_is_an_error_where_it_is_borrowed(shorter: int, larg
                 file.borrow(0, 3 << 20, bytes)
 
 
-def test_an_error_of_who_uses_it_is_passed_on(large: Path) -> None:
-    def use(_: memoryview) -> None:
-        raise ValueError("these bytes make no sense")
-
-    with closing(SourceFile(large)) as file, pytest.raises(ValueError, match="no sense"):
-        file.borrow(0, 1 << 20, use)
-
-
-def test_what_was_closed_is_not_borrowed(large: Path) -> None:
-    file = SourceFile(large)
-    file.close()
-    for length in (10, 1 << 20):
-        with pytest.raises(RecordingError, match="cannot be read"):
-            file.borrow(0, length, len)
-
-
-def test_what_is_not_there_is_an_error(file: SourceFile) -> None:
+def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, large: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="2 bytes are declared from byte 99 on, but the file has 100 bytes"):
         file.read(99, 2)
-
-
-def test_a_file_that_became_shorter(file: SourceFile, path: Path) -> None:
     os.truncate(path, 60)
     with pytest.raises(RecordingError, match="ended at byte 60 while it was read; it had 100 bytes") as caught:
         file.read(50, 20)
     assert caught.value.path == path
+    with pytest.raises(ValueError, match="no sense"):
+        file.borrow(0, 10, own_error)
+    file.close()
+    file.close()
+    with pytest.raises(RecordingError, match="cannot be read at byte 3: Bad file descriptor"):
+        file.read(3, 1)
+    closed = SourceFile(large)
+    closed.close()
+    for length in (10, 1 << 20):
+        with pytest.raises(RecordingError, match="cannot be read"):
+            closed.borrow(0, length, len)
+    with pytest.raises(RecordingError, match="cannot be opened: No such file"):
+        SourceFile(tmp_path / "none")
+
+
+def own_error(_: memoryview) -> None:
+    raise ValueError("these bytes make no sense")
 
 
 def test_a_format_makes_its_own_error_of_damage(path: Path) -> None:
@@ -182,15 +175,6 @@ def test_a_format_makes_its_own_error_of_damage(path: Path) -> None:
 
     with closing(Strict(path)) as file, pytest.raises(ValueError, match="declared from byte 101"):
         file.read(101, 1)
-
-
-def test_a_file_that_is_closed_or_missing(file: SourceFile, tmp_path: Path) -> None:
-    file.close()
-    file.close()
-    with pytest.raises(RecordingError, match="cannot be read at byte 3: Bad file descriptor"):
-        file.read(3, 1)
-    with pytest.raises(RecordingError, match="cannot be opened: No such file"):
-        SourceFile(tmp_path / "none")
 
 
 def test_a_new_file_tells_where_everything_is(tmp_path: Path) -> None:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import os
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
+from pc2scan.files.source import NewFile
 from pc2scan.files.staging import staged as staged_anywhere
+from pc2scan.files.text_output import files_output
 from support.rosbag2_files import compress_file, write_metadata
 
 if TYPE_CHECKING:
@@ -20,8 +24,24 @@ if TYPE_CHECKING:
 staged = partial(staged_anywhere, record_in=recorded_in)
 
 
-def names(folder: str | Path) -> list[str]:
-    return sorted(entry.name for entry in Path(folder).iterdir())
+def seen(folder: Path) -> dict[str, Any]:
+    """Everything in a folder: what files have, where links lead, and kinds of others."""
+
+    def state(path: Path) -> Any:
+        if path.is_symlink():
+            return path.readlink()
+        return path.read_bytes() if path.is_file() else path.is_fifo()
+
+    return {path.relative_to(folder).as_posix(): state(path) for path in folder.rglob("*")}
+
+
+def refused(destination: Path, message: str, *, overwrite: bool = True) -> DestinationError:
+    """Assert that it is refused before anything is made, and changes nothing."""
+    before = seen(destination.parent)
+    with pytest.raises(DestinationError, match=message) as caught, staged(destination, overwrite=overwrite):
+        pytest.fail("the body must not run")
+    assert seen(destination.parent) == before
+    return caught.value
 
 
 def make_file(path: Path) -> None:
@@ -34,198 +54,136 @@ def make_directory(path: Path) -> None:
     (path / "x_0.db3").write_text("new")
 
 
-def make_recording(path: Path) -> None:
+def make_recording(path: Path, *names: str) -> None:
     """What may be replaced: a directory that is a recording, and nothing else."""
     path.mkdir()
     write_metadata(path, 8, ["x_0.db3"])
-    (path / "x_0.db3").write_text("old")
+    for name in ("x_0.db3", *names):
+        (path / name).mkdir() if name.endswith("/") else (path / name).write_text("old")
 
 
-def is_new(path: Path) -> bool:
-    return (path / "metadata.yaml" if path.is_dir() else path).read_text() == "new"
+MAKE = (make_file, make_directory)
+make = pytest.mark.parametrize("make", MAKE)
 
-
-make = pytest.mark.parametrize("make", [make_file, make_directory])
+#: What is there before, and why it is not replaced; empty if it may be.
+EXISTING: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "nothing": (lambda _: None, ""),
+    "file": (lambda path: path.write_text("old"), ""),
+    "recording": (make_recording, ""),
+    "link": (lambda path: path.symlink_to("target"), ""),
+    "dangling link": (lambda path: path.symlink_to("missing"), ""),
+    "empty directory": (Path.mkdir, ""),
+    "directory": (make_directory, "is not understood"),
+    "pipe": (os.mkfifo, "neither a file"),
+}
+ENDINGS: tuple[type[BaseException] | None, ...] = (None, ValueError, KeyboardInterrupt, SystemExit)
 
 
 @make
-def test_success(tmp_path: Path, make: Callable[[Path], None]) -> None:
-    dst = tmp_path / "out.mcap"
-    with staged(dst, overwrite=False) as partial:
-        assert partial == tmp_path / "out.mcap.pc2scan-partial"
-        assert not partial.exists()
-        make(partial)
-        assert not dst.exists()
-    assert is_new(dst)
-    assert names(tmp_path) == ["out.mcap"]
-
-
-@make
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit])
-@pytest.mark.parametrize("existing", ["nothing", "file", "directory"])
-def test_failure_leaves_everything_as_it_was(
-    tmp_path: Path, make: Callable[[Path], None], error: type[BaseException], existing: str
-) -> None:
-    dst = tmp_path / "out"
-    if existing == "file":
-        dst.write_text("old")
-    if existing == "directory":
-        make_recording(dst)
-
-    def run() -> None:
-        with staged(dst, overwrite=True) as partial:
+@pytest.mark.parametrize("existing", EXISTING)
+def test_all_or_nothing_appears(existing: str, make: Callable[[Path], None], tmp_path: Path) -> None:
+    """An oracle says what is there afterwards, however the run ends."""
+    prepare, why_not = EXISTING[existing]
+    for number, (overwrite, ending) in enumerate(product((False, True), ENDINGS)):
+        folder, expected = tmp_path / str(number), tmp_path / f"expected {number}"
+        for each in (folder, expected):
+            each.mkdir()
+            (each / "target").write_text("old")
+        prepare(folder / "out")
+        before = seen(folder)
+        if existing != "nothing" and (why_not or not overwrite):
+            error = refused(folder / "out", why_not if overwrite else "exists already", overwrite=overwrite)
+            assert overwrite or "`overwrite=True`" in (error.hint or "")
+            continue
+        make(expected / "out")
+        ends: AbstractContextManager[Any] = pytest.raises(ending) if ending else nullcontext()
+        with ends, staged(folder / "out", overwrite=overwrite) as partial:
+            assert partial == folder / "out.pc2scan-partial"
+            assert not partial.exists()
             make(partial)
-            raise error
-
-    with pytest.raises(error):
-        run()
-    assert names(tmp_path) == ([] if existing == "nothing" else ["out"])
-    assert existing == "nothing" or not is_new(dst)
-
-
-@make
-@pytest.mark.parametrize("existing", ["nothing", "file", "directory", "dangling link"])
-def test_overwriting(tmp_path: Path, make: Callable[[Path], None], existing: str) -> None:
-    dst = tmp_path / "out"
-    if existing == "file":
-        dst.write_text("old")
-    if existing == "directory":
-        make_recording(dst)
-    if existing == "dangling link":
-        dst.symlink_to(tmp_path / "missing")
-    with staged(dst, overwrite=True) as partial:
-        make(partial)
-        assert os.path.lexists(dst) == (existing != "nothing")
-    assert is_new(dst)
-    assert not dst.is_symlink()
-    assert names(tmp_path) == ["out"]
-
-
-def test_overwriting_a_link_leaves_its_target(tmp_path: Path) -> None:
-    (tmp_path / "target").write_text("old")
-    (tmp_path / "out").symlink_to(tmp_path / "target")
-    with staged(tmp_path / "out", overwrite=True) as partial:
-        make_file(partial)
-    assert (tmp_path / "target").read_text() == "old"
-    assert (tmp_path / "out").read_text() == "new"
-
-
-@pytest.mark.parametrize("existing", ["file", "directory", "dangling link"])
-def test_what_exists_is_not_overwritten_unasked(tmp_path: Path, existing: str) -> None:
-    dst = tmp_path / "out"
-    if existing == "file":
-        dst.write_text("old")
-    elif existing == "directory":
-        dst.mkdir()
-    else:
-        dst.symlink_to(tmp_path / "missing")
-    with pytest.raises(DestinationError, match="exists already") as caught, staged(dst, overwrite=False):
-        pytest.fail("the body must not run")
-    assert "`overwrite=True`" in (caught.value.hint or "")
-    assert names(tmp_path) == ["out"]
-
-
-@make
-@pytest.mark.parametrize("links", [True, False])
-@pytest.mark.parametrize("rival", [make_file, make_directory])
-def test_what_appears_meanwhile_is_not_overwritten(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    make: Callable[[Path], None],
-    rival: Callable[[Path], None],
-    links: bool,
-) -> None:
-    dst = tmp_path / "out"
-    if not links:
-        monkeypatch.setattr(os, "link", no_links)
-
-    def run() -> None:
-        with staged(dst, overwrite=False) as partial:
-            make(partial)
-            rival(dst)
-            (dst / "x_0.db3" if dst.is_dir() else dst).write_text("rival")
-
-    with pytest.raises(DestinationError, match="exists already"):
-        run()
-    assert (dst / "x_0.db3" if dst.is_dir() else dst).read_text() == "rival"
-    assert names(tmp_path) == ["out"]
+            assert {name: state for name, state in seen(folder).items() if ".pc2scan-" not in name} == before
+            if ending:
+                raise ending
+        assert seen(folder) == (seen(expected) if ending is None else before)
 
 
 def no_links(*_: object) -> None:
     raise PermissionError(1, "Operation not permitted")
 
 
-def test_file_systems_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "link", no_links)
-    with staged(tmp_path / "out", overwrite=False) as partial:
-        make_file(partial)
-    assert is_new(tmp_path / "out")
-    assert names(tmp_path) == ["out"]
+@make
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("rival", [None, *MAKE, Path.mkdir])
+def test_what_appears_meanwhile_is_not_replaced(
+    links: bool,
+    make: Callable[[Path], None],
+    rival: Callable[[Path], None] | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    if not links:
+        monkeypatch.setattr(os, "link", no_links)
+    meanwhile: dict[str, Any] = {}
+    make(tmp_path / "expected")
+
+    def run() -> None:
+        with staged(tmp_path / "out", overwrite=False) as partial:
+            make(partial)
+            if rival is not None:
+                rival(tmp_path / "out")
+                meanwhile.update((name, state) for name, state in seen(tmp_path).items() if ".pc2scan" not in name)
+
+    if rival is None:
+        run()
+        found = seen(tmp_path)
+        assert {name: state for name, state in found.items() if name.startswith("out")} == {
+            name.replace("expected", "out"): state for name, state in found.items() if name.startswith("expected")
+        }
+    else:
+        with pytest.raises(DestinationError, match="exists already"):
+            run()
+        assert seen(tmp_path) == meanwhile
 
 
 @pytest.mark.parametrize("foreign", ["thesis.tex", "other.mcap", "x_1.db3", "x_0.db3-notes", "sub/"])
-def test_a_directory_with_other_things_is_never_replaced(tmp_path: Path, foreign: str) -> None:
-    dst = tmp_path / "out"
-    make_recording(dst)
-    if foreign.endswith("/"):
-        (dst / foreign).mkdir()
-    else:
-        (dst / foreign).touch()
-    with (
-        pytest.raises(DestinationError, match=f"its metadata.yaml does not name {foreign.rstrip('/')}"),
-        staged(dst, overwrite=True),
-    ):
-        pytest.fail("the body must not run")
-    assert (dst / foreign).exists()
-
-
-def test_what_is_put_into_a_directory_meanwhile_stays(tmp_path: Path) -> None:
-    dst = tmp_path / "out"
-    make_recording(dst)
-
-    def run() -> None:
-        with staged(dst, overwrite=True) as partial:
-            make_directory(partial)
-            (dst / "thesis.tex").write_text("years of work")
-
-    with pytest.raises(DestinationError, match="does not name thesis"):
-        run()
-    assert names(dst) == ["metadata.yaml", "thesis.tex", "x_0.db3"]
-    assert names(tmp_path) == ["out"]
-
-
-def test_a_recording_with_its_logs_and_packed_files_is_replaced(tmp_path: Path) -> None:
-    dst = tmp_path / "out"
-    make_recording(dst)
-    write_metadata(dst, 3, ["x_0.db3", "x_1.db3", "gone.db3"])
-    for name in ("x_0.db3-wal", "x_0.db3-shm", "x_1.db3"):
-        (dst / name).write_text("old")
-    compress_file(dst / "x_1.db3")
-    with staged(dst, overwrite=True) as partial:
-        make_directory(partial)
-    assert is_new(dst)
+def test_a_directory_with_other_things_is_never_replaced(foreign: str, tmp_path: Path) -> None:
+    make_recording(tmp_path / "out", foreign)
+    refused(tmp_path / "out", f"its metadata.yaml does not name {foreign.rstrip('/')}")
 
 
 @pytest.mark.parametrize("text", ["", "notes: about the robot", "{", "rosbag2_bagfile_information: {}"])
-def test_a_directory_whose_metadata_is_no_recordings_is_never_replaced(text: str, tmp_path: Path) -> None:
-    dst = tmp_path / "out"
-    make_recording(dst)
-    (dst / "metadata.yaml").write_text(text)
-    with pytest.raises(DestinationError, match="is not understood"), staged(dst, overwrite=True):
-        pytest.fail("the body must not run")
-    assert names(dst) == ["metadata.yaml", "x_0.db3"]
+def test_a_directory_with_other_metadata_is_never_replaced(text: str, tmp_path: Path) -> None:
+    make_recording(tmp_path / "out")
+    (tmp_path / "out" / "metadata.yaml").write_text(text)
+    refused(tmp_path / "out", "is not understood")
 
 
-def test_special_files_are_not_replaced(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "out")
-    with pytest.raises(DestinationError, match="neither a file"), staged(tmp_path / "out", overwrite=True):
-        pytest.fail("the body must not run")
+def test_what_is_put_into_a_directory_meanwhile_stays(tmp_path: Path) -> None:
+    make_recording(tmp_path / "out")
+    expected = seen(tmp_path) | {"out/thesis.tex": b"years of work"}
+
+    def run() -> None:
+        with staged(tmp_path / "out", overwrite=True) as partial:
+            make_directory(partial)
+            (tmp_path / "out" / "thesis.tex").write_text("years of work")
+
+    with pytest.raises(DestinationError, match="does not name thesis"):
+        run()
+    assert seen(tmp_path) == expected
+
+
+def test_a_recording_with_its_logs_and_packed_files_is_replaced(tmp_path: Path) -> None:
+    make_recording(tmp_path / "out", "x_0.db3-wal", "x_0.db3-shm", "x_1.db3")
+    write_metadata(tmp_path / "out", 3, ["x_0.db3", "x_1.db3", "gone.db3"])
+    compress_file(tmp_path / "out" / "x_1.db3")
+    with staged(tmp_path / "out", overwrite=True) as partial:
+        make_directory(partial)
+    assert seen(tmp_path / "out") == {"metadata.yaml": b"new", "x_0.db3": b"new"}
 
 
 def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    dst = tmp_path / "out"
-    make_recording(dst)
-    rename = Path.rename
+    make_recording(tmp_path / "out")
+    before, rename = seen(tmp_path), Path.rename
 
     def fail_once(self: Path, target: Path) -> Path:
         if self.name.endswith("-partial"):
@@ -233,56 +191,114 @@ def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytes
         return rename(self, target)
 
     def run() -> None:
-        with staged(dst, overwrite=True) as partial:
+        with staged(tmp_path / "out", overwrite=True) as partial:
             make_directory(partial)
 
     monkeypatch.setattr(Path, "rename", fail_once)
     with pytest.raises(OutputError, match="cannot be renamed to its final name: Input/output error"):
         run()
-    assert (dst / "x_0.db3").read_text() == "old"
-    assert names(tmp_path) == ["out"]
+    assert seen(tmp_path) == before
 
 
-def test_what_an_interrupted_overwrite_left_comes_back(tmp_path: Path) -> None:
-    # Killed between moving the old away and moving the new in.
-    (tmp_path / "out.pc2scan-old").mkdir()
-    (tmp_path / "out.pc2scan-old" / "metadata.yaml").write_text("old")
+# --- What dead runs have left ---
+
+
+@pytest.mark.parametrize("is_complete", [False, True])
+def test_what_an_interrupted_overwrite_left_comes_back(is_complete: bool, tmp_path: Path) -> None:
+    # Killed between moving the old away and moving the new in, or behind that.
+    make_recording(tmp_path / "out.pc2scan-old")
+    if is_complete:
+        make_directory(tmp_path / "out")
+    expected = seen(tmp_path / ("out" if is_complete else "out.pc2scan-old"))
     with pytest.raises(DestinationError, match="exists already"), staged(tmp_path / "out", overwrite=False):
         pytest.fail("the body must not run")
-    assert (tmp_path / "out" / "metadata.yaml").read_text() == "old"
-    assert names(tmp_path) == ["out"]
-
-
-def test_what_was_replaced_goes_even_if_the_run_that_did_it_died(tmp_path: Path) -> None:
-    make_directory(tmp_path / "out")
-    make_directory(tmp_path / "out.pc2scan-old")
-    with pytest.raises(DestinationError, match="exists already"), staged(tmp_path / "out", overwrite=False):
-        pytest.fail("the body must not run")
-    assert names(tmp_path) == ["out"]
+    assert seen(tmp_path / "out") == expected
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 @make
-@pytest.mark.parametrize("left", [make_file, make_directory])
+@pytest.mark.parametrize("left", [*MAKE, lambda path: path.symlink_to("precious")])
 def test_what_a_dead_run_left_is_removed(
-    tmp_path: Path, make: Callable[[Path], None], left: Callable[[Path], None]
+    make: Callable[[Path], None], left: Callable[[Path], None], tmp_path: Path
 ) -> None:
+    make_directory(tmp_path / "precious")
+    make(tmp_path / "expected")
+    expected = seen(tmp_path / "precious"), seen(tmp_path / "expected")
     left(tmp_path / "out.pc2scan-partial")
     (tmp_path / "out.pc2scan-partial.lock").touch()
     with staged(tmp_path / "out", overwrite=False) as partial:
-        assert not partial.exists()
+        assert not os.path.lexists(partial)
         make(partial)
-    assert names(tmp_path) == ["out"]
+    # A link is not followed.
+    assert (seen(tmp_path / "precious"), seen(tmp_path / "out")) == expected
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["expected", "out", "precious"]
 
 
-def test_a_left_link_is_removed_and_not_followed(tmp_path: Path) -> None:
-    make_directory(tmp_path / "precious")
-    (tmp_path / "out.pc2scan-partial").symlink_to(tmp_path / "precious")
-    with staged(tmp_path / "out", overwrite=False) as partial:
-        make_file(partial)
-    assert is_new(tmp_path / "precious")
-
-
-def test_a_body_that_makes_nothing(tmp_path: Path) -> None:
+def test_a_body_that_makes_nothing_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="No such file"), staged(tmp_path / "out", overwrite=False):
         pass
-    assert names(tmp_path) == []
+    assert seen(tmp_path) == {}
+
+
+# --- Places where nothing can be written ---
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ("{}/missing/out", "its directory does not exist"),
+        ("{}/file/out", "file is not a directory"),
+        ("", "not a name"),
+        ("/", "not a name"),
+        ("{}/..", "not a name"),
+        ("/dev/pc2scan-test", "/dev holds devices"),
+        ("/proc/self/fd/pc2scan-test", "/proc/self/fd holds devices"),
+    ],
+)
+def test_impossible_destinations_are_refused(place: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(DestinationError, match=message), staged(Path(place.format(tmp_path)), overwrite=True):
+        pytest.fail("the body must not run")
+
+
+def test_a_directory_that_is_not_writable_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Root may write everywhere.
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(OutputError, match="not writable"), staged(tmp_path / "out", overwrite=False):
+        pytest.fail("the body must not run")
+
+
+# --- Several files ---
+
+
+@pytest.mark.parametrize("failing", [0, 1, 2, 3])
+def test_several_files_appear_all_or_none(failing: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    finish, calls = NewFile.finish, iter(range(1, 4))
+
+    def fails(self: NewFile) -> None:
+        if next(calls) == failing:
+            raise OutputError("cannot be written: no space")
+        finish(self)
+
+    monkeypatch.setattr(NewFile, "finish", fails)
+    paths = [tmp_path / name for name in "abc"]
+
+    def run() -> None:
+        with files_output(paths, overwrite=False) as write:
+            assert not any(path.exists() for path in paths)
+            write([b"1", b"2", b"3"])
+
+    if failing:
+        with pytest.raises(OutputError, match="no space") as caught:
+            run()
+        assert caught.value.path == paths[failing - 1]
+    else:
+        run()
+    assert seen(tmp_path) == ({} if failing else {"a": b"1", "b": b"2", "c": b"3"})
+
+
+def test_one_of_several_files_that_is_there_stays(tmp_path: Path) -> None:
+    (tmp_path / "b").write_text("mine")
+    with pytest.raises(DestinationError), files_output([tmp_path / name for name in "abc"], overwrite=False):
+        pytest.fail("it is not begun")
+    assert seen(tmp_path) == {"b": b"mine"}

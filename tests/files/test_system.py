@@ -1,4 +1,4 @@
-"""What other operating systems lack, taken away from this one."""
+"""Locks, and what other operating systems lack, taken away from this one."""
 
 from __future__ import annotations
 
@@ -9,16 +9,21 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import pytest
 
-from pc2scan.errors import DestinationError
+from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files import run_lock, system
-from pc2scan.files.places import check_place
 from pc2scan.files.staging import staged
-from support import ROOT
-from support.command import environment
+from support import ROOT, sampled
+from support.batches import contents
+from support.command import environment, run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+HALL = ROOT / "fixtures" / "hall.mcap"
 
 #: Takes away what Windows and macOS do not have, and what some network file systems cannot do; then runs the command.
 POOR = """
@@ -40,34 +45,22 @@ main()
 """
 
 
-def run_poorly(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", POOR, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, env=environment(), check=False)
-
-
-@pytest.mark.parametrize("name", ["out.bag", "out.mcap", "out"])
-def test_a_poor_system_makes_the_same_bytes(tmp_path: Path, name: str) -> None:
-    options = ["--min-height", "-0.3", "--jobs", "2"]
-    ours, poor = tmp_path / "ours" / name, tmp_path / "poor" / name
-    for folder in (ours.parent, poor.parent):
+@pytest.mark.parametrize("name", sampled(["out.bag", "out.mcap", "out"], 1))
+def test_a_poor_system_makes_the_same_bytes(name: str, tmp_path: Path) -> None:
+    ours, poor = tmp_path / "ours", tmp_path / "poor"
+    for folder in (ours, poor):
         folder.mkdir()
-    run = [sys.executable, "-m", "pc2scan", "convert", str(ROOT / "fixtures" / "hall.mcap"), "-o", str(ours), *options]
-    subprocess.run(run, check=True, capture_output=True, env=environment())
-    done = run_poorly("convert", ROOT / "fixtures" / "hall.mcap", "-o", poor, *options)
-    assert done.returncode == 0, done.stderr
+    options = ["--min-height", "-0.3", "--jobs", "2"]
+    assert run("convert", HALL, "-o", ours / name, *options).status == 0
+    command = [sys.executable, "-c", POOR, "convert", str(HALL), "-o", str(poor / name), *options]
+    for status in (0, 2):
+        done = subprocess.run(command, capture_output=True, text=True, env=environment(), check=False)
+        assert done.returncode == status, done.stderr
+    assert "exists already" in done.stderr
     assert contents(poor) == contents(ours)
-    assert [entry.name for entry in poor.parent.iterdir()] == [name]
-    again = run_poorly("convert", ROOT / "fixtures" / "hall.mcap", "-o", poor, *options)
-    assert again.returncode == 2
-    assert "exists already" in again.stderr
 
 
-def contents(path: Path) -> dict[str, bytes]:
-    files = [path] if path.is_file() else sorted(path.iterdir())
-    return {file.name: file.read_bytes() for file in files}
-
-
-def test_reading_at_places_without_pread(tmp_path: Path) -> None:
+def test_places_are_read_without_pread(tmp_path: Path) -> None:
     data = os.urandom(1 << 20)
     (tmp_path / "file").write_bytes(data)
     descriptor = os.open(tmp_path / "file", os.O_RDONLY | system.BINARY)
@@ -80,27 +73,100 @@ def test_reading_at_places_without_pread(tmp_path: Path) -> None:
         os.close(descriptor)
 
 
-def windows(monkeypatch: pytest.MonkeyPatch, locking: object) -> None:
-    monkeypatch.setitem(sys.modules, "fcntl", None)
-    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(LK_NBLCK=2, locking=locking))
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("nul", "device"),
+        ("COM1.bag", "device"),
+        ("con .mcap", "device"),
+        ("10:30.bag", "has :"),
+        ("what?.bag", r"has \?"),
+        ("scan.", "drops"),
+        ("console.bag", ""),
+        ("scan.bag", ""),
+    ],
+)
+def test_names_that_windows_cannot_have_are_refused(
+    name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / name)
+    (tmp_path / name).unlink()
+    monkeypatch.setattr(system, "os", SimpleNamespace(**{**vars(os), "name": "nt"}))
+    if reason:
+        with pytest.raises(DestinationError, match=reason):
+            write(tmp_path / name)
+    else:
+        write(tmp_path / name)
 
 
-def test_locks_on_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    locked: list[tuple[int, int]] = []
-    windows(monkeypatch, lambda _, kind, size: locked.append((kind, size)))
-    with staged(tmp_path / "out", overwrite=False) as partial:
+# --- A destination is written by one run at a time ---
+
+
+def write(path: Path) -> None:
+    with staged(path, overwrite=False) as partial:
         partial.touch()
+
+
+def test_a_second_run_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("fcntl")
+    program = (
+        "import sys, pathlib\n"
+        "from pc2scan.files.staging import staged\n"
+        "with staged(pathlib.Path(sys.argv[1]), overwrite=True) as partial:\n"
+        "    partial.write_text('other'); print('ready', flush=True); sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path / "out")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(Path(run_lock.__file__).parents[2])},
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"ready\n"
+        with pytest.raises(DestinationError, match="being written by another run"):
+            write(tmp_path / "out")
+        assert (tmp_path / "out.pc2scan-partial").read_text() == "other"
+        other.kill()
+    assert sorted(contents(tmp_path)) == ["out.pc2scan-partial", "out.pc2scan-partial.lock"]
+    write(tmp_path / "out")
+    assert contents(tmp_path) == {"out": b""}
+
+
+def refuse(number: int) -> Callable[..., NoReturn]:
+    def raises(*_: object) -> NoReturn:
+        raise OSError(number, os.strerror(number))
+
+    return raises
+
+
+def test_a_run_goes_on_where_files_cannot_be_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr(fcntl, "flock", refuse(errno.ENOLCK))
+    write(tmp_path / "file system")
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    write(tmp_path / "windows")
+    assert sorted(contents(tmp_path)) == ["file system", "windows"]
+    monkeypatch.setattr(run_lock, "_locked", refuse(errno.EROFS))
+    with pytest.raises(OutputError, match="Read-only file system"):
+        write(tmp_path / "out")
+
+
+def test_windows_locks_a_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    locked: list[tuple[int, int]] = []
+
+    def windows(locking: Callable[..., object]) -> None:
+        monkeypatch.setitem(sys.modules, "fcntl", None)
+        monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(LK_NBLCK=2, locking=locking))
+
+    windows(lambda _, kind, size: locked.append((kind, size)))
+    write(tmp_path / "out")
     assert locked == [(2, 1)]
-
-    def refuse(*_: object) -> NoReturn:
-        raise OSError(errno.EACCES, "Permission denied")
-
-    windows(monkeypatch, refuse)
-    with pytest.raises(DestinationError, match="by another run"), staged(tmp_path / "other", overwrite=False):
-        pytest.fail("the body must not run")
+    windows(refuse(errno.EACCES))
+    with pytest.raises(DestinationError, match="by another run"):
+        write(tmp_path / "other")
 
 
-def test_a_lock_that_is_open_cannot_be_removed_on_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_open_lock_cannot_be_removed_on_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     removed: list[bool] = []
     unlink, close = Path.unlink, os.close
     is_open = set()
@@ -124,32 +190,6 @@ def test_a_lock_that_is_open_cannot_be_removed_on_windows(tmp_path: Path, monkey
     monkeypatch.setattr(run_lock, "_open_lock", opened)
     monkeypatch.setattr(os, "close", closed)
     monkeypatch.setattr(Path, "unlink", unlinked)
-    with staged(tmp_path / "out", overwrite=False) as partial:
-        partial.touch()
+    write(tmp_path / "out")
     assert removed == [False, True]
-    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("nul", "device"),
-        ("COM1.bag", "device"),
-        ("con .mcap", "device"),
-        ("10:30.bag", "has :"),
-        ("what?.bag", r"has \?"),
-        ("scan.", "drops"),
-        ("console.bag", ""),
-        ("scan.bag", ""),
-    ],
-)
-def test_names_that_windows_cannot_have(
-    name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    check_place(tmp_path / name)
-    monkeypatch.setattr(system, "os", SimpleNamespace(name="nt"))
-    if not reason:
-        check_place(tmp_path / name)
-        return
-    with pytest.raises(DestinationError, match=reason):
-        check_place(tmp_path / name)
+    assert contents(tmp_path) == {"out": b""}

@@ -10,7 +10,7 @@ from pc2scan.files.write_ahead import WriteAhead
 from pc2scan.threads import Threads
 
 
-def test_everything_is_written_in_the_order_in_which_it_was_put_in() -> None:
+def test_all_is_written_in_the_order_in_which_it_was_put_in() -> None:
     written: list[int] = []
 
     def slow(item: int) -> int:

@@ -10,13 +10,13 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
+import pc2scan
 from fuzz import others
 from fuzz.contradictions.recording import contradictions
-from fuzz.mutants.mutate import Mutant, mutant, rearranged
+from fuzz.mutants.mutate import Mutant, mutant, rearranged, stretches
 from fuzz.mutants.seeds import Seed, place
-from fuzz.watch import watched
 from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.damage import recovery_text
@@ -26,13 +26,29 @@ from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.run import OutputOptions, run
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.text import TextEnum
-from support.bounded import size_of
+from support.bounded import size_of, watched
 from support.command import COMMAND, environment
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-__all__ = ["Finding", "Operation", "Outcome", "attempt", "by_command", "mutant_of", "rearranged_of"]
+    from pc2scan.bags.reader import Reader
+
+__all__ = [
+    "READ",
+    "REPAIR",
+    "Finding",
+    "Operation",
+    "Outcome",
+    "attempt",
+    "by_command",
+    "mutant_of",
+    "rearranged_of",
+]
+
+
+#: Messages, topics, attachments and metadata.
+Content: TypeAlias = "dict[str, Any]"
 
 
 class Outcome(TextEnum):
@@ -49,23 +65,37 @@ class Finding(Exception):  # noqa: N818 - it is what the campaign looks for
     """What must not happen."""
 
 
+class SupportsDict(Protocol):
+    """What `pc2scan.info` and the like return."""
+
+    def as_dict(self) -> dict[str, Any]: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """What is done with a mutant; the arguments are those of the command."""
+    """What is done with a mutant; the arguments are those of the command. Without options, it is only read."""
 
     name: str
     command: tuple[str, ...]
     output: str
-    options: ConvertOptions
+    options: ConvertOptions | None
 
 
 _SCANS = (ScanSpec(params=ProjectionParams(min_height=-2.0, max_height=2.0)),)
+_IN_ANOTHER_FRAME = (
+    ScanSpec(params=ProjectionParams(min_height=-2.0, max_height=2.0, target_frame="base_link", reduce="median")),
+)
 _HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 _CUT = ("--start", "0.15", "--end", "0.45")
 
+#: Only reads, which is quick: for every byte of a file.
+READ = Operation("read", (), "", None)
+
+REPAIR = Operation("repair", ("repair",), "", ConvertOptions(repair=True))
+
 #: Repairs into the same kind of container, and as often everything else.
 _OPERATIONS = (
-    *(Operation("repair", ("repair",), "", ConvertOptions(repair=True)),) * 4,
+    *(REPAIR,) * 4,
     Operation("repair to MCAP", ("repair",), "out.mcap", ConvertOptions(repair=True)),
     Operation("repair to rosbag2", ("repair",), "out", ConvertOptions(repair=True)),
     Operation("convert", ("convert", *_HEIGHTS), "out.mcap", ConvertOptions(scans=_SCANS)),
@@ -74,6 +104,18 @@ _OPERATIONS = (
         ("convert", *_HEIGHTS, *_CUT),
         "out.mcap",
         ConvertOptions(scans=_SCANS, start=TimeBound.parse(_CUT[1]), end=TimeBound.parse(_CUT[3])),
+    ),
+    Operation(
+        "convert into a bag, with clouds, two at a time",
+        ("convert", *_HEIGHTS, "--keep-clouds", "--jobs", "2"),
+        "out.bag",
+        ConvertOptions(scans=_SCANS, keep_clouds=True, jobs=2),
+    ),
+    Operation(
+        "convert in another frame",
+        ("convert", *_HEIGHTS, "--target-frame", "base_link", "--reduce", "median"),
+        "out.mcap",
+        ConvertOptions(scans=_IN_ANOTHER_FRAME),
     ),
 )
 
@@ -89,11 +131,11 @@ def rearranged_of(number: int, seeds: Sequence[Seed]) -> tuple[Mutant, Operation
     """The mutant of a number with whole records removed, repeated or moved, and its repair."""
     rng = random.Random(number)
     single = [seed for seed in seeds if seed.opened.endswith((".bag", ".mcap")) and len(seed.files) == 1]
-    return rearranged(rng.choice(single), rng), _OPERATIONS[0]
+    return rearranged(rng.choice(single), rng), REPAIR
 
 
 def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
-    """Repair or convert a mutant, and compare.
+    """Read, repair or convert a mutant, and compare.
 
     Raises
     ------
@@ -102,28 +144,24 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     """
     expected = _expected(made.seed, operation, folder.parent)
     source = place(made.files, made.seed.opened, folder / "source")
-    destination = _destination(operation, source, folder)
-    status: int | None = None
-    report = Report([], "", ())
-    with watched(size_of(source)):
-        status = 1
-        report = run([source], destination, operation.options, OutputOptions())
-        status = report.exit_status
+    if operation.options is None:
+        status, found = _read(source)
+        told = ""
+    else:
+        _look_into(made, source, folder)
+        status, found, told = _run(operation, operation.options, source, folder)
     top = folder / "source"
     if {str(path.relative_to(top)): path.read_bytes() for path in top.rglob("*") if path.is_file()} != made.files:
         raise Finding("the source was changed")
-    left = [path.name for path in destination.parent.iterdir()]
-    if status == 1:
-        if left:
-            raise Finding(f"refused, and left {left}")
-        _compare_others(made, operation, source, expected, None)
-        return Outcome.refused
-    if left != [destination.name]:
-        raise Finding(f"it left {left}")
-    found = content_of(destination)
     _compare_others(made, operation, source, expected, found)
+    if made.edit.place is not None:
+        _compare_untouched(made, status, expected, found)
+    if found is None:
+        return Outcome.refused
+    if operation == REPAIR and _messages(_read(source)[1] or {"messages": []}) != _messages(found):
+        raise Finding("it is read otherwise than it is repaired")
     if made.edit.role == "record":
-        _compare_text(made, recovery_text(report) if report.damage else "", expected, found)
+        _compare_text(made, told, expected, found)
     same = _same(expected, found)
     if status == 3:
         return Outcome.identical_reported if same else Outcome.reported
@@ -132,17 +170,66 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     if made.edit.role == "record" and not _lost(expected, found):
         # A record that is there twice, or elsewhere, costs nothing.
         return Outcome.undetectable
-    if told := contradictions(made.files):
-        raise Finding(f"{_difference(expected, found)}, and exit status 0, though: {'; '.join(told)[:400]}")
+    if operation.options is None:
+        # Counts of messages are only compared where all are passed on.
+        (folder / "repaired").mkdir()
+        return attempt(made, REPAIR, folder / "repaired")
+    if told_twice := contradictions(made.files):
+        raise Finding(f"{_difference(expected, found)}, and exit status 0, though: {'; '.join(told_twice)[:400]}")
     return Outcome.undetectable
 
 
-def _compare_others(
-    made: Mutant, operation: Operation, source: Path, expected: dict[str, Any], found: dict[str, Any] | None
-) -> None:
+def _run(operation: Operation, options: ConvertOptions, source: Path, folder: Path) -> tuple[int, Content | None, str]:
+    """Repair or convert; returns the exit status, what is in the output, and what is said of damage."""
+    destination = _destination(operation, source, folder)
+    status, report = 1, Report([], "", ())
+    with watched(size_of(source)):
+        report = run([source], destination, options, OutputOptions())
+        status = report.exit_status
+    left = [path.name for path in destination.parent.iterdir()]
+    if status == 1:
+        if left:
+            raise Finding(f"refused, and left {left}")
+        return 1, None, ""
+    if left != [destination.name]:
+        raise Finding(f"it left {left}")
+    return status, content_of(destination), recovery_text(report) if report.damage else ""
+
+
+def _read(source: Path) -> tuple[int, Content | None]:
+    """Read, leniently and strictly; returns the exit status that a command would have, and what is read."""
+    status, found, sound = 1, None, False
+    with watched(size_of(source)), closing(open_recording(source)) as reader:
+        found = _content(reader)
+        status = 3 if reader.damage else 0
+    with watched(size_of(source)):
+        content_of(source)
+        sound = True
+    if sound != (status == 0):
+        raise Finding(f"strict reading {'finds nothing' if sound else 'fails'}, and otherwise the status is {status}")
+    return status, found
+
+
+def _look_into(made: Mutant, source: Path, folder: Path) -> None:
+    """Read a mutant as another command does, whatever it finds; which one depends on the mutant's bytes."""
+    looks: tuple[Callable[[], SupportsDict], ...] = (
+        lambda: pc2scan.info(source),
+        lambda: pc2scan.tf(source),
+        lambda: pc2scan.check(source),
+        lambda: pc2scan.diff(place(made.seed.files, made.seed.opened, folder / "sound"), source, all_topics=True),
+    )
+    size = size_of(source)
+    with watched(2 * size):
+        looks[size % len(looks)]().as_dict()
+
+
+def _compare_others(made: Mutant, operation: Operation, source: Path, expected: Content, found: Content | None) -> None:
     """Refuse to recover fewer messages than any other reader gets."""
     # The rosbags library does not look at all fields.
-    if operation != _OPERATIONS[0] or made.edit.kind.endswith("chunk.field_name"):
+    if operation not in (READ, REPAIR) or made.edit.kind.endswith("chunk.field_name"):
+        return
+    # A changed byte of a packed chunk may unpack to anything, which others take for what was written.
+    if made.edit.how == "flipped" and made.edit.kind in ("chunk.records", "chunk.data"):
         return
     sound, ours = _messages(expected), _messages(found) if found else Counter()
     in_order, by_index = others.in_order(made.files), others.by_index(made.files, source)
@@ -159,7 +246,30 @@ def _compare_others(
             raise Finding(f"another reader finds {counts}; {more.total()} are missing")
 
 
-def _compare_text(made: Mutant, text: str, expected: dict[str, Any], found: dict[str, Any]) -> None:
+def _compare_untouched(made: Mutant, status: int, expected: Content, found: Content | None) -> None:
+    """Refuse to lose messages of chunks whose bytes are as they were; and to say nothing of a cut, or to invent."""
+    if made.edit.place is None:
+        return
+    first, last = made.edit.place
+    cut = made.edit.how == "cut off"
+    there = _by_data(_messages(found)) if found else Counter()
+    name, data = made.name, made.seed.files[made.name]
+    places = stretches(name, data, within_chunks=cut)
+    # Where nothing else declares the channels, nothing can be read without the first declaration.
+    declared_once = ("unchunked" in made.seed.name and first < places[0].start) or (
+        "no summary" in made.seed.name and first < stretches(name, data)[0].stop
+    )
+    for start, stop, messages in places:
+        untouched = stop <= first or (start > last and not declared_once)
+        if untouched and (gone := [message for message in messages if ("", 0, message) not in there]):
+            raise Finding(f"{len(gone)} messages of bytes {start} to {stop} are missing, which are sound")
+    if cut and status == 0:
+        raise Finding("it is cut off, and nothing is said")
+    if cut and (come := there - _by_data(_messages(expected))):
+        raise Finding(f"{come.total()} messages are new")
+
+
+def _compare_text(made: Mutant, text: str, expected: Content, found: Content) -> None:
     """Refuse to say that nothing is lost where something is."""
     lost = _lost(expected, found)["messages"]
     # One message in the place of another is like one with a wrong time.
@@ -168,7 +278,7 @@ def _compare_text(made: Mutant, text: str, expected: dict[str, Any], found: dict
         raise Finding(f"{lost} messages are missing, and it says: {text}")
 
 
-def _lost(expected: dict[str, Any], found: dict[str, Any]) -> Counter[str]:
+def _lost(expected: Content, found: Content) -> Counter[str]:
     """How many messages, attachments and metadata records are missing."""
     lost = {"messages": _messages(expected) - _messages(found)} | {
         key: Counter(map(repr, expected[key])) - Counter(map(repr, found[key])) for key in ("attachments", "metadata")
@@ -176,7 +286,7 @@ def _lost(expected: dict[str, Any], found: dict[str, Any]) -> Counter[str]:
     return +Counter({key: missing.total() for key, missing in lost.items()})
 
 
-def _messages(content: dict[str, Any]) -> others.Messages:
+def _messages(content: Content) -> others.Messages:
     return Counter((topic, log_time_ns, data) for topic, log_time_ns, _, _, data in content["messages"])
 
 
@@ -206,43 +316,49 @@ def _destination(operation: Operation, source: Path, folder: Path) -> Path:
     return folder / "output" / (operation.output or f"out{suffix}")
 
 
-def content_of(path: Path) -> dict[str, Any]:
+def content_of(path: Path) -> Content:
     """Everything that an output holds, as it counts."""
     with closing(open_recording(path, strict=True)) as reader:
-        return {
-            "messages": [
-                (m.connection.topic, m.log_time_ns, m.publish_time_ns, m.sequence, bytes(m.data))
-                for m in reader.messages()
-            ],
-            "topics": sorted(
-                (c.topic, c.msgtype, c.serialization, c.definition.data, c.digest, c.callerid or "", c.latching, c.qos)
-                for c in reader.connections
-            ),
-            "attachments": list(reader.attachments()),
-            "metadata": [(m.name, dict(m.entries)) for m in reader.metadata()],
-        }
+        return _content(reader)
+
+
+def _content(reader: Reader) -> Content:
+    return {
+        "messages": [
+            (m.connection.topic, m.log_time_ns, m.publish_time_ns, m.sequence, bytes(m.data)) for m in reader.messages()
+        ],
+        "topics": sorted(
+            (c.topic, c.msgtype, c.serialization, c.definition.data, c.digest, c.callerid or "", c.latching, c.qos)
+            for c in reader.connections
+        ),
+        "attachments": list(reader.attachments()),
+        "metadata": [(m.name, dict(m.entries)) for m in reader.metadata()],
+    }
 
 
 @lru_cache(maxsize=1)
-def _sound_content() -> dict[tuple[str, str], dict[str, Any]]:
+def _sound_content() -> dict[tuple[str, str], Content]:
     return {}
 
 
-def _expected(seed: Seed, operation: Operation, folder: Path) -> dict[str, Any]:
+def _expected(seed: Seed, operation: Operation, folder: Path) -> Content:
     """What the sound recording becomes."""
     known = _sound_content()
     key = (seed.name, operation.name)
     if key not in known:
         with tempfile.TemporaryDirectory(prefix="sound-", dir=folder) as name:
             source = place(seed.files, seed.opened, Path(name, "source"))
-            destination = _destination(operation, source, Path(name))
-            report = run([source], destination, operation.options, OutputOptions())
-            assert report.exit_status == 0, (seed.name, report.damage)
-            known[key] = content_of(destination)
+            if operation.options is None:
+                status, found = _read(source)
+            else:
+                status, found, _ = _run(operation, operation.options, source, Path(name))
+            assert status == 0, seed.name
+            assert found is not None
+            known[key] = found
     return known[key]
 
 
-def _same(expected: dict[str, Any], found: dict[str, Any]) -> bool:
+def _same(expected: Content, found: Content) -> bool:
     """Whether nothing is lost or changed; a topic without messages may have come to be declared."""
     used = {message[0] for message in found["messages"]}
     come = [topic for topic in found["topics"] if topic not in expected["topics"] and topic[0] in used]
@@ -250,7 +366,7 @@ def _same(expected: dict[str, Any], found: dict[str, Any]) -> bool:
     return not come and not gone and all(expected[key] == found[key] for key in expected if key != "topics")
 
 
-def _difference(expected: dict[str, Any], found: dict[str, Any]) -> str:
+def _difference(expected: Content, found: Content) -> str:
     parts = []
     for key, before in expected.items():
         old, new = Counter(map(repr, before)), Counter(map(repr, found[key]))

@@ -6,12 +6,8 @@
 from __future__ import annotations
 
 import bz2
-import sqlite3
 import struct
-import tempfile
-from contextlib import closing
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 import lz4.frame
 import numpy as np
@@ -19,16 +15,12 @@ import zstandard
 
 from fuzz import clouds, rays
 from fuzz.decoders import CORPUS
-from fuzz.mutants.database import wal_checksums
 from messages.test_imu import imu_message
 from pc2scan import ProjectionParams
-from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.mcap.records import MAGIC
 from pc2scan.compare.scan_text import render_messages
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import Connection, RawMessage
 from pc2scan.pipeline.params_file import render_params_file
-from support import mcap_files, rosbag1_files
 from support.builders import (
     BATTERY,
     CLOUD,
@@ -41,11 +33,11 @@ from support.builders import (
     points_of,
     qos_text,
     scan,
-    write_rosbag2,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 
 def inputs() -> Iterator[tuple[str, str, bytes]]:
@@ -62,24 +54,6 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
         yield "transcoding", word, lead + (b"" if ros_version == 1 else b"\0\1\0\0") + text + bytes(60)
         yield "schema", word, bytes([ros_version - 1]) + definition(BATTERY, ros_version).encode()
     yield "schema", "idl", b"\x02" + IDL[BATTERY].encode()
-    yield (
-        "records",
-        "connection",
-        rosbag1_files.header(topic=b"/t", conn=bytes(4), body=rosbag1_files.header(type=b"a/B")[4:])[4:],
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        for kind in ("none", "bz2", "lz4"):
-            payload = rosbag1_files.message(5) + rosbag1_files.connection_record()
-            made = rosbag1_files.simple_bag(place / "a.bag", payload, compression=kind)
-            yield "bag", kind, made.read_bytes().removeprefix(b"#ROSBAG V2.0\n")
-        rows = [(0, 5, b"abc"), (1, 4, b"defg")]
-        for kind in ("chunked", "unchunked"):
-            made = mcap_files.library_file(place / f"{kind}.mcap", rows, extras=True, use_chunking=kind == "chunked")
-            yield "mcap", kind, made.read_bytes().removeprefix(MAGIC)
-        drive = write_rosbag2(place / "drive", CONTENT, version=9)
-        yield "metadata", "version-9", (drive / "metadata.yaml").read_bytes()
-    yield "metadata", "key-of-mappings", b"rosbag2_bagfile_information:\n  version: 5\n  ? [a, {b: c}]\n  : d\n"
     text = b"some text that repeats, some text that repeats"
     yield "salvage", "bz2", b"\0" + bz2.compress(text)[3:]
     yield "salvage", "lz4", b"\1" + lz4.frame.compress(text)[4:]
@@ -89,8 +63,6 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
         "text",
         lz4.frame.compress(text, block_linked=False, store_size=False, content_checksum=True)[4:],
     )
-    yield from _copies()
-    yield from _pages()
     yield from _clouds()
     yield from _moving()
     fan = [((20, 10, 40 * (n % 2), n), n) for n in range(20)]
@@ -98,53 +70,9 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
     yield "rays", "line", rays.written(200, 0, 0, [((0, 0, n, 0), n) for n in range(9)])
     yield "rays", "outside", rays.written(5, 5, 1, [((0, 0, 5, 5), 1), ((6, 0, 0, -1), 1), ((2**31 - 1, 0, 0, 0), 0)])
     yield "scan-text", "messages", _scan_text().encode()
-    yield "rows", "sound", b"\xfe".join((b"\1/t", b"\1p/msg/T", b"\1", b"\2" + bytes(T0 % 50), b"\0data"))
     yield "qos", "profile", qos_text((POINTS,)).encode()
     yield "parameters", "ros2", render_params_file(ProjectionParams()).encode()
     yield "parameters", "ros1", b"min_height: -0.5\nangle_min: rad(-pi/2)\nuse_inf: 1\n"
-
-
-def _copies() -> Iterator[tuple[str, str, bytes]]:
-    """The records of a chunk and the indexes behind it."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "a.mcap")
-        mcap_files.write(path, [(i % 2, 1000 + 10 * i, bytes([i]) * 9) for i in range(4)], compression="zstd")
-        with closing(McapReader(path)) as reader:
-            (segment,) = cast("Any", reader)._index.segments
-        data = path.read_bytes()
-    behind = segment.offset + segment.length
-    yield "copies", "indexes", b"\0" + data[behind : behind + segment.index_length]
-    yield "copies", "records", b"\xff" + zstandard.decompress(data[segment.offset : behind])
-
-
-def _pages() -> Iterator[tuple[str, str, bytes]]:
-    """A database of small pages, and one most of which is in its log."""
-    for journal in ("delete", "wal"):
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder, "a.db3")
-            with closing(sqlite3.connect(path)) as database:
-                database.executescript(f"PRAGMA page_size = 512; PRAGMA journal_mode = {journal};")
-                database.executescript(
-                    "CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format, qos);"
-                    "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);"
-                )
-                database.execute("INSERT INTO topics VALUES (1, '/t', 'p/msg/T', 'cdr', '')")
-                rows = [(1, T0, b"short"), (1, T0 + 1, b"long" * 300), (1, T0 + 2, b"last")]
-                database.executemany("INSERT INTO messages VALUES (NULL, ?, ?, ?)", rows)
-                database.commit()
-                log = path.with_name("a.db3-wal")
-                logged = _with_fixed_salts(log.read_bytes(), 512) if log.exists() else b""
-                yield "pages", journal, len(logged).to_bytes(2, "little") + path.read_bytes() + logged
-
-
-def _with_fixed_salts(log: bytes, page_size: int) -> bytes:
-    """Return a write-ahead log with constant salts, and the checksums that follow. SQLite's salts are random."""
-    salts = b"pc2scan."
-    fixed = bytearray(log)
-    fixed[16:24] = salts
-    for start in range(32, len(log), 24 + page_size):
-        fixed[start + 8 : start + 16] = salts
-    return wal_checksums(bytes(fixed), page_size)
 
 
 def _clouds() -> Iterator[tuple[str, str, bytes]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
-from contextlib import closing
 from typing import TYPE_CHECKING
 
 from fuzz.decoders import CORPUS
@@ -23,12 +21,3 @@ def test_two_corpora_are_equal(tmp_path: Path) -> None:
     first = contents(tmp_path / "first")
     assert first == contents(tmp_path / "second")
     assert first.keys() <= contents(CORPUS).keys()
-
-
-def test_sqlite_reads_the_log_with_fixed_salts(tmp_path: Path) -> None:
-    data = (CORPUS / "pages" / "wal").read_bytes()
-    length = int.from_bytes(data[:2], "little")
-    (tmp_path / "a.db3").write_bytes(data[2:-length])
-    (tmp_path / "a.db3-wal").write_bytes(data[-length:])
-    with closing(sqlite3.connect(tmp_path / "a.db3")) as database:
-        assert database.execute("SELECT count(*) FROM messages").fetchall() == [(3,)]

@@ -191,15 +191,16 @@ def mcap_of_long_definitions(path: Path) -> Path:
 def test_long_definitions_in_small_chunks_are_refused(make: Callable[[Path], Path], tmp_path: Path) -> None:
     source = make(tmp_path)
     assert source.stat().st_size < 30_000
-    done = run_bounded(tmp_path, "info", source)
+    done = run_bounded("info", source)
     assert done.status == 1
     assert "describes its connections in more than" in done.stderr
 
 
+@pytest.mark.slow
 def test_connections_in_a_small_chunk_take_little_memory(tmp_path: Path) -> None:
     source = bag_that_was_never_closed(tmp_path, 70_000)
     assert source.stat().st_size < 200_000
-    done = run_bounded(tmp_path, "info", source)
+    done = run_bounded("info", source)
     assert done.status == 1
     assert "has more than 65,536 connections" in done.stderr
 
@@ -210,5 +211,5 @@ def test_a_header_of_very_many_fields_is_damage(tmp_path: Path) -> None:
     record = rosbag1_files.record(body, op=b"\x07", conn=rosbag1_files.uint32(0), topic=b"/a")
     chunk = rosbag1_files.chunk(record + rosbag1_files.message(5), "bz2")
     source = given(tmp_path / "a.bag", rosbag1_files.bag_header(0, 0, 0) + chunk)
-    done = run_bounded(tmp_path, "info", source)
+    done = run_bounded("info", source)
     assert "a header has more than 4096 fields" in done.stderr

@@ -36,7 +36,7 @@ def chunk(rows: Iterable[tuple[int, bytes]], **changes: int) -> bytes:
 @pytest.mark.parametrize("changes", [{}, {"uncompressed_crc": 7}])
 def test_a_chunk_of_very_many_messages(changes: dict[str, int], tmp_path: Path) -> None:
     source = mcap(tmp_path / "a.mcap", chunk(((5 + number // 2000, b"") for number in range(700_000)), **changes))
-    done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / "out.mcap", seconds=120)
+    done = run_bounded("repair", source, "-o", tmp_path / "out.mcap")
     assert done.status == (3 if changes else 0), done.stderr
     assert "700,000" in done.stdout
 
@@ -45,7 +45,7 @@ def test_a_chunk_of_very_many_messages(changes: dict[str, int], tmp_path: Path) 
 def test_a_chunk_of_very_many_messages_in_a_bag(tmp_path: Path) -> None:
     payload = rosbag1_files.connection_record() + rosbag1_files.message(5, b"") * 600_000
     source = rosbag1_files.simple_bag(tmp_path / "a.bag", payload, compression="lz4")
-    done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / "out.bag", seconds=120)
+    done = run_bounded("repair", source, "-o", tmp_path / "out.bag")
     assert "600,000" in done.stdout
 
 
@@ -53,7 +53,7 @@ def test_a_chunk_of_very_many_messages_in_a_bag(tmp_path: Path) -> None:
 def test_chunks_of_very_many_messages_that_take_turns(tmp_path: Path) -> None:
     chunks = (chunk((1 + 8 * number + place, EMPTY) for number in range(100_000)) for place in range(8))
     source = mcap(tmp_path / "a.mcap", *chunks)
-    done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / "out.mcap", seconds=120)
+    done = run_bounded("repair", source, "-o", tmp_path / "out.mcap")
     assert done.status == 0, done.stderr
     assert "800,000" in done.stdout
 
@@ -62,6 +62,6 @@ def test_messages_packed_one_by_one_that_unfold(tmp_path: Path) -> None:
     """Each is within what a message may unpack to; all of one chunk were unpacked at once."""
     packed = zstandard.compress(EMPTY[:4] + bytes(30_000_000))
     source = mcap(tmp_path / "a.mcap", chunk((1 + number, packed) for number in range(12)))
-    done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / "out.mcap")
+    done = run_bounded("repair", source, "-o", tmp_path / "out.mcap")
     assert done.status == 0, done.stderr
     assert "12" in done.stdout

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.bags import open_recording
+from support import sampled
 from support.bounded import run_bounded
 from support.builders import CONTENT, POINTS, Recording, write_mcap, write_rosbag2
 
@@ -34,7 +35,7 @@ def with_text(drive: Path, old: str, new: str) -> None:
 def test_a_path_that_leads_out_of_the_directory(name: str, drive: Path, tmp_path: Path) -> None:
     shutil.copy(drive / "drive_0.db3", tmp_path / "secret.db3")
     with_text(drive, "- drive_0.db3", f"- {name.format(outside=tmp_path)}")
-    done = run_bounded(tmp_path, "convert", drive)
+    done = run_bounded("convert", drive)
     assert done.status == 1
     assert "names secret.db3, which is not in the directory" in done.stderr
 
@@ -46,18 +47,18 @@ def test_a_link_to_what_is_no_file_is_not_followed(target: str, drive: Path, tmp
     os.mkfifo(tmp_path / "fifo")
     (drive / "drive_0.db3").unlink()
     (drive / "drive_0.db3").symlink_to(tmp_path / target)
-    done = run_bounded(tmp_path, "info", drive)
+    done = run_bounded("info", drive)
     assert done.status == 1
     assert "drive_0.db3" in done.stderr
 
 
 @pytest.mark.parametrize("metadata", [True, False])
-def test_a_link_within_the_directory_is_a_file_like_others(metadata: bool, drive: Path, tmp_path: Path) -> None:
+def test_a_link_within_the_directory_is_a_file_like_others(metadata: bool, drive: Path) -> None:
     (drive / "drive_0.db3").rename(drive / "real.bin")
     (drive / "drive_0.db3").symlink_to("real.bin")
     if not metadata:
         (drive / "metadata.yaml").unlink()
-    assert run_bounded(tmp_path, "info", drive).status == 0
+    assert run_bounded("info", drive).status == 0
 
 
 PLANTED = "touched-by-a-tag"
@@ -76,7 +77,7 @@ def test_tags_construct_nothing(tag: str, drive: Path, tmp_path: Path) -> None:
     place = tmp_path / PLANTED
     with_text(drive, "custom_data: ~", f"custom_data: {TAGS[tag].format(place=place)}")
     for strict, status in (("--strict",), 1), ((), 3):
-        done = run_bounded(tmp_path, "convert", drive, "--overwrite", *strict)
+        done = run_bounded("convert", drive, "--overwrite", *strict)
         assert done.status == status
         assert "is not valid YAML" in done.stderr
         assert not place.exists()
@@ -100,19 +101,19 @@ BOMBS = {
 }
 
 
-@pytest.mark.parametrize("bomb", BOMBS)
-def test_yaml_that_unfolds(bomb: str, drive: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("bomb", sampled(BOMBS, 5))
+def test_yaml_that_unfolds(bomb: str, drive: Path) -> None:
     path = drive / "metadata.yaml"
     path.write_text(path.read_text() + BOMBS[bomb])
-    done = run_bounded(tmp_path, "info", drive)
+    done = run_bounded("info", drive)
     assert done.status in (0, 1), done.stderr
 
 
-def test_aliases_that_unfold_in_what_is_made_text(drive: Path, tmp_path: Path) -> None:
+def test_aliases_that_unfold_in_what_is_made_text(drive: Path) -> None:
     """``custom_data`` and QoS profiles are written out again, with every alias in its full length."""
     aliases = LAUGHS.replace("\n", "\n    ")
     with_text(drive, "  custom_data: ~", f"  custom_data:\n    {aliases}".rstrip())
-    done = run_bounded(tmp_path, "convert", drive, "--strict")
+    done = run_bounded("convert", drive, "--strict")
     assert done.status == 1
     assert "its aliases multiply" in done.stderr
 
@@ -121,22 +122,20 @@ def test_aliases_that_unfold_in_what_is_made_text(drive: Path, tmp_path: Path) -
     "qos", ["- durability: " + "[" * 50_000, LAUGHS, "- depth: 1\n" * 5_900, "- a: !!python/name:os.system"]
 )
 def test_profiles_that_are_none_pass_as_they_are(qos: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("builders.qos_text", lambda *_, **__: qos)
+    monkeypatch.setattr("support.builders.qos_text", lambda *_, **__: qos)
     recording = Recording((POINTS,), tuple(CONTENT.of("/points")))
     source = write_mcap(tmp_path / "a.mcap", recording)
     for storage in ("mcap", "sqlite3"):
-        done = run_bounded(tmp_path, "convert", source, "-o", tmp_path / storage, "--storage", storage)
+        done = run_bounded("convert", source, "-o", tmp_path / storage, "--storage", storage)
         assert done.status == 0, done.stderr
 
 
-def test_profiles_too_long_to_be_any_are_not_repeated_in_metadata_yaml(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_profiles_too_long_to_be_any_are_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Writing 30 MB of them as YAML took half a minute, for a recording of 2 KB."""
     qos = "[" * 700_000
-    monkeypatch.setattr("builders.qos_text", lambda *_, **__: qos)
+    monkeypatch.setattr("support.builders.qos_text", lambda *_, **__: qos)
     source = write_mcap(tmp_path / "a.mcap", Recording((POINTS,), tuple(CONTENT.of("/points"))))
-    done = run_bounded(tmp_path, "repair", source, "-o", tmp_path / "out")
+    done = run_bounded("repair", source, "-o", tmp_path / "out")
     assert done.status == 0, done.stderr
     assert (tmp_path / "out" / "metadata.yaml").stat().st_size < 10_000
     with closing(open_recording(tmp_path / "out")) as reader:
@@ -159,12 +158,12 @@ def test_profiles_too_long_to_be_any_are_not_repeated_in_metadata_yaml(
         ('compression_mode: ""', "compression_mode: {}"),
     ],
 )
-def test_values_of_other_kinds(old: str, new: str, drive: Path, tmp_path: Path) -> None:
+def test_values_of_other_kinds(old: str, new: str, drive: Path) -> None:
     with_text(drive, old, new)
-    assert run_bounded(tmp_path, "convert", drive, "--strict").status == 1
+    assert run_bounded("convert", drive, "--strict").status == 1
 
 
-def test_a_topic_that_only_metadata_knows_is_a_topic(drive: Path, tmp_path: Path) -> None:
+def test_a_topic_that_only_metadata_knows_is_a_topic(drive: Path) -> None:
     with_text(drive, "name: /chatter", 'name: "/chat\\e[2Jter"')
-    done = run_bounded(tmp_path, "info", drive, "--json")
+    done = run_bounded("info", drive, "--json")
     assert "/chat\x1b[2Jter" in {topic["topic"] for topic in json.loads(done.stdout)["topics"]}

@@ -1,38 +1,295 @@
-"""Names that a terminal would act upon, that are not text, or that another encoding cannot show."""
+"""Names that a terminal would act upon, that are not text, or that another encoding cannot show: none is obeyed."""
 
 from __future__ import annotations
 
+import csv
 import json
 import os
+import shutil
 import subprocess
 import sys
+import traceback
 import unicodedata
-from typing import TYPE_CHECKING
+import warnings
+import xml.etree.ElementTree as ET
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from support import rosbag1_files
+import pc2scan
+from pc2scan.errors import leading, visible
+from support import rosbag1_files, sampled
 from support.bounded import run_bounded
 from support.builders import (
     CHATTER,
+    CLOUD,
     POINTS,
+    SCAN,
     T0,
     Recording,
     Stream,
     cloud,
     item,
     points_of,
+    scan,
     string,
     transforms,
     write_mcap,
 )
-from support.command import COMMAND, environment
+from support.command import COMMAND, environment, run
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
-#: Clears the screen, sets the title, rings, goes back to overwrite, reverses the direction of writing, splits lines.
-EVIL = "\x1b[2J\x1b]0;owned\x07\r\b\x9b31m\u202e\u2066\u2028\u200b"
+#: Ends the line and forges others, clears the screen, sets the title, goes back to overwrite, turns the direction.
+EVIL = (
+    "\nsame: forged\n::error::forged\r##[error]forged ##vso[task.complete]forged\x85error: forged\u2028::error::forged"
+    "\x1b[2J\x1b]0;owned\x07\b\x9b31m\x7f\u202e\u2066\u200b\ufeff"
+)
+
+#: What lines may not begin with, and what they may not have anywhere.
+FORGED = ("same: forged", "error: forged", "::")
+COMMANDS_ANYWHERE = ("##[", "##vso[")
+
+#: Names that also forge a line, or are a formula, if a line or a cell begins with them.
+CLOUDS, SCANS, TEXTS = f"same: forged/points{EVIL}", f"::error::forged/scans{EVIL}", f"/chatter{EVIL}"
+LIDAR, BASE, ODOM = f"=cmd|' /C calc'!A0{EVIL}", f"error: forged{EVIL}", f"::error::forged/odom{EVIL}"
+#: A name of a file cannot have a slash.
+FILE = f"same: forged{EVIL}"[:60].replace("/", "_")
+
+_STEP = 100_000_000
+
+_POINTS = np.column_stack([points_of(1), np.arange(60, dtype=np.float32)])
+_RANGES = np.linspace(1, 9, 60, dtype=np.float32)
+
+
+def assert_plain(text: str) -> None:
+    """No control, mark of direction or separator but the line's end."""
+    found = {c for c in text if unicodedata.category(c) in {"Cc", "Cf", "Zl", "Zp", "Cs"}} - {"\n"}
+    assert not found, found
+
+
+def assert_harmless(text: str) -> None:
+    """Plain text without a command of a CI system or a forged line."""
+    assert_plain(text)
+    forged = [line for line in text.split("\n") if line.lstrip().startswith(FORGED)]
+    assert not forged, forged
+    assert not any(command in text for command in COMMANDS_ANYWHERE)
+
+
+def write(path: Path, *, height: float = 1.0) -> Path:
+    """A recording in which every name is hostile: clouds, scans, texts, transforms."""
+    clouds, scans, texts = Stream(CLOUDS, CLOUD, f"/lidar{EVIL}"), Stream(SCANS, SCAN), Stream(TEXTS, CHATTER.msgtype)
+    frames = Stream("/tf", "tf2_msgs/msg/TFMessage")
+    fixed_frames = Stream("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+    fields = ("x", "y", "z", f"f{EVIL}")
+    items = []
+    for n in range(4):
+        at = T0 + n * _STEP
+        moved = [(ODOM, BASE, at, (n * 0.1, 0.0, 0.0))]
+        mounted = [(BASE, LIDAR, T0, (0.0, 0.0, height))]
+        made: list[tuple[Stream, Callable[[int, int], bytes]]] = [
+            (frames, lambda g, s, rows=moved: transforms(rows, g, s)),  # type: ignore[misc]
+            (fixed_frames, lambda g, s, rows=mounted: transforms(rows, g, s)),  # type: ignore[misc]
+            (clouds, lambda g, _, t=at: cloud(_POINTS, g, stamp_ns=t, frame_id=LIDAR, names=fields)),  # type: ignore[misc]
+            (scans, lambda g, _, t=at: scan(_RANGES * height, g, stamp_ns=t, frame_id=LIDAR)),  # type: ignore[misc]
+            (texts, lambda g, _: string(f"{EVIL} {height}", g)),
+        ]
+        items += [item(stream, at, make) for stream, make in made]
+    # In a frame that has no transform.
+    last = T0 + 4 * _STEP
+    lost = f"lost{EVIL}"
+    items.append(item(clouds, last, lambda g, _: cloud(_POINTS, g, stamp_ns=last, frame_id=lost, names=fields)))
+    # Bytes are missing.
+    items.append(item(clouds, last, lambda g, _: cloud(_POINTS, g, stamp_ns=last, frame_id=lost, names=fields, cut=9)))
+    return write_mcap(path, Recording((frames, fixed_frames, clouds, scans, texts), tuple(items)))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a hostile recording, and another one beside it."""
+    made = tmp_path_factory.mktemp("hostile")
+    (made / "in").mkdir()
+    write(made / "in" / f"{FILE}.mcap")
+    write(made / "other.mcap", height=0.5)
+    return made
+
+
+@pytest.fixture
+def evil(folder: Path, tmp_path: Path) -> Path:
+    """A copy of the recording, in a folder of its own: results may be written next to it."""
+    shutil.copytree(folder / "in", tmp_path / "in")
+    return tmp_path / "in" / f"{FILE}.mcap"
+
+
+_SCAN_EXPORT = ("export", "IN", "-t", SCANS)
+_POSED = ("--pose-frame", ODOM, "--base-frame", BASE)
+
+#: Words, with IN for the recording, INS for its folder, OTHER for another recording, and OUT for a folder.
+RUNS: dict[str, tuple[str, ...]] = {
+    "info": ("info", "IN"),
+    "info in a frame": ("info", "IN", "--target-frame", BASE),
+    "info as JSON": ("info", "IN", "--json"),
+    "tf": ("tf", "IN"),
+    "tf as JSON": ("tf", "IN", "--json"),
+    "a lookup": ("tf", "IN", "--lookup", ODOM, LIDAR),
+    "a lookup of nothing": ("tf", "IN", "--lookup", f"a{EVIL}", f"b{EVIL}"),
+    "check": ("check", "IN", "--junit", "OUT/junit.xml"),
+    "check for one": ("check", "IN", "--for", "slam_toolbox"),
+    "check as JSON": ("check", "IN", "--json"),
+    "convert": ("convert", "IN", "-o", "OUT/a.mcap", "--report", "OUT/report.json"),
+    "convert all": ("convert", "IN", "-v", "-o", "OUT/a", "--keep-clouds", "--target-frame", BASE),
+    "a dry run": ("convert", "IN", "-n", "--target-frame", BASE),
+    "next to the source": ("convert", "IN"),
+    "quiet": ("convert", "IN", "-q", "-o", "OUT/a.bag"),
+    "an error": ("convert", "IN", "--on-error", "fail", "-o", "OUT/a.bag"),
+    "a wrong topic": ("convert", "IN", "-t", f"/nothing{EVIL}"),
+    "a wrong frame": ("convert", "IN", "--target-frame", f"nowhere{EVIL}"),
+    "a wrong option": ("convert", "IN", f"--nothing{EVIL}"),
+    "a wrong parameter": ("convert", "IN", "-p", f"nothing{EVIL}:=1"),
+    "a missing file": ("convert", f"missing{EVIL}"),
+    "a wrong field": ("convert", "IN", "--where", f"nothing{EVIL} > 1"),
+    "repair": ("repair", "IN", "-o", "OUT/a.mcap"),
+    "diff": ("diff", "IN", "OTHER", "--all-topics", "--junit", "OUT/junit.xml", "--view", "OUT/page.html"),
+    "an explanation": ("diff", "IN", "OTHER", "--explain"),
+    "no difference": ("diff", "IN", "IN", "--all-topics"),
+    "diff as JSON": ("diff", "IN", "OTHER", "--json"),
+    "CSV": (*_SCAN_EXPORT, "-o", "OUT/a.csv", *_POSED),
+    "TUM": (*_SCAN_EXPORT, "-o", "OUT/a.tum", *_POSED),
+    "CARMEN": (*_SCAN_EXPORT, "-o", "OUT/a.log", "-f", "carmen", *_POSED),
+    "PCD": ("export", "IN", "-t", CLOUDS, "-f", "pcd", "-o", "OUT/pcd"),
+    "map": ("map", "IN", "-o", "OUT/map.yaml", "--odom-frame", ODOM, "--base-frame", BASE),
+    "view": ("view", "IN", "-o", "OUT/page.html"),
+    "batch": ("batch", "INS", "-o", "OUT/batch", "--jobs", "1", "-v", "--report", "OUT/report.csv"),
+    "batch as Markdown": ("batch", "INS", "-o", "OUT/batch", "--jobs", "1", "--report", "OUT/report.md"),
+    "a batch that would be": ("batch", "INS", "-o", "OUT/batch", "--dry-run"),
+    "golden": ("golden", "OUT/cases", "--junit", "OUT/junit.xml"),
+    "golden as JSON": ("golden", "OUT/cases", "--json"),
+}
+
+
+def make_cases(folder: Path, recording: Path, other: Path) -> None:
+    """Golden cases: one that differs, one that cannot be read."""
+    inputs = {"same: forged": str(recording), "::error::forged": f"no{EVIL}"}
+    for name, path in inputs.items():
+        (folder / name).mkdir(parents=True)
+        (folder / name / "case.yaml").write_text(
+            json.dumps({"input": path, "arguments": ["--target-frame", BASE], "exit_status": 3})
+        )
+    expected = folder / "same: forged" / "expected.mcap"
+    assert run("convert", other, "-o", expected, "--target-frame", BASE).status in (0, 3)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_nothing_that_is_printed_is_obeyed(name: str, folder: Path, evil: Path, tmp_path: Path) -> None:
+    other = folder / "other.mcap"
+    out = tmp_path / "out"
+    out.mkdir()
+    if name.startswith("golden"):
+        make_cases(out / "cases", evil, other)
+    places = {"INS": str(evil.parent), "IN": str(evil), "OTHER": str(other)}
+    words = [places.get(word, word.replace("OUT", str(out))) for word in RUNS[name]]
+    done = run(*words)
+    assert "Traceback" not in done.stderr
+    assert done.stdout or done.stderr or name == "quiet"
+    assert_harmless(done.stdout)
+    assert_harmless(done.stderr)
+    if "--json" in words:
+        check_json(done.stdout)
+    for file in out.rglob("*"):
+        # Recordings and cases are not text for people.
+        if file.suffix in CHECKED and file.is_file() and file.name not in ("metadata.yaml", "case.yaml"):
+            CHECKED[file.suffix](file.read_text("utf-8"))
+
+
+def check_page(text: str) -> None:
+    # The page's own script is no name.
+    assert_harmless(text[text.index('id="recording"') :].partition("</script>")[0])
+
+
+def check_json(text: str) -> None:
+    json.loads(text)
+    assert text.isascii()
+
+
+def check_junit(text: str) -> None:
+    assert_harmless(text)
+    ET.fromstring(text)
+
+
+def check_csv(text: str) -> None:
+    assert_plain(text)
+    rows = list(csv.reader(text.splitlines()))
+    assert len({len(row) for row in rows}) == 1
+    assert len(rows) == text.count("\n")
+    assert not any(cell.startswith(("=", "@", "+")) for row in rows for cell in row)
+
+
+#: How files are checked, by suffix.
+CHECKED: dict[str, Callable[[str], None]] = {
+    ".csv": check_csv,
+    ".html": check_page,
+    ".json": check_json,
+    ".log": assert_harmless,
+    ".md": assert_harmless,
+    ".tum": assert_harmless,
+    ".xml": check_junit,
+    ".yaml": assert_harmless,
+}
+
+
+def test_json_has_names_as_they_are(evil: Path) -> None:
+    topics = {topic["topic"] for topic in json.loads(run("info", evil, "--json").stdout)["topics"]}
+    assert {CLOUDS, SCANS, TEXTS} <= topics
+
+
+def test_csv_of_scans_reads_back(evil: Path, tmp_path: Path) -> None:
+    done = run("export", evil, "-t", SCANS, "-o", tmp_path / "a.csv", "-f", "csv")
+    assert done.status == 0, done.stderr
+    with (tmp_path / "a.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    scans = list(pc2scan.scans(evil, topics=SCANS))
+    assert [int(row["stamp_ns"]) for row in rows] == [each.stamp_ns for each in scans]
+    assert [float(row["range_7"]) for row in rows] == pytest.approx([float(each.ranges[7]) for each in scans], rel=1e-6)
+    assert {row["frame"] for row in rows} == {visible(f"\\x3d{LIDAR[1:]}", None)}
+
+
+def test_results_in_python_are_not_obeyed(folder: Path, evil: Path, tmp_path: Path) -> None:
+    other = folder / "other.mcap"
+    results: list[Any] = [
+        pc2scan.convert(evil, tmp_path / "a.mcap"),
+        pc2scan.info(evil),
+        pc2scan.tf(evil),
+        pc2scan.check(evil),
+        pc2scan.diff(evil, other, all_topics=True),
+        pc2scan.batch(evil.parent, tmp_path / "batch", jobs=1),
+    ]
+    for result in results:
+        assert_harmless(str(result))
+        assert_harmless(result._repr_html_())
+        assert_plain(repr(result))
+    assert_harmless(results[4].text(("before", "after")))
+    for stream in (pc2scan.scans(evil, topics=SCANS), pc2scan.clouds(evil)):
+        assert_plain(repr(stream))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            for each in stream:
+                assert_plain(repr(each))
+        for warning in caught:
+            assert_harmless(str(warning.message))
+
+
+def test_errors_in_python_are_not_obeyed(evil: Path, tmp_path: Path) -> None:
+    with pytest.raises(pc2scan.Pc2ScanError) as caught:
+        pc2scan.convert(evil, tmp_path / "a.mcap", target_frame=f"nowhere{EVIL}", on_error="fail")
+    shown = "".join(traceback.format_exception_only(caught.value))
+    assert_harmless(shown)
+    assert "hint: " in shown
+
 
 DESTINATIONS = {
     "bag": ("out.bag",),
@@ -42,72 +299,7 @@ DESTINATIONS = {
 }
 
 
-def assert_harmless(text: str) -> None:
-    """No control, format or separator character but the line's end (and no surrogate, or it were no text)."""
-    found = {c for c in text if unicodedata.category(c) in {"Cc", "Cf", "Zl", "Zp", "Cs"}} - {"\n"}
-    assert not found, found
-
-
-@pytest.fixture
-def evil(tmp_path: Path) -> Path:
-    """Every name in it is evil, and so is its own."""
-    points = Stream(f"/points{EVIL}", POINTS.msgtype, f"/lidar{EVIL}")
-    chatter = Stream(f"/chatter{EVIL}", CHATTER.msgtype)
-    frames = Stream("/tf", "tf2_msgs/msg/TFMessage")
-    items = (
-        item(frames, T0, lambda g, s: transforms([(f"odom{EVIL}", f"base{EVIL}", T0, (0.0, 0.0, 1.0))], g, s)),
-        item(
-            points, T0 + 1, lambda g, _: cloud(points_of(1), g, frame_id=f"lidar{EVIL}", names=("x", "y", f"z{EVIL}"))
-        ),
-        item(points, T0 + 2, lambda g, _: cloud(points_of(1), g, frame_id=f"lidar{EVIL}")),
-        item(chatter, T0 + 3, lambda g, _: string(EVIL, g)),
-    )
-    return write_mcap(tmp_path / f"evil{EVIL}.mcap", Recording((points, chatter, frames), items))
-
-
-@pytest.mark.parametrize("command", [("info",), ("tf",), ("convert",), ("convert", "--verbose"), ("convert", "-q")])
-def test_a_terminal_gets_no_orders(command: tuple[str, ...], evil: Path, tmp_path: Path) -> None:
-    done = run_bounded(tmp_path, command[0], evil, *command[1:])
-    assert done.status in (0, 3), done.stderr
-    assert_harmless(done.stdout + done.stderr)
-
-
-@pytest.mark.parametrize(
-    "args",
-    [
-        ("convert", "--target-frame", "map"),
-        ("convert", "--topic", "/missing"),
-        ("convert", "--on-error", "fail"),
-        ("convert", "-o", "missing/folder.bag"),
-        ("tf", "--lookup", "a", "b"),
-    ],
-)
-def test_errors_give_a_terminal_no_orders(args: tuple[str, ...], evil: Path, tmp_path: Path) -> None:
-    done = run_bounded(tmp_path, args[0], evil, *args[1:])
-    assert done.status
-    assert_harmless(done.stdout + done.stderr)
-
-
-@pytest.mark.parametrize("command", ["info", "tf"])
-def test_json_is_escaped(command: str, evil: Path, tmp_path: Path) -> None:
-    done = run_bounded(tmp_path, command, evil, "--json")
-    assert done.status == 0
-    assert_harmless(done.stdout)
-    assert done.stdout.isascii()
-    assert EVIL in json.dumps(json.loads(done.stdout), ensure_ascii=False).encode().decode(
-        "unicode_escape", "ignore"
-    ) or ("\\u202e" in done.stdout)
-
-
-def test_the_report_is_escaped(evil: Path, tmp_path: Path) -> None:
-    done = run_bounded(tmp_path, "convert", evil, "-o", tmp_path / "out.mcap", "--report", tmp_path / "report.json")
-    assert done.status == 3
-    text = (tmp_path / "report.json").read_text()
-    assert_harmless(text)
-    assert f"/points{EVIL}" in {topic["topic"] for topic in json.loads(text)["topics"]}
-
-
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437"])
+@pytest.mark.parametrize("encoding", sampled(["ascii", "latin-1", "cp437"], 1))
 def test_what_an_encoding_cannot_show_is_escaped(encoding: str, tmp_path: Path) -> None:
     stream = Stream("/läser_点", POINTS.msgtype)
     source = write_mcap(
@@ -145,14 +337,14 @@ def bytes_for_names(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("kind", DESTINATIONS)
 def test_bytes_that_are_no_text(kind: str, bytes_for_names: Path, tmp_path: Path) -> None:
     name, *options = DESTINATIONS[kind]
-    done = run_bounded(tmp_path, "convert", bytes_for_names, "-o", tmp_path / name, "--keep-clouds", *options)
+    done = run_bounded("convert", bytes_for_names, "-o", tmp_path / name, "--keep-clouds", *options)
     # Between the ROS versions a type that is no name cannot be carried over, and with it its only cloud.
     if kind not in ("bag", "mcap"):
         assert (done.status, (tmp_path / name).exists()) == (1, False), done.stderr
         assert "cannot be re-encoded" in done.stderr
         return
     assert done.status == 0, done.stderr
-    again = run_bounded(tmp_path, "info", tmp_path / name, "--json")
+    again = run_bounded("info", tmp_path / name, "--json")
     assert again.status == 0, again.stderr
     topics = {topic["topic"] for topic in json.loads(again.stdout)["topics"]}
     assert "/scan" in topics
@@ -166,6 +358,35 @@ def test_a_file_name_that_is_no_text(tmp_path: Path) -> None:
     recording = Recording((POINTS,), (item(POINTS, T0, lambda g, _: cloud(points_of(1), g)),))
     source = write_mcap(tmp_path / os.fsdecode(b"a\xff.mcap"), recording)
     for command in ("info", "convert"):
-        done = run_bounded(tmp_path, command, source)
+        done = run_bounded(command, source)
         assert done.status == 0, done.stderr
         assert "\\udcff" in done.stdout
+
+
+#: All that `visible` is about, and what it leaves alone.
+_TEXTS = st.text(
+    st.one_of(
+        st.sampled_from("\n\r\t\x00\x1b\x7f\x85\x9b\u2028\u2029\u200b\u202e\u2066\ufeff\ud800 :#[]/"),
+        st.characters(categories=["L", "N", "P", "S", "Z", "C"]),
+    )
+)
+
+
+@given(_TEXTS)
+def test_any_text_is_one_harmless_line(text: str) -> None:
+    shown = visible(text, None)
+    assert "\n" not in shown
+    assert shown.isprintable()
+    assert_harmless(shown if not shown.lstrip().startswith(("same: ", "error: ", "passed  ")) else "")
+    # What is shown once stays the same, so that no text is escaped twice.
+    assert visible(shown, None) == shown
+    assert visible(text, None, ascii_only=True).isascii()
+    assert visible(text, 3) == (shown if len(text) <= 3 else f"{visible(text[:3], None)}... ({len(text)} chars)")
+    if text.isprintable() and "[" not in text and not text.lstrip().startswith("::"):
+        assert shown == text
+
+
+@given(_TEXTS)
+def test_a_line_that_begins_with_a_name_is_no_other(text: str) -> None:
+    line = f"{leading(text)}: 3 scans"
+    assert not line.startswith(("same: ", "error: ", "hint: ", "::")) or ": " not in text

@@ -6,12 +6,11 @@ import traceback
 from typing import TYPE_CHECKING
 
 import pytest
-from typer.testing import CliRunner
 
 import pc2scan
-from pc2scan.cli.app import application
 from pc2scan.errors import UsageError
-from support import ROOT
+from support import ROOT, sampled
+from support.command import run
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,11 +46,10 @@ LINES = {
 NODE = '<launch><node pkg="pointcloud_to_laserscan" name="{name}">{inner}</node></launch>'
 
 
-def refused(folder: Path, *words: str) -> str:
+def refused(folder: Path, *words: str | Path) -> str:
     """What a conversion that is refused prints."""
-    done = CliRunner().invoke(application(), ["convert", str(HALL), "-o", str(folder / "out.mcap"), *words])
-    assert done.exit_code == 2, done.output
-    assert isinstance(done.exception, SystemExit | None)
+    done = run("convert", HALL, "-o", folder / "out.mcap", *words)
+    assert (done.status, "Traceback" in done.stderr) == (2, False), done.stderr
     return done.stdout + done.stderr
 
 
@@ -68,54 +66,52 @@ def assert_not_quoted(text: str) -> None:
     assert SECRET[:8] not in text
 
 
-@pytest.mark.parametrize("kind", FILES)
-@pytest.mark.parametrize("element", ['<rosparam file="{}"/>', '<param from="{}"/>'], ids=["ROS 1", "ROS 2"])
-def test_a_file_that_a_launch_file_names_is_not_quoted(kind: str, element: str, tmp_path: Path) -> None:
+#: Files that name the other: their names and texts, how they are given, and the line that names it.
+NAMING = {
+    "rosparam": ("me.launch", NODE.format(name="a", inner='<rosparam file="{}"/>'), "--params-file", "line 1"),
+    "param": ("me.launch", NODE.format(name="a", inner='<param from="{}"/>'), "--params-file", "line 1"),
+    "scans": ("scans.yaml", "scans:\n  /scan:\n    params_file: other.yaml\n", "--scans", "line 2, /scan"),
+    **{
+        f"dataset: {option}": ("dataset.yaml", f"defaults:\n  {option}: other.yaml\n", "--dataset", "line 2")
+        for option in ("params_file", "static_tf_file", "scans")
+    },
+}
+#: All places of one file, and then those of the next; a dataset file's options are read by other rules.
+PLACES = [
+    (kind, name)
+    for kind in FILES
+    for name in NAMING
+    if not (name.startswith("dataset") and kind in ("several nodes", "a number too large"))
+]
+
+
+@pytest.mark.parametrize(("kind", "name"), sampled(PLACES, 20))
+def test_a_file_that_another_names_is_not_quoted(kind: str, name: str, tmp_path: Path) -> None:
     other = write_secret(tmp_path, kind)
-    launch = tmp_path / "me.launch"
-    launch.write_text(NODE.format(name="scanner", inner=element.format(other)))
-    told = refused(tmp_path, "--params-file", str(launch))
+    file, text, option, line = NAMING[name]
+    naming = tmp_path / file
+    naming.write_text(text.format(other))
+    if option == "--dataset":
+        done = run("batch", HALL, "-o", tmp_path / "out", "--dataset", naming, "--jobs", "1")
+        assert done.status == 2
+        told = done.stdout + done.stderr
+    else:
+        told = refused(tmp_path, option, naming)
+        assert LINES.get(kind, "") in told
     assert_not_quoted(told)
     assert f"{other}" in told
-    assert f"named in {launch}, line 1" in told
-    assert LINES.get(kind, "") in told
-    assert f"hint: --params-file {other} shows what is wrong" in told
-    with pytest.raises(UsageError) as caught:
-        pc2scan.convert(HALL, tmp_path / "out.mcap", params_file=launch)
-    assert_not_quoted("".join(traceback.format_exception(caught.value)))
-
-
-@pytest.mark.parametrize("kind", FILES)
-def test_a_file_that_a_scans_file_names_is_not_quoted(kind: str, tmp_path: Path) -> None:
-    other = write_secret(tmp_path, kind)
-    scans = tmp_path / "scans.yaml"
-    scans.write_text("scans:\n  /scan:\n    params_file: other.yaml\n")
-    told = refused(tmp_path, "--scans", str(scans))
-    assert_not_quoted(told)
-    assert f"{other}" in told
-    assert f"named in {scans}, line 2, /scan" in told
-    assert LINES.get(kind, "") in told
-
-
-@pytest.mark.parametrize("option", ["params_file", "static_tf_file", "scans"])
-@pytest.mark.parametrize("kind", [kind for kind in FILES if kind not in ("several nodes", "a number too large")])
-def test_a_file_that_a_dataset_file_names_is_not_quoted(kind: str, option: str, tmp_path: Path) -> None:
-    other = write_secret(tmp_path, kind)
-    dataset = tmp_path / "dataset.yaml"
-    dataset.write_text(f"defaults:\n  {option}: other.yaml\n")
-    done = CliRunner().invoke(
-        application(), ["batch", str(HALL), "-o", str(tmp_path / "out"), "--dataset", str(dataset), "--jobs", "1"]
-    )
-    assert done.exit_code == 2, done.output
-    assert_not_quoted(done.output)
-    assert f"{other}" in done.output
-    assert f"named in {dataset}, line 2" in done.output
+    assert f"named in {naming}, {line}" in told
+    if option == "--params-file":
+        assert f"hint: --params-file {other} shows what is wrong" in told
+        with pytest.raises(UsageError) as caught:
+            pc2scan.convert(HALL, tmp_path / "out.mcap", params_file=naming)
+        assert_not_quoted("".join(traceback.format_exception(caught.value)))
 
 
 @pytest.mark.parametrize("kind", ["a text", "a list"])
 def test_a_file_without_parameters_is_not_quoted_at_all(kind: str, tmp_path: Path) -> None:
     other = write_secret(tmp_path, kind)
-    assert_not_quoted(refused(tmp_path, "--params-file", str(other)))
+    assert_not_quoted(refused(tmp_path, "--params-file", other))
 
 
 def param(value: str, name: str = "min_height") -> str:
@@ -161,7 +157,7 @@ def test_a_variable_in_a_launch_file_is_not_quoted(name: str, tmp_path: Path, mo
     launch = tmp_path / "me.launch"
     text = NODE.format(name="scanner", inner=inner)
     launch.write_text(text.replace("<launch>", '<launch>\n<arg name="low" default="$(env SECRET)"/>'))
-    told = refused(tmp_path, "--params-file", str(launch))
+    told = refused(tmp_path, "--params-file", launch)
     assert_not_quoted(told)
     assert said in told
     if name != "a file":
@@ -173,10 +169,10 @@ def test_nodes_and_arguments_named_by_variables(tmp_path: Path, monkeypatch: pyt
     launch = tmp_path / "me.launch"
     node = '<node pkg="pointcloud_to_laserscan" name="$(env SECRET)_{}" ns="$(env SECRET)"/>'
     launch.write_text(f'<launch><arg name="$(env SECRET)" default="1"/>{node.format(1)}{node.format(2)}</launch>')
-    none = refused(tmp_path, "--params-file", str(launch), "--node", "nothing")
+    none = refused(tmp_path, "--params-file", launch, "--node", "nothing")
     assert_not_quoted(none)
     assert "found /$(env SECRET)/$(env SECRET)_1" in none
-    argument = refused(tmp_path, "--params-file", str(launch), "--node", f"{SECRET}_1", "--arg", "no:=1")
+    argument = refused(tmp_path, "--params-file", launch, "--node", f"{SECRET}_1", "--arg", "no:=1")
     assert_not_quoted(argument.replace(f"{SECRET}_1", ""))
     assert "its arguments are $(env SECRET)" in argument
 
@@ -197,4 +193,4 @@ def test_included_files_and_commands_are_not_read(tmp_path: Path) -> None:
     launch = tmp_path / "me.launch"
     for inner in (f'<include file="{other}"/>', f'<param name="min_height" command="cat {other}"/>'):
         launch.write_text(f"<launch>{inner}{NODE.format(name='a', inner=inner)[8:]}")
-        assert_not_quoted(refused(tmp_path, "--params-file", str(launch), "-p", "kth:=x"))
+        assert_not_quoted(refused(tmp_path, "--params-file", launch, "-p", "kth:=x"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.inspect.sampling import sampled
@@ -74,7 +74,6 @@ class Recording:
         return taken
 
 
-@settings(max_examples=400, deadline=None)
 @given(
     rows=st.lists(st.tuples(st.integers(0, 60), st.sampled_from("aaaabbcd")), min_size=1, max_size=120),
     in_a_chunk=st.integers(1, 40),
@@ -104,10 +103,10 @@ def test_a_rare_topic_is_found_by_the_index() -> None:
     assert recording.loads <= 60
 
 
-def test_a_recording_of_one_chunk_is_read_a_few_times_whatever_the_topics() -> None:
-    for topics in (1, 10, 1_000, 10_000):
-        recording = Recording([(n, f"/{n % topics}") for n in range(10_000)], 10_000)
-        assert len(recording.sampled(10)) == min(10 * topics, 10_000)
+def test_one_chunk_is_read_a_few_times_whatever_the_topics() -> None:
+    for topics in (1, 10, 1_000, 2_000):
+        recording = Recording([(n, f"/{n % topics}") for n in range(2_000)], 2_000)
+        assert len(recording.sampled(10)) == min(10 * topics, 2_000)
         assert recording.loads <= 4
 
 

@@ -10,7 +10,6 @@ import pytest
 
 from look.browser import needs_chromium
 from look.test_view import description
-from support import ROOT
 from support.builders import write_mcap
 from support.command import run
 from support.scan_recordings import GOOD, recording, scans
@@ -51,21 +50,7 @@ def test_tolerances_count(tmp_path: Path, two: tuple[Path, Path]) -> None:
     assert [m["layers"][0]["differing"] for m in held["moments"]] == [[]] * 20
 
 
-def test_the_recordings_are_never_the_page(two: tuple[Path, Path]) -> None:
-    before = two[0].read_bytes()
-    done = run("diff", *two, "--view", two[0])
-    assert done.status == 2
-    assert two[0].read_bytes() == before
-
-
-def test_without_scans_there_is_no_page(tmp_path: Path) -> None:
-    hall = ROOT / "fixtures" / "hall.bag"
-    done = run("diff", hall, hall, "--view", tmp_path / "page.html")
-    assert done.status == 2
-    assert "the recordings have no scans in common" in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
+@pytest.mark.slow
 @needs_chromium
 def test_the_page_marks_what_differs(browser: Any, tmp_path: Path, two: tuple[Path, Path]) -> None:
     run("diff", *two, "--view", tmp_path / "page.html")

@@ -58,7 +58,7 @@ def _compare(tab: Tab, tmp_path: Path, source: Path, options: ConvertOptions) ->
     return len(scans)
 
 
-@pytest.mark.parametrize("folder", sampled([pytest.param(folder, id=name) for name, folder in _FORWARD], 2))
+@pytest.mark.parametrize("folder", sampled([pytest.param(folder, id=name) for name, folder in _FORWARD], 1))
 def test_golden_cases(browser: Any, tmp_path: Path, folder: Path) -> None:
     case = load_case(folder)
     params = resolve_sources([], file=case.params).params

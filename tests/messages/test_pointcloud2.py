@@ -68,29 +68,6 @@ def decoded(*args: Any, **kwargs: Any) -> PointCloud2:
 XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
 
 
-def test_ros1_header_and_fields() -> None:
-    t = ROS1.types
-    built = t["sensor_msgs/msg/PointCloud2"](
-        header=t["std_msgs/msg/Header"](
-            seq=7,
-            stamp=t["builtin_interfaces/msg/Time"](sec=2_000_000_000, nanosec=999_999_999),
-            frame_id="velodyne",
-        ),
-        height=1,
-        width=2,
-        fields=[t["sensor_msgs/msg/PointField"](name="x", offset=0, datatype=7, count=1)],
-        is_bigendian=False,
-        point_step=4,
-        row_step=8,
-        data=np.frombuffer(struct.pack("<2f", 1.5, -2.5), np.uint8),
-        is_dense=False,
-    )
-    cloud = decode_pointcloud2(ROS1.serialize_ros1(built, POINTCLOUD2), "ros1")
-    assert (cloud.sequence, cloud.stamp_ns, cloud.frame_id) == (7, 2_000_000_000_999_999_999, "velodyne")
-    assert (cloud.height, cloud.width, cloud.points, cloud.is_dense) == (1, 2, 2, False)
-    assert cloud.field("x").tolist() == [1.5, -2.5]
-
-
 @given(
     st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9), max_size=6),
     st.text(max_size=9).filter(lambda s: "\0" not in s),
@@ -177,7 +154,7 @@ def test_a_view_is_not_a_copy_and_not_writable() -> None:
         ),
     ],
 )
-def test_contradictions_are_errors_with_the_numbers_and_the_stamp(kwargs: dict[str, Any], words: list[str]) -> None:
+def test_contradictions_are_errors_with_numbers_and_stamp(kwargs: dict[str, Any], words: list[str]) -> None:
     cloud = decoded(**kwargs)
     with pytest.raises(DecodeError) as caught:
         cloud.xyz()
@@ -185,24 +162,11 @@ def test_contradictions_are_errors_with_the_numbers_and_the_stamp(kwargs: dict[s
     assert caught.value.stamp_ns == 12_000_000_345
 
 
-@given(st.integers(0, 120))
-def test_a_message_cut_anywhere_is_an_error(length: int) -> None:
-    raw = bytes(ROS2.serialize_cdr(message(XYZ, bytes(12)), POINTCLOUD2))
-    if length < len(raw):
-        with pytest.raises(DecodeError):
-            decode_pointcloud2(raw[:length], "cdr")
-
-
 def test_hostile_counts_are_refused_without_reading_on() -> None:
     raw = bytearray(ROS2.serialize_cdr(message([], b"", frame=""), POINTCLOUD2))
     raw[4 + 24 : 4 + 28] = struct.pack("<I", 2**32 - 1)
     with pytest.raises(DecodeError, match="4294967295 fields"):
         decode_pointcloud2(bytes(raw), "cdr")
-
-
-def test_an_unknown_encapsulation_is_refused() -> None:
-    with pytest.raises(DecodeError, match="encapsulation"):
-        decode_pointcloud2(b"\x00\x07\x00\x00" + bytes(60), "cdr")
 
 
 @st.composite
@@ -238,7 +202,7 @@ def test_what_was_decoded_before_makes_no_difference(messages: list[tuple[bytes,
         assert outcome(decoders[serialization], data) == alone
 
 
-def test_what_all_clouds_of_a_topic_have_in_common_is_decoded_once() -> None:
+def test_what_clouds_have_in_common_is_decoded_once() -> None:
     data = bytes(ROS2.serialize_cdr(message(XYZ, bytes(24), width=2), POINTCLOUD2))
     later = data[:4] + struct.pack("<iI", 13, 1) + data[12:]
     decode = CloudDecoder("cdr")

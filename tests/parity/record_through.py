@@ -9,7 +9,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from parity.test_debian import ask, pose_in, through_command
+from parity.debian import ask, pose_in, through_command
 from tf.through import random_drive, random_throughs, save
 
 if __name__ == "__main__":

@@ -17,8 +17,10 @@ import numpy as np
 
 import pc2scan
 from fuzz import angles
-from parity import test_debian as debian
+from parity import debian
 from pc2scan.core import fdlibm
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 from pc2scan.messages.laserscan import encode_laserscan
@@ -27,7 +29,7 @@ from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.placing import Frames
 from support import ROOT
 from tf.through import assert_close, found, random_drive, random_throughs
-from tf.trees import built, changing_tree, random_pose, random_questions, random_tree
+from tf.trees import SECOND, built, changing_tree, random_pose, random_questions, random_tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,8 +37,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tf.through import Through
+    from tf.trees import Question, Rows
 
-__all__ = ["Row", "rows", "text"]
+__all__ = ["Row", "against_debian", "lookups", "rows", "text"]
 
 
 class Row(NamedTuple):
@@ -52,34 +55,48 @@ class Row(NamedTuple):
 def rows(oracle: Path, *, lookups: int, points: int, seed: int) -> Iterator[Row]:
     """Compare everything; ``lookups`` and ``points`` are how many of each."""
     rng = np.random.default_rng(seed)
-    yield _lookups(oracle, rng, lookups)
-    yield _throughs(oracle, rng, lookups)
-    yield _coordinates(oracle, rng, points)
-    yield _way_back(oracle, rng, max(10, points // 1000))
+    yield from against_debian(oracle, rng, lookups=lookups, points=points)
     yield _golden()
     if not angles.why_not():
         yield _angles(rng, points)
         yield _libm(rng, points)
 
 
+def against_debian(oracle: Path, rng: np.random.Generator, *, lookups: int, points: int) -> Iterator[Row]:
+    """Compare what the oracle answers, live."""
+    yield _lookups(oracle, rng, lookups)
+    yield _throughs(oracle, rng, lookups)
+    yield _coordinates(oracle, rng, points)
+    yield _way_back(oracle, rng, max(10, points // 1000))
+
+
+def lookups(oracle: Path, rows: Rows, questions: list[Question]) -> tuple[int, int]:
+    """Look up transforms; return how many are found, and how many differ, in a bit, in their stamps or in refusals."""
+    buffer = built(rows)
+    commands = [f"L {target} {source} {debian.time_of(stamp)}" for target, source, stamp in questions]
+    known = differing = 0
+    for (target, source, stamp_ns), theirs in zip(questions, debian.ask(oracle, rows, commands), strict=True):
+        pose = debian.pose_in(theirs)
+        try:
+            ours = buffer.lookup(target, source, stamp_ns).pose
+        except TransformError:
+            differing += pose is not None
+            continue
+        known += 1
+        stamp = [*divmod(stamp_ns or buffer.latest_common_ns(target, source), SECOND)]
+        same_time = target == source or [*map(int, theirs.split()[:2])] == stamp
+        differing += pose is None or np.array(ours).tobytes() != np.array(pose).tobytes() or not same_time
+    return known, differing
+
+
 def _lookups(oracle: Path, rng: np.random.Generator, count: int) -> Row:
     compared = differing = 0
     while compared < count:
         rows, frames = (random_tree if rng.random() < 0.5 else changing_tree)(rng)
-        questions = random_questions(rng, frames, [entry[2] for entry, _ in rows], 3000)
-        buffer = built(rows)
-        commands = [f"L {target} {source} {debian.time_of(stamp)}" for target, source, stamp in questions]
-        for question, theirs in zip(questions, debian.ask(oracle, rows, commands), strict=True):
-            try:
-                ours: tuple[float, ...] | None = buffer.lookup(*question).pose
-            except TransformError:
-                ours = None
-            pose = debian.pose_in(theirs)
-            compared += 1
-            if ours is None or pose is None:
-                differing += (ours is None) != (pose is None)
-            else:
-                differing += np.array(ours).tobytes() != np.array(pose).tobytes()
+        questions = random_questions(rng, frames, [entry[2] for entry, _ in rows], min(count, 3000))
+        known, different = lookups(oracle, rows, questions)
+        assert known > len(questions) // 15
+        compared, differing = compared + len(questions), differing + different
     return Row("lookups of transforms, refusals too", "tf2", compared, differing)
 
 
@@ -110,12 +127,20 @@ def _is_close(ours: Rigid, theirs: NDArray[np.float64], question: Through) -> bo
     return True
 
 
+def columns(points: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    return points[:, 0], points[:, 1], points[:, 2]
+
+
 def _coordinates(oracle: Path, rng: np.random.Generator, count: int) -> Row:
+    project = Projector(ProjectionParams(min_height=-50.0, max_height=50.0, angle_increment=1e-3))
     compared = differing = 0
     while compared < count:
         cloud, pose = debian.points_of_all_kinds(rng), random_pose(rng)
-        ours = Rigid(np.array(pose[3:]), np.array(pose[:3])).apply(cloud)
-        theirs = debian.moved_by(oracle, pose, cloud)
+        rigid = Rigid(np.array(pose[3:]), np.array(pose[:3]))
+        ours, theirs = rigid.apply(cloud), debian.moved_by(oracle, pose, cloud)
+        # The loops over points transform what they project.
+        here, there = project(*columns(cloud), rigid.as_float32()), project(*columns(theirs))
+        differing += here.counts != there.counts or here.ranges.tobytes() != there.ranges.tobytes()
         # NaNs may have any sign and payload.
         same = (ours.view(np.uint32) == theirs.view(np.uint32)) | (np.isnan(ours) & np.isnan(theirs))
         compared += same.size

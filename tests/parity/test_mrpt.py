@@ -36,9 +36,6 @@ def why_not() -> str:
     return f"Debian's MRPT is not here: apt-get install {' '.join(missing)}" if missing else ""
 
 
-pytestmark = pytest.mark.slow
-
-
 @pytest.fixture(scope="session")
 def bridge(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if why_not():
@@ -70,6 +67,7 @@ def test_the_rule_has_the_roundings_of_mrpt_2_5(bridge: Path) -> None:
     assert 30 < sum(misread) < 270
 
 
+@pytest.mark.slow
 def test_mrpt_2_5_reads_every_beam_of_the_preset(bridge: Path) -> None:
     rng = random.Random(2)
     sectors = []
@@ -80,6 +78,7 @@ def test_mrpt_2_5_reads_every_beam_of_the_preset(bridge: Path) -> None:
     assert taken(bridge, sectors) == [list(range(beams)) for _, _, beams in sectors]
 
 
+@pytest.mark.slow
 def test_no_accepted_scan_is_misread_by_mrpt_2_5(bridge: Path) -> None:
     rng = random.Random(3)
     accepted = []

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,9 @@ from pc2scan.pipeline.conversion import Conversion, Converted, Measured
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
+from support.tables import rows
 
+TABLES = Path(__file__).parent / "stages/times.txt"
 XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
 SECOND = 1_000_000_000
 BAND = ProjectionParams(min_height=-1.0, max_height=1.0)
@@ -62,49 +65,14 @@ def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Frames:
     return Frames(target, "", builder.build(), 0)
 
 
-def once(conversion: Conversion, message: bytes, source: str, target: str, topic: str = "/topic") -> Converted:
+def once(
+    conversion: Conversion, message: bytes, source: str = "ros1", target: str = "ros1", topic: str = "/topic"
+) -> Converted:
     return conversion.for_topic(topic, source, target)(message)
 
 
 def points_of(message: PointCloud2) -> Any:
     return np.stack(message.xyz(), axis=1)
-
-
-def test_a_scan_carries_the_clouds_header_and_the_parameters() -> None:
-    params = ProjectionParams(
-        min_height=-1, angle_min=-1, angle_max=1, angle_increment=0.125, range_max=20, scan_time=0.2
-    )
-    made = once(CloudToScan(params, Frames()), cloud([[2, 0, 0]]), "ros1", "ros1")
-    read = decode_laserscan(made.data, "ros1")
-    assert (read.sequence, read.stamp_ns, read.frame_id) == (9, 5 * SECOND, "lidar")
-    assert (read.angle_min, read.angle_max, read.range_max, read.time_increment) == (-1, 1, 20, 0)
-    assert read.angle_increment == 0.125
-    assert read.scan_time == np.float32(0.2)
-    assert read.intensities.size == 0
-    assert np.flatnonzero(np.isfinite(read.ranges)).tolist() == [8]
-    assert not made.empty
-
-
-def test_a_centered_scan_advertises_its_last_beam_and_carries_intensities() -> None:
-    params = ProjectionParams(
-        min_height=-1, geometry="centered", angle_min=0.0, angle_max=2 * math.pi, beams=8, range_max=20, reduce="max",
-        intensity_field="z", no_return="nan",
-    )  # fmt: skip
-    made = once(CloudToScan(params, Frames()), cloud([[2, 0, 0.5], [3, 0, 0.25], [0, -4, 0.125]]), "ros1", "cdr")
-    read = decode_laserscan(made.data, "cdr")
-    assert read.angle_min == 0
-    assert read.angle_max == pytest.approx(2 * math.pi * 7 / 8)
-    assert read.ranges.tolist() == pytest.approx([3.0, *[math.nan] * 5, 4.0, math.nan], nan_ok=True)
-    assert read.intensities.tolist() == [0.25, 0, 0, 0, 0, 0, 0.125, 0]
-    assert not made.empty
-    assert once(CloudToScan(params, Frames()), cloud([]), "ros1", "cdr").empty
-
-
-def test_an_intensity_field_that_a_later_cloud_lacks_is_an_error_with_the_stamp() -> None:
-    params = ProjectionParams(intensity_field="reflectivity")
-    with pytest.raises(DecodeError, match="no field 'reflectivity'; the cloud's fields are: x, y, z") as caught:
-        once(CloudToScan(params, Frames()), cloud([[2, 0, 0]]), "ros1", "ros1")
-    assert caught.value.stamp_ns == 5 * SECOND
 
 
 @pytest.mark.parametrize(
@@ -124,21 +92,10 @@ def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, exp
     assert (other.stamp_ns, other.scan_time, other.time_increment) == (stamp_ns, 0, 0)
 
 
-def test_a_scan_without_returns_is_empty_also_where_that_is_not_infinity() -> None:
-    params = ProjectionParams(min_height=-1, range_max=20, use_inf=False, inf_epsilon=0.5)
-    assert once(CloudToScan(params, Frames()), cloud([[50, 0, 0]]), "ros1", "cdr").empty
-    assert once(CloudToScan(params, Frames()), cloud([]), "ros1", "cdr").empty
-
-
 def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
     known = frames("base", ("base", "lidar", 4 * SECOND, 0.0, 0.0), ("base", "lidar", 6 * SECOND, 2.0, math.pi))
     points = [[3, 0, 0.5], [2, 4, -0.5], [0, 0, 3]]
-    made = once(
-        CloudToScan(ProjectionParams(min_height=-1, max_height=1, target_frame="base"), known),
-        cloud(points),
-        "ros1",
-        "ros1",
-    )
+    made = once(CloudToScan(ProjectionParams(min_height=-1, max_height=1, target_frame="base"), known), cloud(points))
     read = decode_laserscan(made.data, "ros1")
     moved = known.place("lidar", 5 * SECOND).target_from_source
     assert moved is not None
@@ -152,7 +109,8 @@ def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
 
 def test_the_way_back_carries_the_header_and_all_channels() -> None:
     every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
-    message = scan([1, 2, math.nan, 40, 3], intensities=np.arange(5, dtype=np.float32), time_increment=0.25)
+    ranges = [1, 2, math.nan, 40, 3, 0.01, math.inf]
+    message = scan(ranges, intensities=np.arange(7, dtype=np.float32), time_increment=0.25)
     made = once(ScanToCloud(every, Frames()), message, "ros1", "cdr")
     read = decode_pointcloud2(made.data, "cdr")
     assert (read.stamp_ns, read.frame_id, read.height, read.width, read.is_dense) == (5 * SECOND, "laser", 1, 3, False)
@@ -161,132 +119,87 @@ def test_the_way_back_carries_the_header_and_all_channels() -> None:
     assert read.field("index").tolist() == [0, 1, 4]
     assert read.field("intensity").tolist() == [0, 1, 4]
     assert read.field("stamps").tolist() == [0, 0.25, 1.0]
-    assert (made.counts.total, made.counts.used, made.counts.nan, made.counts.range) == (5, 3, 1, 1)
-
-
-def test_intensities_of_another_length_are_an_error_with_the_stamp() -> None:
-    with pytest.raises(DecodeError) as caught:
-        once(ScanToCloud(None, Frames()), scan([1, 2], intensities=np.float32([1.0])), "ros1", "ros1")  # type: ignore[arg-type]
-    assert caught.value.stamp_ns == 5 * SECOND
-
-
-def test_a_transformed_cloud_is_in_the_target_frame() -> None:
-    known = frames("odom", ("odom", "laser", 5 * SECOND, 10.0, math.pi / 2))
-    made = once(ScanToCloud(None, known), scan([2.0], angle_min=0.0), "ros1", "ros1")
-    read = decode_pointcloud2(made.data, "ros1")
-    assert read.frame_id == "odom"
-    # float32 of a point 10 m out.
-    np.testing.assert_allclose(points_of(read), [[10, 2, 0]], atol=2e-6)
+    assert (made.counts.total, made.counts.used, made.counts.nan, made.counts.range) == (7, 3, 1, 3)
 
 
 def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
     # 1 m/s and a quarter turn a second; five beams, a quarter of a second apart.
     rows = [("odom", "laser", (5 + k) * SECOND, float(k), k * math.pi / 2) for k in range(2)]
     message = scan([2.0] * 5, angle_min=0.0, angle_increment=0.0, time_increment=0.25)
-    made = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), message, "ros1", "ros1")
+    made = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), message)
     expected = [[t + 2 * math.cos(t * math.pi / 2), 2 * math.sin(t * math.pi / 2), 0] for t in np.linspace(0, 1, 5)]
     np.testing.assert_allclose(points_of(decode_pointcloud2(made.data, "ros1")), expected, atol=2e-6)
-    plain = once(ScanToCloud(None, frames("odom", *rows)), message, "ros1", "ros1")
+    none = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), scan([], time_increment=0.1))
+    assert decode_pointcloud2(none.data, "ros1").points == 0
+    plain = once(ScanToCloud(None, frames("odom", *rows)), message)
     np.testing.assert_allclose(points_of(decode_pointcloud2(plain.data, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
 
 
-def test_deskewing_one_beam_and_none() -> None:
-    known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0))
-    one = once(ScanToCloud(None, known, deskewed=True), scan([2.0], angle_min=0.0, time_increment=0.1), "ros1", "ros1")
-    np.testing.assert_allclose(points_of(decode_pointcloud2(one.data, "ros1")), [[3, 0, 0]], atol=2e-6)
-    none = once(ScanToCloud(None, known, deskewed=True), scan([], time_increment=0.1), "ros1", "ros1")
-    assert decode_pointcloud2(none.data, "ros1").points == 0
-
-
-#: The scan's frame as the target frame: without transforms, and with a link of identity that the scan does not need.
-SAME_FRAME = [Frames("laser", "", TransformBuilder().build(), 0), frames("laser", ("base", "laser", 1, 0.0, 0.0))]
-
-
-@pytest.mark.parametrize("known", SAME_FRAME, ids=["no transforms", "a link"])
-def test_deskewing_in_the_scans_own_frame_multiplies(known: Frames) -> None:
-    # A range of -0 at angle 0 is (-0, -0, 0), which the product with the identity makes (0, 0, 0).
-    message = scan([-0.0, -1.0, 2.0, -math.inf], angle_min=0.0, angle_increment=0.0, range_min=-math.inf)
-    made, plain = (
-        points_of(decode_pointcloud2(once(conversion, message, "ros1", "ros1").data, "ros1"))
-        for conversion in (ScanToCloud(None, known, deskewed=True), ScanToCloud(None, known))
-    )
-    assert made[:3].tobytes() == np.array([[0, 0, 0], [-1, 0, 0], [2, 0, 0]], np.float32).tobytes()
-    assert plain[:3].tobytes() == np.array([[-0.0, -0.0, 0], [-1, -0.0, 0], [2, 0, 0]], np.float32).tobytes()
-    # Infinity times 0, in laser_geometry too.
-    assert np.isnan(made[3]).all()
-
-
-@pytest.mark.parametrize("increment", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("known", [*SAME_FRAME, frames("base", ("base", "laser", 5 * SECOND, 0.0, 0.0))])
-def test_times_that_are_not_finite_need_beams_to_be_an_error(known: Frames, increment: float) -> None:
-    conversion = ScanToCloud(None, known, deskewed=True)
-    with pytest.raises(DecodeError, match=r"time_increment is .* the last of 2 beams") as caught:
-        once(conversion, scan([2.0, 2.0], time_increment=increment), "ros1", "ros1")
-    assert caught.value.stamp_ns == 5 * SECOND
-    empty = once(conversion, scan([], time_increment=increment), "ros1", "ros1")
-    assert decode_pointcloud2(empty.data, "ros1").points == 0
-
-
-def header_of(made: Converted) -> tuple[int, int, str]:
-    read = decode_pointcloud2(made.data, "ros1")
-    return read.sequence, read.stamp_ns, read.frame_id
-
-
-def test_a_transformed_cloud_has_the_header_of_the_transform_and_a_deskewed_one_that_of_the_scan() -> None:
-    known = frames("odom", *(("odom", "laser", second * SECOND, 1.0, 0.5) for second in (4, 5, 6)))
-    for stamp_ns, expected_ns in ((5 * SECOND, 5 * SECOND), (0, 6 * SECOND)):
-        message = scan([2.0] * 3, stamp_ns)
-        assert header_of(once(ScanToCloud(None, known), message, "ros1", "ros1")) == (0, expected_ns, "odom")
-        assert header_of(once(ScanToCloud(None, known, deskewed=True), message, "ros1", "ros1")) == (
-            9,
-            stamp_ns,
-            "odom",
-        )
-        assert header_of(once(ScanToCloud(None, Frames()), message, "ros1", "ros1")) == (9, stamp_ns, "laser")
-
-
-def test_a_stamp_of_zero_stays_where_every_transform_is_static() -> None:
-    builder = TransformBuilder()
-    builder.add([("odom", "laser", 5 * SECOND, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)], static=True)
-    made = once(ScanToCloud(None, Frames("odom", "", builder.build(), 0)), scan([2.0], 0), "ros1", "ros1")
-    assert header_of(made) == (0, 0, "odom")
-
-
-@pytest.mark.parametrize(
-    ("stamp_ns", "increment", "message"),
-    [
-        (0, -0.1, "its last beam would be at -0.200000003, which is before 1970"),
-        (SECOND, -0.6, "its last beam would be at -0.200000048, which is before 1970"),
-        (SECOND, math.nan, "time_increment is nan s: the last of 3 beams would be nan s after the first"),
-        (SECOND, 2e9, "time_increment is 2000000000.0 s: the last of 3 beams would be 4000000000.0 s after the first"),
-    ],
-)
+@pytest.mark.parametrize(("stamp_ns", "increment", "message"), rows(TABLES, "last beams"))
 def test_last_beams_beyond_ros_time_are_an_error(stamp_ns: int, increment: float, message: str) -> None:
     known = frames("odom", ("odom", "laser", SECOND, 1.0, 0.0))
     with pytest.raises(DecodeError, match=message) as caught:
-        once(
-            ScanToCloud(None, known, deskewed=True), scan([2.0] * 3, stamp_ns, time_increment=increment), "ros1", "ros1"
-        )
+        once(ScanToCloud(None, known, deskewed=True), scan([2.0] * 3, stamp_ns, time_increment=increment))
     assert caught.value.stamp_ns == stamp_ns
 
 
-def test_nans_that_signal_draw_no_warning_and_are_nans_like_any_other() -> None:
+def test_nans_that_signal_are_nans_like_any_other() -> None:
     signalling = np.array([0x7F800001, 0xFFBFFFFF, 0x3F800000], np.uint32).view(np.float32)
     known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.5))
     every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
     for deskewed in (False, True):
         message = scan(signalling, intensities=signalling[::-1].copy())
-        made = once(ScanToCloud(every, known, deskewed=deskewed), message, "ros1", "ros1")
+        made = once(ScanToCloud(every, known, deskewed=deskewed), message)
         assert (made.counts.used, made.counts.nan) == (1, 2)
         (intensity,) = decode_pointcloud2(made.data, "ros1").field("intensity").view(np.uint32)
         # The bits are the scan's: a signalling NaN stays one.
         assert intensity == 0x7F800001
 
 
-def test_deskewing_needs_the_time_of_the_last_beam_too() -> None:
-    known = frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0))
-    with pytest.raises(TransformError, match="too late"):
-        once(ScanToCloud(None, known, deskewed=True), scan([2.0] * 3, time_increment=0.1), "ros1", "ros1")
+@pytest.mark.parametrize("static", [False, True])
+@pytest.mark.parametrize("stamp_ns", [5 * SECOND, 0])
+def test_a_transformed_cloud_has_the_header_of_the_transform(stamp_ns: int, static: bool) -> None:
+    """And a deskewed one that of the scan."""
+    builder = TransformBuilder()
+    for second in (4, 5, 6) if not static else (5,):
+        builder.add([("odom", "laser", second * SECOND, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)], static=static)
+    known = Frames("odom", "", builder.build(), 0)
+    message = scan([2.0] * 3, stamp_ns)
+    newest = stamp_ns or (0 if static else 6 * SECOND)
+    for conversion, expected in (
+        (ScanToCloud(None, known), (0, newest, "odom")),
+        (ScanToCloud(None, known, deskewed=True), (9, stamp_ns, "odom")),
+        (ScanToCloud(None, Frames()), (9, stamp_ns, "laser")),
+    ):
+        read = decode_pointcloud2(once(conversion, message).data, "ros1")
+        assert (read.sequence, read.stamp_ns, read.frame_id) == expected
+
+
+#: A time without a transform, and an intensity for one of two beams.
+NO_SCANS: list[tuple[Any, bytes, type[Exception], str]] = [
+    (
+        ScanToCloud(None, frames("odom", ("odom", "laser", 5 * SECOND, 1.0, 0.0)), deskewed=True),
+        scan([2.0] * 3, time_increment=0.1),
+        TransformError,
+        "too late",
+    ),
+    (ScanToCloud(None, Frames()), scan([1, 2], intensities=np.array([1.0], np.float32)), DecodeError, "intensities"),
+    (
+        CloudToScan(ProjectionParams(intensity_field="r"), Frames()),
+        cloud([[2, 0, 0]]),
+        DecodeError,
+        "no field 'r'; the",
+    ),
+]
+
+
+@pytest.mark.parametrize(("conversion", "message", "kind", "what"), NO_SCANS)
+def test_what_cannot_be_converted_is_an_error_with_the_stamp(
+    conversion: Any, message: bytes, kind: type[Exception], what: str
+) -> None:
+    with pytest.raises(kind, match=what) as caught:
+        once(conversion, message)
+    assert kind is TransformError or caught.value.stamp_ns == 5 * SECOND  # type: ignore[attr-defined]
 
 
 @given(
@@ -303,8 +216,8 @@ def test_there_and_back_is_within_half_a_beam_of_its_middle(polar: list[tuple[fl
         min_height=-1, angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / beams, range_max=30.0
     )
     points = np.array([[r * math.cos(a), r * math.sin(a), 0] for a, r in polar], np.float32)
-    there = once(CloudToScan(params, Frames()), cloud(points), "ros1", "ros1")
-    back = once(ScanToCloud(None, Frames()), there.data, "ros1", "ros1")
+    there = once(CloudToScan(params, Frames()), cloud(points))
+    back = once(ScanToCloud(None, Frames()), there.data)
     returned = points_of(decode_pointcloud2(back.data, "ros1"))
     assert len(returned) >= 1
     angles = np.arctan2(points[:, 1], points[:, 0], dtype=np.float64)

@@ -173,36 +173,6 @@ def test_a_new_filter_is_one_class(tmp_path: Path, jobs: int) -> None:
         assert ranges[np.isfinite(ranges)].tolist() == pytest.approx([2.0, 4.0], rel=1e-4)
 
 
-def test_filters_that_keep_everything_change_nothing(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
-    params = pc2scan.ProjectionParams(min_height=-1.0, max_height=2.0, intensity_field="ring")
-    for frame in (Frame.SOURCE, Frame.TARGET):
-        pc2scan.convert(source, tmp_path / "a_scan.mcap", params=params, overwrite=True)
-        pc2scan.convert(source, tmp_path / "b.mcap", params=params, filters=[Beyond(frame, -99.0)], overwrite=True)
-        assert (tmp_path / "b.mcap").read_bytes() == (tmp_path / "a_scan.mcap").read_bytes()
-
-
-def test_a_new_filter_is_blamed_for_empty_scans(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
-    report = pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[EveryNth(1, highest=0)])
-    (warning,) = report.warnings
-    assert warning == "1 of 1 scan on /scan has no return at all: 100% of all points were thinned out (see n)"
-
-
-def test_a_field_that_a_filter_needs_is_looked_for_before_anything_is_written(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
-
-    @dataclass(frozen=True)
-    class Reflective(EveryNth):
-        fields = ("reflectivity",)
-
-    with pytest.raises(
-        ParameterError, match="`thinned` needs the field 'reflectivity', which the clouds on /points do"
-    ):
-        pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Reflective(2)])
-    assert not (tmp_path / "b.mcap").exists()
-
-
 @pytest.mark.parametrize("frame", [Frame.SOURCE, Frame.TARGET, "base"])
 def test_filters_work_in_the_frame_that_they_name(tmp_path: Path, frame: Any) -> None:
     source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
@@ -222,35 +192,44 @@ def test_filters_work_in_the_frame_that_they_name(tmp_path: Path, frame: Any) ->
     assert {name: getattr(points, name) for name in expected} == expected
 
 
-def test_filters_see_what_those_before_them_kept(tmp_path: Path) -> None:
+def test_filters_are_applied_in_their_order(tmp_path: Path) -> None:
     source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
-    filters: list[Filter] = [Beyond(Frame.SOURCE, 1.5), EveryNth(2)]
-    points = pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=filters).topics[0].points
-    assert points == pc2scan.PointCounts(total=5, used=1, this_side=3, thinned=1)
+    target = tmp_path / "b.mcap"
+
+    def points(*filters: Filter) -> Any:
+        return pc2scan.convert(source, target, params=BAND, filters=filters, overwrite=True).topics[0].points
+
+    every, far = EveryNth(2), Beyond(Frame.SOURCE, 1.5)
+    assert points(far, every) == pc2scan.PointCounts(total=5, used=1, this_side=3, thinned=1)
+    points(Beyond(Frame.SOURCE, -99.0), Beyond(Frame.TARGET, -99.0))
+    kept = target.read_bytes()
+    points()
+    assert target.read_bytes() == kept
+    (warning,) = pc2scan.convert(source, target, params=BAND, filters=[EveryNth(1, highest=0)], overwrite=True).warnings
+    assert warning == "1 of 1 scan on /scan has no return at all: 100% of all points were thinned out (see n)"
 
 
-@pytest.mark.parametrize("name", ["height", "total", "not a name", ""])
-def test_a_filter_needs_a_name_of_its_own(name: str) -> None:
+def test_a_filter_that_cannot_be_is_an_error(tmp_path: Path) -> None:
     @dataclass(frozen=True)
-    class Named(EveryNth):
+    class Changed(EveryNth):
         pass
 
-    Named.name = name
-    with pytest.raises(UsageError, match="cannot be the name of its count"):
-        ScanSpec(filters=(Named(2),))
-
-
-def test_filters_are_for_clouds() -> None:
+    for name in ("height", "total", "not a name", ""):
+        Changed.name = name
+        with pytest.raises(UsageError, match="cannot be the name of its count"):
+            ScanSpec(filters=(Changed(2),))
     with pytest.raises(UsageError, match="`reverse` converts scans"):
         ScanSpec(filters=(EveryNth(2),), reverse=True)
+    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
+    Changed.name, Changed.fields = "thinned", ("reflectivity",)
+    with pytest.raises(ParameterError, match="`thinned` needs the field 'reflectivity', which the clouds"):
+        pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Changed(2)])
+    assert not (tmp_path / "b.mcap").exists()
 
-
-def test_a_filter_returns_bools(tmp_path: Path) -> None:
     class Wrong(EveryNth):
         def __call__(self, points: Points) -> Any:
             return np.arange(points.field("x").size)
 
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
     with pytest.raises(TypeError, match="thinned returned int64"):
         pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Wrong(1)])
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.bags.lasting import Newest
 from pc2scan.bags.opening import open_recording
 from pc2scan.messages.tfmessage import decode_transforms
 from support.builders import (
@@ -129,14 +128,3 @@ def test_dropped_latched_topics_count_what_was_latched(tmp_path: Path) -> None:
     _, report = cut(tmp_path, "h.bag", drop=["/map_*"])
     counted = {each.topic: each.messages_in for each in report.topics}
     assert (counted["/map_points"], counted["/map_name"]) == (1, 2)
-
-
-def test_items_are_kept_while_they_are_the_newest_of_a_name() -> None:
-    newest: Newest[str] = Newest()
-    for names, each in (("ab", "first"), ("c", "second"), ("a", "third"), ("", "none"), ("ac", "fourth")):
-        newest.add(names, each)
-    assert list(newest) == ["first", "fourth"]
-    few: Newest[int] = Newest(2)
-    for number, names in enumerate(["ab", "b", "c", "d", "c"]):
-        few.add(names, number)
-    assert list(few) == [3, 4]

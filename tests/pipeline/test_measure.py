@@ -148,7 +148,7 @@ def test_clouds_that_cannot_be_used_are_passed_over(tmp_path: Path) -> None:
     assert timings["/front"].time_increment < 0
 
 
-def test_a_field_that_is_not_there_is_refused_with_those_that_are(tmp_path: Path) -> None:
+def test_a_missing_field_is_refused_with_those_there_are(tmp_path: Path) -> None:
     items = recorded(FRONT, [T0], turning(), NAMES)
     with pytest.raises(ParameterError) as caught:
         measured(tmp_path, items, ProjectionParams(intensity_field="reflectivity"))

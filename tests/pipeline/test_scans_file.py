@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -22,9 +23,6 @@ from pc2scan.pipeline.stages.height_slope import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
 from support import ROOT
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 def written(folder: Path, text: str) -> Path:
     path = folder / "scans.yaml"
@@ -32,29 +30,7 @@ def written(folder: Path, text: str) -> Path:
     return path
 
 
-FILE = """\
-defaults:
-  sources: /points
-  target_frame: base_link
-  preset: slam_toolbox
-  min_height: 10cm
-  where: intensity > 1
-scans:
-  /scan:
-  scan_low:
-    sources: [/front, /rear]
-    min_height: -0.1
-    max_height: 0.1
-    where: [ring < 3, x > 0]
-    min_height_slope: 0.05
-    range_max: 30
-  /moved:
-    deskew: true
-    fixed_frame: odom
-    stamp: middle
-    angle_min: -pi/2
-    angle_increment: 1deg
-"""
+FILE = Path(__file__).with_name("scans.yaml").read_text("utf-8")
 
 
 def test_outputs_have_what_they_say_and_else_the_defaults(tmp_path: Path) -> None:
@@ -126,75 +102,6 @@ def test_the_example_of_the_page_is_one(tmp_path: Path) -> None:
     specs = load_scans(written(tmp_path, example)).specs
     assert [spec.name for spec in specs] == ["/scan", "/scan_low", "/scan_lidar"]
     assert specs[2].filters == (Where("ring in (6, 7, 8)"), Where("intensity > 2"))
-
-
-REFUSED = [
-    ("", "the file is empty", None),
-    ("- 1\n", "expected scans, got a list", None),
-    ("scan:\n  /scan: {}\n", "line 1: unknown key 'scan'", "did you mean scans?"),
-    ("defaults: {}\n", "expected outputs under 'scans', there are none", None),
-    ("scans: {}\n", "line 1: expected outputs under 'scans', there are none", None),
-    ("scans: 5\n", "line 1: expected outputs under 'scans', got 5", None),
-    ("scans:\n  /a: {}\n  /b: 7\n", "line 3: /b must be a mapping, got 7", None),
-    ("scans:\n  /a: {}\n  /a: {}\n", "line 3: '/a' is given twice, first in .*line 2", None),
-    ("scans:\n  /a: {}\n  a: {}\n", "line 3: /a is given twice, first in .*line 2", None),
-    ("scans:\n  /a b: {}\n", "line 2: '/a b' is not a topic", None),
-    ("scans:\n- min_height: 0.1\n", "line 2: an output in a list needs a 'topic'", None),
-    ("scans:\n  /a:\n    max_heigt: 1\n", "line 3: unknown key 'max_heigt'", "did you mean max_height?"),
-    ("scans:\n  /a:\n    source: /points\n", "line 3: unknown key 'source'", "did you mean sources?"),
-    ("defaults:\n  sorces: /p\nscans: {/a: {}}\n", "line 2: unknown key 'sorces'", "did you mean sources?"),
-    ("defaults: 3\nscans: {/a: {}}\n", "line 1: 'defaults' must be a mapping, got 3", None),
-    ("scans:\n  /a:\n    min_height: high\n", r"min_height: expected a number, got 'high' \(from .*line 3", None),
-    ("scans:\n  /a:\n    min_height: [1, 2]\n", "line 3: min_height must be a single value, got a list", None),
-    ("scans:\n  /a:\n    reduce: medan\n", "reduce: expected .*'medan'.*line 3", "did you mean median?"),
-    ("scans:\n  /a:\n    sources: {x: 1}\n", "line 3: sources must be text, or a list of texts, got a mapping", None),
-    ("scans:\n  /a:\n    sources: []\n", "line 3: sources must be text, or a list of texts, got a list", None),
-    (
-        "scans:\n  /a:\n    sources: /points:=/b\n",
-        "line 3, /a: 'sources' has '/points:=/b', which",
-        None,
-    ),
-    ("scans:\n  /a:\n    deskew: 1\n", "line 3: deskew must be true or false, got 1", None),
-    ("scans:\n  /a:\n    deskew: true\n", "line 3, /a: `deskew` of clouds needs a frame", None),
-    (
-        "scans:\n  /a:\n    stamp: midle\n",
-        "line 3: stamp must be one of header, start, middle, end",
-        "did you mean middle?",
-    ),
-    ("scans:\n  /a:\n    min_height_slope: x\n", "line 3: min_height_slope must be a number, got 'x'", None),
-    (
-        "scans:\n  /a:\n    where: [ring in (6, 7, 8), x > 0]\n",
-        "line 3: where must be text, or a list of texts, got a list",
-        "a text with a comma needs quotes",
-    ),
-    ("scans:\n  /a:\n    where: ring >\n", "line 3, /a: `where`", None),
-    ("scans:\n  /a:\n    preset: slam\n", "line 2, /a: there is no preset 'slam'", None),
-    ("scans:\n  /a:\n    node: front\n", "line 3, /a: `node` chooses a section", None),
-    ("scans:\n  /a:\n    params_file: nowhere.yaml\n", "nowhere.yaml: does not exist", None),
-    (
-        "scans:\n  /a:\n    min_height: 2\n    max_height: 1\n",
-        "line 2, /a: min_height 2.0 m is above max",
-        None,
-    ),
-    ("scans: {/a: {}\n", "line 2, column 1: not valid YAML", None),
-    ("a: &a [x, x, x, x, x, x, x, x, x]\nb: &b [*a, *a, *a, *a, *a]\nscans: [*b, *b, *b, *b]\n", "its aliases", None),
-    (f"scans: {'[' * 30}{']' * 30}\n", "nested more than 20 levels deep", None),
-]
-
-
-@pytest.mark.parametrize(("text", "message", "hint"), REFUSED)
-def test_what_is_wrong_is_told_with_its_place(text: str, message: str, hint: str | None, tmp_path: Path) -> None:
-    path = written(tmp_path, text)
-    with pytest.raises(UsageError, match=message) as caught:
-        load_scans(path)
-    assert str(tmp_path) in caught.value.message
-    if hint:
-        assert hint in (caught.value.hint or "")
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="does not exist"):
-        load_scans(tmp_path / "scans.yaml")
 
 
 def test_errors_in_dicts_say_where() -> None:

@@ -84,7 +84,7 @@ def test_what_is_loaded_ahead_is_bounded_and_enough(size: int, jobs: int) -> Non
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 4])
-def test_of_units_that_take_memory_already_one_waits_for_each_thread(jobs: int) -> None:
+def test_one_unit_in_memory_waits_for_each_thread(jobs: int) -> None:
     listed = taken = most = 0
 
     def units() -> Iterator[Unit]:
@@ -100,15 +100,6 @@ def test_of_units_that_take_memory_already_one_waits_for_each_thread(jobs: int) 
     assert taken == 20
     # One more is listed, and the next one is looked at to know what is due first.
     assert most <= jobs + 2
-
-
-@pytest.mark.parametrize("window", [1, 3])
-def test_no_more_than_the_window_is_in_flight(window: int) -> None:
-    flight = InFlight()
-    with Threads(4) as threads:
-        for _ in schedule([unit(number) for number in range(40)], flight.load, threads, window=window):
-            flight.take()
-    assert 1 <= flight.most <= window + 2
 
 
 @pytest.mark.parametrize("jobs", [None, 2])
@@ -134,7 +125,7 @@ def test_leaving_early_gives_up_what_has_not_begun() -> None:
     assert len(loads) < 6
 
 
-def test_quick_units_are_loaded_by_the_caller_between_those_that_are_not() -> None:
+def test_quick_units_are_loaded_by_the_caller() -> None:
     loaders: dict[int, int] = {}
 
     def work(message: RawMessage) -> RawMessage:
@@ -164,7 +155,7 @@ def test_a_result_that_takes_more_memory_is_made_in_its_turn() -> None:
 
 
 @pytest.mark.parametrize("jobs", [None, 2])
-def test_messages_of_a_unit_too_large_to_be_loaded_ahead_are_the_work_of_all_threads(jobs: int | None) -> None:
+def test_messages_of_a_large_unit_are_the_work_of_all_threads(jobs: int | None) -> None:
     large = unit(3, LARGEST_AHEAD + 8, messages=8)
     workers = set()
 

@@ -8,7 +8,7 @@ By hand; the first command records which tests run which lines, the second plant
 Of each fault the tests that run its line are run, those that run the fewest lines first, until one fails. A fault that
 none of them notices is missed. A fault whose line no test runs is missed without a run. Faults in C and at the level of
 modules, which no test is recorded for, are held against all the tests that run a line of the same module, for C of
-``core/kernel.py``.
+the modules that call the compiled loops.
 
 ``--again planted.json`` plants the faults of an earlier run, as far as the source still has them: a fault is found
 again by its text.
@@ -34,6 +34,12 @@ from coverage import CoverageData
 from planted.faults import Fault, faults_in, plant, sample
 
 ROOT = Path(__file__).resolve().parents[2]
+
+#: The beginning of what pytest says if it does not find tests.
+_UNKNOWN = "tests are not found"
+
+#: The modules that call the loops in C, which choose between them and NumPy's when they are imported.
+_CALLS_C = ("core/project.py", "core/occupancy.py", "core/rounding.py", "tf/many.py", "pipeline/stages/deskew.py")
 
 
 def main() -> None:
@@ -84,18 +90,24 @@ class _Tests:
             for contexts in data.contexts_by_lineno(name).values():
                 self._lines.update(contexts)
 
+    def _of(self, path: str) -> dict[int, list[str]]:
+        """Return the tests that run each line of a module; empty for a module that no test runs."""
+        if path not in self._by_file:
+            self._by_file[path] = self._data.contexts_by_lineno(self._files[path]) if path in self._files else {}
+        return self._by_file[path]
+
     def of(self, fault: Fault) -> list[str]:
         """Return the tests to run for a fault, those that run the fewest lines of the package first."""
-        path = "pc2scan/core/kernel.py" if fault.path.endswith(".c") else fault.path.removeprefix("src/")
-        if path not in self._files:
-            return []
-        lines = self._by_file.setdefault(path, self._data.contexts_by_lineno(self._files[path]))
-        last = fault.line + fault.old.count("\n")
-        here = {test for line in range(fault.line, last + 1) for test in lines.get(line, ())} - {""}
-        if not here:
-            # Run when the module is loaded, in C, or by no test.
-            loaded = "" in lines.get(fault.line, ()) or fault.path.endswith(".c")
-            here = {test for tests in lines.values() for test in tests} - {""} if loaded else set()
+        if fault.path.endswith(".c"):
+            here = {test for module in _CALLS_C for tests in self._of(f"pc2scan/{module}").values() for test in tests}
+        else:
+            lines = self._of(fault.path.removeprefix("src/"))
+            last = fault.line + fault.old.count("\n")
+            here = {test for line in range(fault.line, last + 1) for test in lines.get(line, ())}
+            if here == {""}:
+                # Run when the module is loaded.
+                here = {test for tests in lines.values() for test in tests}
+        here.discard("")
         named = {test.rpartition("|")[0] or test for test in here}
         return sorted(named, key=lambda test: (self._lines[f"{test}|run"] or self._lines[test], test))
 
@@ -117,6 +129,11 @@ def _caught(copy: Path, fault: Fault, tests: list[str], timeout: float, workers:
             path.write_text(text, "utf-8")
             if path.suffix == ".c":
                 _build(copy)
+        if failed.startswith(_UNKNOWN):
+            # A fault may keep a module of tests from being imported, and so its tests from being found.
+            if (unknown := _failed(copy, ["--collect-only", *left], timeout, "0")).startswith(_UNKNOWN):
+                raise SystemExit(f"these tests are not those of the recorded lines: {unknown}")
+            return "a module of tests cannot be imported"
         name = failed.partition(" - ")[0]
         if name not in left or not _failed(copy, [name], timeout, "0"):
             return failed
@@ -133,7 +150,7 @@ def _failed(copy: Path, tests: list[str], timeout: float, workers: str) -> str:
     command += ["-p", "no:cacheprovider", f"@{ids}"]
     done = subprocess.run(command, cwd=copy, env=env, capture_output=True, text=True, timeout=timeout, check=False)
     if done.returncode == pytest.ExitCode.USAGE_ERROR:
-        raise SystemExit(f"these tests are not those of the recorded lines: {done.stderr.strip()}")
+        return f"{_UNKNOWN}: {done.stderr.strip()}"
     failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
     # A crash of the interpreter, or of what pytest needs before it runs a test, is noticed, too.
     return failed[0].partition(" ")[2] if failed else f"pytest's status {done.returncode}" if done.returncode else ""

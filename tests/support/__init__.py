@@ -33,6 +33,12 @@ def sampled(cases: Iterable[Any], quick: int) -> list[Any]:
     return [case if number in chosen else _slow(case) for number, case in enumerate(found)]
 
 
+def stepped(cases: Iterable[Any], step: int) -> list[Any]:
+    """Return each case with a step for a loop over bytes: this one in the quick run, and 1 among the slow tests."""
+    found = list(cases)
+    return [*((case, step) for case in found), *(_slow((case, 1)) for case in found)]
+
+
 def _slow(case: Any) -> Any:
     if isinstance(case, type(pytest.param())):
         return case._replace(marks=[*case.marks, pytest.mark.slow])

@@ -225,8 +225,10 @@ def zstd(data: bytes, *, size: bool = True) -> bytes:
     return zstandard.ZstdCompressor(write_content_size=size).compress(data)
 
 
-def altered_index(path: Path, kind: str, change: Callable[[Any], None], *, times: int = 1) -> Path:
-    """Change the first summary record of a kind and put the summary back, with a CRC that is right."""
+def altered_index(
+    path: Path, kind: str, change: Callable[[Any], None], *, times: int = 1, every: bool = False, crc: bool = True
+) -> Path:
+    """Change the first summary record of a kind, or every one, and put the summary back, with a CRC that is right."""
     data = path.read_bytes()
     start, offset_start, _ = struct.unpack_from("<QQI", data, len(data) - 28)
     parts = []
@@ -234,7 +236,7 @@ def altered_index(path: Path, kind: str, change: Callable[[Any], None], *, times
     for item in StreamReader(io.BytesIO(data[start:-8]), skip_magic=True, validate_crcs=False).records:
         if isinstance(item, Footer):
             break
-        if type(item).__name__ == kind and not changed:
+        if type(item).__name__ == kind and (every or not changed):
             change(item)
             changed = True
             parts += [encoded(item)] * times
@@ -243,6 +245,6 @@ def altered_index(path: Path, kind: str, change: Callable[[Any], None], *, times
     assert changed
     summary = b"".join(parts)
     footer = struct.pack("<BQQQ", 2, 20, start, offset_start)
-    crc = zlib.crc32(footer, zlib.crc32(summary))
-    path.write_bytes(data[:start] + summary + footer + struct.pack("<I", crc) + MAGIC)
+    checksum = zlib.crc32(footer, zlib.crc32(summary)) if crc else 0
+    path.write_bytes(data[:start] + summary + footer + struct.pack("<I", checksum) + MAGIC)
     return path

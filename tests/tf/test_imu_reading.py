@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from core.test_gravity import Simulated, errors, simulated
 from messages.test_imu import imu_message
 from pc2scan.errors import TopicError, UsageError
 from pc2scan.model import Connection, RawMessage
 from pc2scan.tf.imu_reading import ImuRequest, read_up
+from support import sampled
+from support.worlds.inertial import Simulated, errors, simulated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -115,7 +116,7 @@ def test_messages_out_of_order_repeated_and_damaged() -> None:
     assert any("1 message ignored: the stamp of another one" in warning for warning in found.warnings)
 
 
-def test_a_few_messages_without_an_orientation_are_ignored_and_counted() -> None:
+def test_messages_without_an_orientation_are_counted() -> None:
     world = simulated(2)
     messages = [
         each | {"orientation": turned, "first": (-1.0 if place % 10 == 0 else 0.0, 0.0, 0.0)}
@@ -152,7 +153,7 @@ def test_what_shows_no_up_is_refused(messages: list[dict[str, Any]], message: st
     assert "fixed_frame=odom" in (refused.value.hint or "")
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", sampled(range(20), 5))
 def test_garbage_is_a_direction_or_an_error(seed: int) -> None:
     rng = np.random.default_rng(seed)
     kinds: list[float] = [0.0, 1.0, -1.0, 9.81, 1e-320, 1e5, 1e308, -1e308, float("inf"), float("nan")]

@@ -9,7 +9,7 @@ from pc2scan.tf.static import StaticTransform
 from tf.recorded import Recording, connection, frames, row
 
 
-def test_transforms_of_several_recordings_count_together_whatever_their_order() -> None:
+def test_transforms_of_several_recordings_are_merged() -> None:
     first = Recording(("/tf", [row("odom", "base", 20, 1.0), row("odom", "base", 10, 0.0)]))
     second = Recording(("/tf_static", [row("base", "lidar", 0, 0.5)]))
     known, warnings = frames([first, second], target="odom")
@@ -56,7 +56,7 @@ def test_both_types_of_tf_count() -> None:
     assert [c.id for c in chosen] == [1, 2]
 
 
-def test_a_single_namespace_is_found_and_several_have_to_be_chosen_from() -> None:
+def test_one_namespace_is_found_several_are_a_choice() -> None:
     one = [connection(1, "/robot1/tf"), connection(2, "/robot1/tf_static")]
     assert [c.id for c in tf_connections(one)] == [1, 2]
     two = [*one, connection(3, "/robot2/tf")]
@@ -68,7 +68,7 @@ def test_a_single_namespace_is_found_and_several_have_to_be_chosen_from() -> Non
     assert [c.id for c in tf_connections([*two, connection(4, "/tf")])] == [4]
 
 
-def test_a_topic_without_transforms_is_an_error_that_lists_those_with() -> None:
+def test_topics_with_transforms_are_listed() -> None:
     with pytest.raises(UsageError, match="no transforms on /odom") as caught:
         tf_connections([connection(1, "/tf")], ["/odom"])
     assert "/tf" in (caught.value.hint or "")

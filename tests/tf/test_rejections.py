@@ -51,16 +51,14 @@ class TestRejections:
         (rejection,) = built([self.GOOD, entry]).rejections
         assert rejection.reason.startswith("TF_NAN_INPUT: ")
 
-    @pytest.mark.parametrize("norm", [1.0, 1.001, 0.998, -1.0])
-    def test_quaternions_that_tf2_takes_stay_as_they_are(self, norm: float) -> None:
+    @pytest.mark.parametrize("norm", [1.0, 1.001, 0.998, -1.0, 2.0, 1e-200, 1e200, 1.006, 0.994])
+    def test_quaternions_are_taken_as_they_are_or_refused(self, norm: float) -> None:
         entry = row("a", "b", 0, yaw=0.5, norm=norm)
-        buffer = built([entry])
-        assert buffer.rejected == 0
-        assert buffer.lookup("a", "b", at(0)).quaternion.tolist() == list(entry[6:])
-
-    @pytest.mark.parametrize("norm", [2.0, 1e-200, 1e200, 1.006, 0.994])
-    def test_quaternions_that_tf2_refuses_are_refused(self, norm: float) -> None:
-        buffer = built([self.GOOD, row("a", "b", 0, yaw=0.5, norm=norm)])
+        buffer = built([self.GOOD, entry])
+        if abs(abs(norm) - 1) < 0.005:
+            assert buffer.rejected == 0
+            assert buffer.lookup("a", "b", at(0)).quaternion.tolist() == list(entry[6:])
+            return
         (rejection,) = buffer.rejections
         assert rejection.reason == (
             "TF_DENORMALIZED_QUATERNION: the squared norm of the quaternion differs from 1 by 0.01 or more"

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from pc2scan.core import kernel, plain
 from pc2scan.errors import TransformError, UnconnectedError
+from support import sampled
+from support.loops import BOTH_LOOPS
 from tf.small_buffers import at
 from tf.small_buffers import built as built_of
 from tf.small_buffers import row as moved
 from tf.trees import EPOCH, SECOND, built, changing_tree, random_pose, random_tree, row
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
@@ -24,17 +25,12 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from tf.trees import Rows
 
-pytestmark = pytest.mark.usefixtures("loops")
 
-
-@pytest.fixture(params=["compiled", "plain"])
-def loops(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(params=BOTH_LOOPS, ids=lambda loops: loops.__name__, autouse=True)
+def loops(request: pytest.FixtureRequest) -> Iterator[None]:
     """What is tested holds for the compiled loops and for those in NumPy."""
-    if request.param == "plain":
-        for name in ("follow", "nodes"):
-            monkeypatch.setattr(kernel, name, getattr(plain, name))
-    elif not kernel.COMPILED:
-        pytest.skip("there was no C compiler: this installation has no compiled loops")
+    with request.param():
+        yield
 
 
 #: No motion needs more times.
@@ -72,8 +68,7 @@ def whole_stamps(rows: Rows) -> Rows:
     return [(entry, static) for entry, static in rows if static or entry[2] > 0]
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("make", [random_tree, changing_tree])
+@pytest.mark.parametrize(("make", "seed"), sampled(product([random_tree, changing_tree], range(6)), 4))
 def test_every_row_is_what_a_lookup_returns(
     make: Callable[[np.random.Generator], tuple[Rows, list[str]]], seed: int
 ) -> None:
@@ -131,6 +126,13 @@ def test_quaternions_scale_as_they_do_in_a_lookup(far: float) -> None:
             theirs = buffer.lookup(target, source, time)
             np.testing.assert_allclose(ours[:9].reshape(3, 3), theirs.matrix, rtol=0, atol=1e-9)
             np.testing.assert_allclose(ours[9:], theirs.translation, rtol=1e-12, atol=1e-9)
+
+
+def test_frames_in_each_other_have_no_transform() -> None:
+    buffer = built_of([moved(*pair, second) for second in (0, 1) for pair in (("a", "b"), ("b", "a"))])
+    stamps, rows, _ = buffer.rows("a", "b", at(0), at(1), SECOND, lambda *_: ENOUGH)
+    assert stamps.tolist() == [at(0), at(1)]
+    assert np.isnan(rows).all()
 
 
 def test_parents_that_change_all_the_time_are_an_error() -> None:

@@ -26,7 +26,7 @@ def test_recorded_answers_of_tf2() -> None:
     assert (agreed, refused) == (330, 70)
 
 
-def test_so_are_the_transforms_that_points_are_interpolated_between() -> None:
+def test_transforms_for_points_are_tf2s_too() -> None:
     rows, questions, answers = recorded()
     buffer = built(rows)
     compared = 0

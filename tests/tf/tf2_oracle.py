@@ -1,11 +1,11 @@
 """Ask tf2 itself: a script for the Python that Debian's python3-tf2-ros is installed for.
 
-Reads JSON from standard input::
+Reads a list of questions from standard input, as JSON::
 
     {"transforms": [[parent, child, stamp_ns, tx, ty, tz, qx, qy, qz, qw, static], ...],
      "lookups": [[target, source, stamp_ns], ...]}
 
-and writes a list with one answer a lookup: seven numbers (translation, quaternion), or tf2's name for the
+and writes for each a list with one answer a lookup: seven numbers (translation, quaternion), or tf2's name for the
 error and its text. Standard library and ROS only.
 """
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import sys
+from typing import Any
 
 from genpy import Duration, Time
 from geometry_msgs.msg import TransformStamped
@@ -41,16 +42,14 @@ def _answer(buffer: BufferCore, target: str, source: str, stamp_ns: int) -> list
     return [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
 
 
-def main() -> None:
-    """Answer the question on standard input."""
-    question = json.load(sys.stdin)
+def _answers(question: dict[str, list[list[Any]]]) -> list[list[float] | list[str]]:
     # As long as it can be without overflowing the seconds of a stamp of today.
     buffer = BufferCore(Duration(2_000_000_000))
     for parent, child, stamp_ns, *pose, static in question["transforms"]:
         message = _message(parent, child, stamp_ns, pose)
         (buffer.set_transform_static if static else buffer.set_transform)(message, "oracle")
-    json.dump([_answer(buffer, *lookup) for lookup in question["lookups"]], sys.stdout)
+    return [_answer(buffer, *lookup) for lookup in question["lookups"]]
 
 
 if __name__ == "__main__":
-    main()
+    json.dump([_answers(question) for question in json.load(sys.stdin)], sys.stdout)

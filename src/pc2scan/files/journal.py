@@ -25,7 +25,7 @@ __all__ = ["Journal", "complete", "finished", "undo"]
 
 
 class Journal(NamedTuple):
-    """What a run that renames numbered files is going to do.
+    """The files that a run is about to rename, and those that it replaces.
 
     Attributes
     ----------

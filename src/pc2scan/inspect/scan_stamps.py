@@ -30,7 +30,7 @@ _FAR_NS = 1_000_000_000
 #: clock than the one before.
 _JUMP_NS = 10_000_000_000
 
-#: How many clocks of a topic are told apart. Of more, those are forgotten that were not read for the longest time.
+#: Maximum number of clocks that are distinguished on a topic; beyond it, the one unused for longest is dropped.
 _MOST_CLOCKS = 8
 
 

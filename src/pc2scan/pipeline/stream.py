@@ -93,7 +93,7 @@ def stream(
 ) -> None:
     """Convert all messages of the cut, and write them in the order of reading.
 
-    ``levels`` writes the frames of level scans; ``unconnected`` is told of the messages until one is converted.
+    ``levels`` writes the frames of level scans; ``unconnected`` receives each message until one is converted.
     """
     total = reader.summary.size_bytes
     outcomes: Generator[_Outcome | StoredChunk | MadeScan] = _outcomes(reader, routes, options, span, rule, pool)

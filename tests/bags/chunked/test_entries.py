@@ -13,7 +13,7 @@ from pc2scan.bags.chunked.entries import EntryForm, entries_astray
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError
 from support import rosbag1_files as bag
-from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
+from support.mcap_files import SAMPLE, library_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -130,14 +130,6 @@ def test_of_a_cut_only_what_is_read_is_compared(tmp_path: Path) -> None:
         assert reader.damage == ()
         assert len(list(reader.messages(None, 2))) == 2
         assert len(reader.damage) == 1
-
-
-@pytest.mark.parametrize("name", LIBRARY_OPTIONS)
-def test_message_indexes_of_a_sound_file(name: str, tmp_path: Path) -> None:
-    path = library_file(tmp_path / "a.mcap", SAMPLE, chunk_size=300, **LIBRARY_OPTIONS[name])
-    with closing(open_recording(path)) as reader:
-        assert len(list(reader.messages())) == len(SAMPLE)
-        assert reader.damage == ()
 
 
 @pytest.mark.parametrize(("place", "words"), [(15, "match no message"), (23, "match no message"), (11, "")])

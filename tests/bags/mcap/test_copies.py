@@ -94,7 +94,7 @@ def test_indexes_that_cannot_be_trusted_are_not(chunk: Chunk, at: int, form: str
     assert isinstance(chunk.by_content(), StoredChunk)
 
 
-def test_messages_that_are_packed_by_themselves_are_not_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_messages_packed_by_themselves_are_not_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1)
     packed = [(channel, time_ns, zstandard.compress(data)) for channel, time_ns, data in ROWS]
     assert isinstance(Chunk(tmp_path / "packed.mcap", packed).by_content(), memoryview)
@@ -103,7 +103,7 @@ def test_messages_that_are_packed_by_themselves_are_not_copied(tmp_path: Path, m
     assert [bytes(message.data) for message in found] == [row[2] for row in ROWS]
 
 
-def test_another_compression_cannot_be_had_without_decompressing(chunk: Chunk) -> None:
+def test_for_another_compression_a_chunk_is_decompressed(chunk: Chunk) -> None:
     rule = ChunkRule("mcap", frozenset({"none"}), frozenset({1, 2}))
     assert chunk.by_index(rule) is None
     found = chunk.by_content(rule)
@@ -118,7 +118,7 @@ def test_unsorted_messages_are_found_both_ways(tmp_path: Path) -> None:
     assert isinstance(chunk.by_content(), memoryview)
 
 
-def test_a_channel_that_the_rule_does_not_name_keeps_its_chunk_from_being_copied(chunk: Chunk) -> None:
+def test_a_chunk_with_a_channel_not_in_the_rule_is_not_copied(chunk: Chunk) -> None:
     assert isinstance(chunk.by_content(ChunkRule("mcap", frozenset({"zstd"}), frozenset({1}))), memoryview)
 
 

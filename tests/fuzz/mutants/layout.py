@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import random
     from collections.abc import Callable
 
-__all__ = ["Edit", "Field", "Layout", "Nested", "Record", "mutate", "rearrange"]
+__all__ = ["Edit", "Field", "Layout", "Nested", "Record", "change", "mutate", "rearrange", "unknown"]
 
 #: What a field is about. Names, texts and payloads are bytes, all others are numbers.
 Role = Literal[
@@ -108,12 +108,33 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Edit:
-    """A change: what was changed, in which way, and the bytes afterwards."""
+    """A change: what was changed, in which way, and the bytes afterwards.
+
+    Attributes
+    ----------
+    place
+        Where bytes are others, or are missing at the end, if all others are where they were.
+    """
 
     kind: str
     role: str
     how: str
     data: bytes
+    place: tuple[int, int] | None = None
+
+
+def unknown(data: bytes, rng: random.Random) -> Layout:
+    """Bytes of a format that is not known: there may be a number of any width at any place."""
+    kinds: list[tuple[int, Literal["little", "big"]]] = [(1, "little"), (2, "little"), (4, "little"), (8, "little")]
+    kinds.append((4, "big"))
+    return Layout(
+        data,
+        [
+            Field(f"any.{size}{order}", "number", start, start + size, order)
+            for size, order in kinds
+            for start in rng.choices(range(len(data) - size + 1), k=4 if len(data) >= size else 0)
+        ],
+    )
 
 
 def mutate(layout: Layout, rng: random.Random) -> Edit:
@@ -127,9 +148,14 @@ def mutate(layout: Layout, rng: random.Random) -> Edit:
     if choice < 0.22 or not layout.fields:
         return _anywhere(layout, rng)
     kind = rng.choice(sorted({f.kind for f in layout.fields}))
+    return change(layout, kind, rng, sealed=sealed)
+
+
+def change(layout: Layout, kind: str, rng: random.Random, *, sealed: bool) -> Edit:
+    """Change a field of a kind."""
     chosen = rng.choice([f for f in layout.fields if f.kind == kind])
-    change = _changed_bytes if chosen.role in BYTES else _changed_number
-    how, new = change(layout, chosen, rng)
+    changed_value = _changed_bytes if chosen.role in BYTES else _changed_number
+    how, new = changed_value(layout, chosen, rng)
     if len(new) == chosen.stop - chosen.start:
         changed = bytearray(layout.data)
         changed[chosen.start : chosen.stop] = new

@@ -6,20 +6,21 @@ import sqlite3
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import zstandard
 
 from fuzz.mutants import database, layout, mcap, metadata, rosbag1
-from fuzz.mutants.layout import Edit, Layout, Nested
+from fuzz.mutants.layout import Edit, Field, Layout, Nested
 
 if TYPE_CHECKING:
     import random
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
 
     from fuzz.mutants.seeds import Seed
 
-__all__ = ["Mutant", "mutant", "rearranged"]
+__all__ = ["Mutant", "Stretch", "byte_mutants", "field_mutant", "fields_of", "mutant", "rearranged", "stretches"]
 
 #: Statements that a program other than a recorder may have run: the database is sound afterwards.
 _STATEMENTS = (
@@ -72,6 +73,67 @@ def rearranged(seed: Seed, rng: random.Random) -> Mutant:
         edit = layout.rearrange(_layout(name, seed.files[name]), rng)
         if edit.data != seed.files[name]:
             return Mutant(seed, name, edit, {**seed.files, name: edit.data})
+
+
+def byte_mutants(seed: Seed, places: Iterable[int]) -> Iterator[Mutant]:
+    """A seed of one file, cut off at each of these places, and with the byte there changed: one bit or all of them."""
+    ((name, data),) = seed.files.items()
+    fields = _layout(name, data).fields
+    for place in places:
+        flipped = bytearray(data)
+        flipped[place] ^= 0xFF if place % 2 else 0x01
+        kind = next((field.kind for field in fields if field.start <= place < field.stop), "file")
+        edits = (
+            Edit("file", "file", "cut off", data[:place], (place, len(data))),
+            Edit(kind, "file", "flipped", bytes(flipped), (place, place + 1)),
+        )
+        for edit in edits:
+            yield Mutant(seed, name, edit, {name: edit.data})
+
+
+def field_mutant(seed: Seed, kind: str, rng: random.Random) -> Mutant:
+    """A seed of one file with one field of a kind changed; the checksums of its index are right."""
+    ((name, data),) = seed.files.items()
+    while True:
+        edit = layout.change(_layout(name, data), kind, rng, sealed=True)
+        if edit.data != data:
+            return Mutant(seed, name, edit, {name: edit.data})
+
+
+def fields_of(path: Path, kind: str) -> list[Field]:
+    """The fields of a kind in a file, in their order."""
+    found = [field for field in _layout(path.name, path.read_bytes()).fields if field.kind == kind]
+    return sorted(found, key=lambda field: field.start)
+
+
+class Stretch(NamedTuple):
+    """A place in a file, and the data of the messages that are stored there."""
+
+    start: int
+    stop: int
+    messages: frozenset[bytes]
+
+
+@lru_cache(maxsize=64)
+def stretches(name: str, data: bytes, *, within_chunks: bool = False) -> list[Stretch]:
+    """Where the chunks of a sound file are, and the messages outside; of chunks that are not packed, those within."""
+    return list(_stretches(_layout(name, data), within_chunks))
+
+
+def _stretches(of: Layout, within_chunks: bool) -> Iterator[Stretch]:
+    for record in of.records:
+        if record.kind == "message":
+            inner = [f for f in of.fields if f.kind == "message.data" and record.start <= f.start < record.stop]
+            yield Stretch(record.start, record.stop, frozenset(of.data[f.start : f.stop] for f in inner))
+        elif record.kind == "chunk":
+            chunk = next(n for n in of.nested if record.start <= n.start < record.stop)
+            stored = of.data[chunk.start : chunk.stop]
+            unpacked = chunk.unpack(stored)
+            inside = list(_stretches(chunk.layout(unpacked), within_chunks))
+            if within_chunks and unpacked == stored:
+                yield from (Stretch(chunk.start + i.start, chunk.start + i.stop, i.messages) for i in inside)
+            else:
+                yield Stretch(record.start, record.stop, frozenset().union(*(i.messages for i in inside)))
 
 
 def _edit(name: str, seed: Seed, rng: random.Random) -> Edit:

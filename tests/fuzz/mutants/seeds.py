@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from support import mcap_files, rosbag1_files
 from support.builders import (
     CONTENT,
     POINTS,
@@ -26,9 +27,9 @@ from support.builders import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
-__all__ = ["Seed", "make_seeds", "place"]
+__all__ = ["Seed", "make_seeds", "make_small_seeds", "place"]
 
 _SPAN = 3 * SECOND // 10
 _EXTRAS = {
@@ -158,13 +159,41 @@ _BUILDS: dict[str, Callable[[Path], Path]] = {
 }
 
 
-def make_seeds() -> list[Seed]:
+#: Messages whose data are told from each other, and whose chunks overlap in time: topic, log time, data.
+_ROWS = [(i % 2, 1_000_000 + 10 * (i // 2) + (i * 7) % 13, b"\0\1\0\0" + bytes([i]) * (20 + i)) for i in range(9)]
+
+
+def _small_mcap(case: str) -> Callable[[Path], Path]:
+    options = mcap_files.LIBRARY_OPTIONS[case]
+    return lambda folder: mcap_files.library_file(folder / "a.mcap", _ROWS, extras=True, chunk_size=300, **options)
+
+
+def _small_bag(compression: str) -> Callable[[Path], Path]:
+    connections = [rosbag1_files.connection("/a"), rosbag1_files.connection("/b")]
+    return lambda folder: rosbag1_files.write(folder / "a.bag", connections, _ROWS, compression, chunk_size=150)
+
+
+_SMALL = {
+    **{f"small-bag-{name}": _small_bag(name) for name in rosbag1_files.COMPRESSIONS},
+    **{
+        f"small-mcap-{name}": _small_mcap(name)
+        for name in ("default", "lz4", "uncompressed", "unchunked", "no summary", "no crc")
+    },
+}
+
+
+def make_seeds(builds: Mapping[str, Callable[[Path], Path]] = _BUILDS) -> list[Seed]:
     """One seed of every kind."""
     seeds = []
-    for name, build in _BUILDS.items():
+    for name, build in builds.items():
         with tempfile.TemporaryDirectory(prefix="pc2scan-seed-") as folder:
             top = Path(folder)
             opened = build(top)
             files = {str(path.relative_to(top)): path.read_bytes() for path in sorted(top.rglob("*")) if path.is_file()}
             seeds.append(Seed(name, files, opened.name))
     return seeds
+
+
+def make_small_seeds() -> list[Seed]:
+    """Files of a few chunks of a few messages, so short that each of their bytes can be damaged."""
+    return make_seeds(_SMALL)

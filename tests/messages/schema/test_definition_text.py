@@ -7,7 +7,7 @@ from pc2scan.errors import DecodeError
 from pc2scan.messages.transcode import transcoder
 
 
-def test_ros2_bounds_defaults_and_quoted_constants_reach_ros1_as_it_knows_them() -> None:
+def test_bounds_defaults_and_constants_reach_ros1() -> None:
     text = """\
 string<=5 name "a # b"
 int32<=3 refused

@@ -3,44 +3,30 @@
 from __future__ import annotations
 
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from pc2scan.errors import UsageError
 from pc2scan.pipeline.combine.asked import Combining
+from support.tables import rows
 
 
-@pytest.mark.parametrize(
-    ("asked", "read"),
-    [
-        ({}, Combining()),
-        ({"accumulate": 1}, Combining(span_ns=1_000_000_000)),
-        ({"accumulate": "500ms"}, Combining(span_ns=500_000_000)),
-        ({"accumulate": timedelta(seconds=2)}, Combining(span_ns=2_000_000_000)),
-        ({"accumulate": "10clouds"}, Combining(count=10)),
-        ({"accumulate": "3 scans", "every": "1/2"}, Combining(count=3, every_ns=500_000_000)),
-        # An interval has what is in it, if nothing else is said.
-        ({"every": 0.1}, Combining(every_ns=100_000_000)),
-        ({"every": "1s", "accumulate": "2s"}, Combining(span_ns=2_000_000_000, every_ns=1_000_000_000)),
-        ({"lead": "/a", "window": "30ms"}, Combining(lead="/a", window_ns=30_000_000)),
-    ],
-)
-def test_times_and_numbers_of_clouds(asked: dict[str, Any], read: Combining) -> None:
-    assert Combining.of(**asked) == read
+@pytest.mark.parametrize(("asked", "read"), rows(Path(__file__).with_name("asked.txt"), "times and numbers"))
+def test_times_and_numbers_of_clouds(asked: dict[str, Any], read: dict[str, Any]) -> None:
+    assert Combining.of(**asked) == Combining(**read)
+
+
+def test_an_interval_is_a_time_too() -> None:
+    assert Combining.of(accumulate=timedelta(seconds=2)) == Combining(span_ns=2_000_000_000)
 
 
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        ({"accumulate": "soon"}, "`accumulate` is 'soon', which is not a time"),
         ({"accumulate": True}, "`accumulate` is True, which is not a time"),
-        ({"accumulate": "0clouds"}, "it must be 1 to 100,000 clouds"),
-        ({"every": 0}, "it must be more than 0"),
         ({"every": float("nan")}, "it must be more than 0"),
-        ({"window": "-1"}, "it must be more than 0"),
-        ({"window": "3 days"}, "which is not a time"),
-        ({"every": 1e6}, "at most 86400 s"),
     ],
 )
 def test_what_cannot_be_names_the_option(asked: dict[str, Any], said: str) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.core.params import ProjectionParams
@@ -86,7 +86,6 @@ def same(one: Result, other: Result) -> None:
     assert one.empty == other.empty
 
 
-@settings(deadline=None, max_examples=60)
 @given(
     st.integers(0, 2**32),
     st.sampled_from(
@@ -94,9 +93,7 @@ def same(one: Result, other: Result) -> None:
     ),
     st.booleans(),
 )
-def test_where_nothing_moves_the_scan_is_that_of_the_concatenated_clouds(
-    seed: int, choice: dict[str, Any], filtered: bool
-) -> None:
+def test_without_motion_the_scan_is_that_of_joined_clouds(seed: int, choice: dict[str, Any], filtered: bool) -> None:
     rng = np.random.default_rng(seed)
     params = ProjectionParams(target_frame="base_link", min_height=-0.5, range_max=6.0, angle_increment=0.05, **choice)
     filters = (Where("intensity > 20"), MinHeightSlope(-0.5, 0.05)) if filtered else ()
@@ -105,7 +102,7 @@ def test_where_nothing_moves_the_scan_is_that_of_the_concatenated_clouds(
     same(together(conversion(params, filters=filters), clouds), scan_of(params, concatenated(clouds), filters))
 
 
-def test_what_a_filter_rejects_in_a_frame_of_its_own_is_counted_once() -> None:
+def test_what_a_filter_rejects_in_its_own_frame_counts_once() -> None:
     rng = np.random.default_rng(3)
     box = ExcludeBox("base_link", (-1.0, 1.0), (-1.0, 1.0), (-5.0, 5.0))
     params = ProjectionParams(target_frame="base_link", min_height=-0.5)
@@ -138,9 +135,7 @@ def moving_frames() -> Frames:
 
 
 @pytest.mark.parametrize("filters", [(), (MinHeightSlope(-0.5, 0.05),)])
-def test_a_scan_is_the_same_whichever_one_its_messages_were_projected_for(
-    filters: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_messages_projected_for_another_scan_make_the_same(filters: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """A message is projected for the scan that it seems to belong to; it may be another one."""
 
     def scans() -> tuple[list[bytes], int]:
@@ -193,13 +188,13 @@ def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None
     assert len(buffers) == 1
 
 
-def test_a_missing_field_is_the_error_of_the_message_that_lacks_it() -> None:
+def test_a_missing_field_is_the_error_of_its_message() -> None:
     made = conversion(ProjectionParams(target_frame="base_link", intensity_field="reflectivity"))
     with pytest.raises(DecodeError, match="no field 'reflectivity'"):
         made.stages("/a")[0](cloud(np.random.default_rng(0), "a", T0))
 
 
-def test_the_heights_of_a_scans_beams_count_only_if_they_are_asked_for() -> None:
+def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:
     flat = LaserScan(0, T0, "a", -1.0, 1.0, 0.25, 0.0, 0.1, 0.1, 10.0, np.full(9, 2.0, np.float32))
     for params, kept in ((ProjectionParams(), 9), (ProjectionParams(min_height=0.1), 0)):
         spec = ScanSpec(params=params, combining=Combining(rebin=True))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
+from itertools import product
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,12 +19,13 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcl
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection
 from pc2scan.pipeline.combine import matching
-from support import ROOT
+from support import ROOT, sampled
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
-    from pathlib import Path
 
+TABLES = Path(__file__).with_name("silence.txt")
 HALL = ROOT / "fixtures" / "hall.bag"
 SECOND = 1_000_000_000
 T0 = 1_700_000_000 * SECOND
@@ -97,8 +100,9 @@ def made(source: Path, **options: Any) -> Made:
     return Made(stamps, [int(np.isfinite(scan.ranges).sum()) for scan in scans], report)
 
 
-@pytest.mark.parametrize("jobs", [1, 3])
-@pytest.mark.parametrize("fixed", [{}, {"fixed_frame": "odom", "target_frame": "base_link"}], ids=["", "fixed"])
+@pytest.mark.parametrize(
+    ("jobs", "fixed"), sampled(product([3, 1], [{"fixed_frame": "odom", "target_frame": "base_link"}, {}]), 1)
+)
 def test_the_last_clouds_of_each_interval_are_all_that_is_held(
     jobs: int, fixed: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -110,11 +114,14 @@ def test_the_last_clouds_of_each_interval_are_all_that_is_held(
     assert found.sizes == [2] * 15
 
 
-@pytest.mark.parametrize("speaks", [(0, 2), (10, 15)], ids=["stops", "starts late"])
+GATHERED: list[tuple[dict[str, Any], int, int]] = [
+    ({"accumulate": 1}, 10, 20), ({"every": 1}, 1, 20), ({"accumulate": "3clouds"}, 10, 6), ({}, 10, 2)
+]  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    ("options", "scans", "size"),
-    [({"accumulate": 1}, 10, 20), ({"every": 1}, 1, 20), ({"accumulate": "3clouds"}, 10, 6), ({}, 10, 2)],
-    ids=["accumulate", "every", "count", "nearest"],
+    ("speaks", "options", "scans", "size"),
+    sampled([(speaks, *each) for each in GATHERED for speaks in ((0, 2), (10, 15))], 3),
 )
 def test_scans_are_made_while_the_leading_lidar_speaks(
     speaks: tuple[int, int],
@@ -134,17 +141,7 @@ def test_scans_are_made_while_the_leading_lidar_speaks(
     assert done.sizes[-2] == size
 
 
-@pytest.mark.parametrize(
-    ("speaks", "options", "left"),
-    [
-        ((0, 2), {}, "130 of 150 messages of /rear are in no scan on /scan; 130 in a row, from {2.03} to {14.93}"),
-        ((10, 15), {}, "100 of 150 messages of /rear are in no scan on /scan; 100 in a row, from {0.03} to {9.93}"),
-        (
-            (0, 2), {"every": 1, "accumulate": "2clouds"},
-            "146 of 150 messages of /rear are in no scan on /scan; 131 in a row, from {1.93} to {14.93}",
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("speaks", "options", "left"), rows(TABLES, "silent leads"))
 def test_what_is_lost_while_the_lead_is_silent_is_said(
     speaks: tuple[int, int], options: dict[str, Any], left: str, tmp_path: Path
 ) -> None:
@@ -196,39 +193,23 @@ def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
         assert entry["joined"]["jumps"] == [{"stamp_ns": T0 + 10 * SECOND - HOUR, "by_ns": -HOUR}]
 
 
-def test_a_cloud_joins_the_scan_whose_stamp_is_nearest(tmp_path: Path) -> None:
-    found = [*clouds("/front", [0.5, 0.5, 0.57]), *clouds("/rear", [0.55])]
-    done = made(recorded(tmp_path / "d.mcap", found), **BOTH, window=0.06)
-    assert list(zip(done.stamps, done.sizes, strict=True)) == [(0.5, 1), (0.5, 1), (0.57, 2)]
-
-
 def test_a_first_stamp_one_day_ahead_is_a_scan_of_its_own(tmp_path: Path) -> None:
     source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30), lambda at: 0 if at else DAY))
-    turns = made(source, topics="/front:=/scan", every=1)
-    assert sorted(turns.sizes) == [1, 9, *[10] * 29]
     gathered = made(source, topics="/front:=/scan", accumulate=1)
     assert sorted(gathered.sizes) == [1, *range(1, 10), *[10] * 290]
     assert any("jump back by 86,400 s at 1700000000.100000000" in each for each in gathered.report.warnings)
 
 
-def test_one_wrong_stamp_does_not_end_the_series(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 6), lambda at: DAY if at == 3 else 0))
-    done = made(source, topics="/front:=/scan", accumulate=1)
-    # The cloud with the wrong stamp is missing in ten scans.
-    assert sorted(done.sizes) == sorted([*range(1, 10), *[10] * 21, 1, *[9] * 9, *[10] * 20])
-    assert any("jump ahead by 86,400 s at" in each and ", back by 86,400 s at" in each for each in done.report.warnings)
-
-
-def test_four_wrong_first_stamps_are_no_other_clock(tmp_path: Path) -> None:
+@pytest.mark.parametrize("options", sampled([{}, {"accumulate": "100ms"}, {"every": "100ms"}], 1))
+def test_four_wrong_first_stamps_are_no_other_clock(options: dict[str, Any], tmp_path: Path) -> None:
     rear = clouds("/rear", tenths(0, 30, 0.03), lambda at: DAY if at < 0.4 else 0)
     source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 30)), *rear])
-    for options in ({}, {"accumulate": "100ms"}, {"every": "100ms"}):
-        done = made(source, **BOTH, **options)
-        assert len(done.stamps) == 300
-        (entry,) = (topic for topic in done.report.topics if topic.topic == "/rear")
-        assert entry.joined is not None
-        assert (entry.joined.unmatched, entry.joined.jumped) in {(4, 1), (5, 1)}
-        assert any("the stamps of /rear jump back by 86,400 s" in each for each in done.report.warnings)
+    done = made(source, **BOTH, **options)
+    assert len(done.stamps) == 300
+    (entry,) = (topic for topic in done.report.topics if topic.topic == "/rear")
+    assert entry.joined is not None
+    assert (entry.joined.unmatched, entry.joined.jumped) in {(4, 1), (5, 1)}
+    assert any("the stamps of /rear jump back by 86,400 s" in each for each in done.report.warnings)
 
 
 @pytest.mark.parametrize("options", [{"every": 1}, {"every": 1, "accumulate": "10clouds"}], ids=["", "count"])

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from pc2scan.core.points import Points
-from pc2scan.errors import ParameterError, UsageError
+from pc2scan.errors import ParameterError
 from pc2scan.pipeline.stages.turn import Look, Turn, look, measured_turn
+from support.tables import rows
 
+TABLES = Path(__file__).with_name("turns.txt")
 MS = 1_000_000
 T0 = 1_700_000_000_000 * MS
 
@@ -26,25 +30,9 @@ def clouds(
     return [Look(stamp, stamp + round(late_ms * MS), turns, own) for stamp, own in zip(stamps, directions, strict=True)]
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("azimuth", Turn()),
-        ("azimuth:cw", Turn(0, -1)),
-        ("azimuth:ccw:end", Turn(0, 1, True)),
-        ("azimuth:start", Turn(0, 0, False)),
-        ("azimuth:0.1", Turn(0.1)),
-        ("azimuth:100ms:end:cw", Turn(0.1, -1, True)),
-    ],
-)
-def test_options_are_parsed(text: str, expected: Turn) -> None:
-    assert Turn.parse(text) == expected
-
-
-@pytest.mark.parametrize("text", ["azimuth:", "azimuth:0", "azimuth:cw:0.1", "azimuth:cw:ccw", "azimuth:0.1:0.1"])
-def test_wrong_options_are_refused(text: str) -> None:
-    with pytest.raises(UsageError, match="is not the time of a turn"):
-        Turn.parse(text)
+@pytest.mark.parametrize(("text", "expected"), rows(TABLES, "options"))
+def test_options_are_parsed(text: str, expected: tuple[Any, ...]) -> None:
+    assert Turn.parse(text) == Turn(*expected)
 
 
 def test_period_direction_and_stamp_are_measured() -> None:
@@ -57,6 +45,8 @@ def test_period_direction_and_stamp_are_measured() -> None:
         "stamps, so the last one)"
     )
     assert measured_turn("/points", Turn(), clouds(turns=64.0))[0] == Turn(0.1, 1, True)
+    # One that is logged at its stamp is not logged before it.
+    assert measured_turn("/points", Turn(), clouds(late_ms=0)[:1] + clouds()[1:])[0] == Turn(0.1, -1, True)
 
 
 def test_what_is_given_is_not_measured() -> None:
@@ -74,30 +64,10 @@ def test_a_missing_cloud_and_jitter_change_nothing() -> None:
     assert turn.period == 0.1
 
 
-@pytest.mark.parametrize(
-    ("found", "why", "typed"),
-    [
-        (clouds([0, 100, 200]), "3 different stamps in the first 3 clouds, at least 4", "azimuth:0.1"),
-        (clouds([5] * 11), "1 different stamps in the first 11 clouds", "azimuth:0.1"),
-        (clouds([0, 100, 130, 220, 370, 400, 520]), "are not regular: 0.03 to 0.15 s", "azimuth:0.1"),
-        (clouds(list(range(0, 900_000, 70_000))), "come every 70 s", "azimuth:0.1"),
-        (
-            clouds(list(range(0, 110, 10)), parts=10),
-            "in 10% of all directions, several clouds together in 100%",
-            "azimuth:0.01",
-        ),
-        (clouds(parts=2), "in 50% of all directions, several clouds together in 100%", "azimuth:0.1"),
-        (clouds(hidden=50), "in 44% of all directions, several clouds together in 44%", "azimuth:0.1"),
-        (clouds(turns=-2.0), "go round 2.0 times", "azimuth:0.1"),
-        (clouds(turns=0.0), "of 11 clouds, 0 are clockwise, 0 counter-clockwise, 11 neither", "azimuth:0.1:cw"),
-        (clouds()[:6] + clouds(turns=1.0)[6:], "6 are clockwise, 5 counter-clockwise", "azimuth:0.1:cw"),
-        (clouds(late_ms=0), "the stamps are the log times", "azimuth:0.1:cw:start"),
-        (clouds(late_ms=-3), "stamps are up to 0.003 s after the log times", "azimuth:0.1:cw:end"),
-        (clouds(late_ms=60), "logged 0.06 s after their stamps", "azimuth:0.1:cw:end"),
-        (clouds(late_ms=103), "logged 0.103 s after their stamps", "azimuth:0.1:cw:start"),
-    ],
-)
-def test_insufficient_evidence_is_refused_with_what_to_type(found: list[Look], why: str, typed: str) -> None:
+@pytest.mark.parametrize(("seen", "why", "typed"), rows(TABLES, "insufficient evidence"))
+def test_insufficient_evidence_is_refused_with_what_to_type(seen: dict[str, Any], why: str, typed: str) -> None:
+    other = seen.pop("other_way_from", None)
+    found = clouds(**seen) if other is None else clouds()[:other] + clouds(turns=1.0)[other:]
     with pytest.raises(ParameterError) as caught:
         measured_turn("/points", Turn(), found)
     assert "/points" in caught.value.message

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import random
-import shutil
 import sqlite3
 import struct
 from collections import Counter
@@ -18,42 +16,18 @@ from pc2scan.bags.rosbag2.sqlite3.pages import PageFile, declared_size, rebuilt
 from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
 from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
 from pc2scan.errors import DamageError, RecordingError
+from support import sampled
 from support.rosbag2_files import topic
+from support.sqlite3_files import build, hot_log, recovered, rosbag2_pages
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from pc2scan.bags.damage import Damage
-
-Rows = list[tuple[str, int, bytes]]
+pytestmark = pytest.mark.usefixtures("_pages")
 
 
-@pytest.fixture(autouse=True)
-def rosbag2_pages(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Databases have pages of the size that rosbag2 gives them."""
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.writer._PAGE_BYTES", 4096)
-
-
-def build(path: Path, count: int = 120) -> Rows:
-    """A database with messages that fit into a page, and such that go on in several."""
-    noise = random.Random(11)
-    writer = Sqlite3Writer(path)
-    handles = [writer.add_connection(topic(name)) for name in ("/a", "/b")]
-    rows = []
-    for number in range(count):
-        size = 9000 if number % 10 == 3 else noise.randrange(20, 700)
-        data = b"\0\1\0\0" + noise.randbytes(size)
-        time_ns = 1_000_000 + 10 * number + (number * 7) % 25
-        writer.write(handles[number % 2], time_ns, data, time_ns)
-        rows.append((("/a", "/b")[number % 2], time_ns, data))
-    writer.finish()
-    return rows
-
-
-def recovered(path: Path) -> tuple[Rows, tuple[Damage, ...]]:
-    with closing(Sqlite3Reader(path)) as reader:
-        rows = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
-        return rows, reader.damage
+@pytest.fixture
+def _pages(monkeypatch: pytest.MonkeyPatch) -> None:
+    rosbag2_pages(monkeypatch)
 
 
 def test_a_sound_database_has_all_its_rows_in_its_pages(tmp_path: Path) -> None:
@@ -70,13 +44,14 @@ def test_a_sound_database_has_all_its_rows_in_its_pages(tmp_path: Path) -> None:
         assert [cell.values[2] for cell in cells if cell.is_definition] == ["ros2msg"]
 
 
-def test_cut_at_every_page(tmp_path: Path) -> None:
+@pytest.mark.parametrize("pages", sampled([4, 1], 1))
+def test_cut_at_every_page(pages: int, tmp_path: Path) -> None:
     complete = build(tmp_path / "a.db3")
     data = (tmp_path / "a.db3").read_bytes()
     path = tmp_path / "b.db3"
     sizes = {0, 1, 511, 2048, 4095}
     found = []
-    for size in sorted({page + more for page in range(0, len(data), 4096) for more in sizes}):
+    for size in sorted({page + more for page in range(0, len(data), pages * 4096) for more in sizes}):
         if not 16 <= size < len(data):
             continue
         path.write_bytes(data[:size])
@@ -119,6 +94,34 @@ def test_of_an_overwritten_page_only_its_own_rows_are_lost(tmp_path: Path) -> No
         assert rows == sorted(rows, key=lambda row: row[1])
 
 
+@pytest.mark.parametrize("size", [20, 60, 99])
+def test_of_a_header_nothing_is_recovered(size: int, tmp_path: Path) -> None:
+    build(tmp_path / "a.db3")
+    (tmp_path / "b.db3").write_bytes((tmp_path / "a.db3").read_bytes()[:size])
+    with pytest.raises(DamageError, match="nothing of it can be recovered"):
+        recovered(tmp_path / "b.db3")
+
+
+def test_values_of_every_size_are_recovered(tmp_path: Path) -> None:
+    """Times of each of SQLite's widths of integers; and texts that go on in other pages."""
+    qos = "".join(f"- durability: 1\n  depth: {number}\n" for number in range(1_000))
+    times = [0, 1, 5, 300, 100_000, 10_000_000, 1 << 40, 1 << 60]
+    path = tmp_path / "a.db3"
+    writer = Sqlite3Writer(path)
+    handle = writer.add_connection(topic("/a", qos=qos))
+    for time_ns in times:
+        writer.write(handle, time_ns, b"\0\1\0\0", time_ns)
+    writer.finish()
+    data = bytearray(path.read_bytes())
+    # The header declares more pages than there are, so that the rows are read page by page.
+    struct.pack_into(">I", data, 28, 1_000_000)
+    path.write_bytes(data)
+    with closing(Sqlite3Reader(path)) as reader:
+        assert reader.damage
+        assert [connection.qos for connection in reader.connections] == [qos]
+        assert [message.log_time_ns for message in reader.messages()] == times
+
+
 def test_damage_that_shows_midway_repeats_nothing(tmp_path: Path) -> None:
     complete = build(tmp_path / "a.db3", 600)
     data = bytearray((tmp_path / "a.db3").read_bytes())
@@ -144,34 +147,8 @@ def test_messages_of_a_topic_that_is_not_described_are_counted(tmp_path: Path) -
     assert "60 messages are of topic 2" in damage.what
 
 
-def hot_log(folder: Path) -> tuple[Path, Rows]:
-    """A database and the log of a recorder that died: most rows are in the log."""
-    live = folder / "live.db3"
-    rows = build(live, 20)
-    path = folder / "a.db3"
-    with closing(sqlite3.connect(live)) as database:
-        database.execute("PRAGMA journal_mode=WAL")
-        database.execute("PRAGMA wal_autocheckpoint=0")
-        for number in range(50):
-            time_ns = 2_000_000 + number
-            data = b"\0\1\0\0" + bytes([number]) * 900
-            database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", (time_ns, data))
-            database.commit()
-            rows.append(("/a", time_ns, data))
-        shutil.copyfile(live, path)
-        shutil.copyfile(f"{live}-wal", f"{path}-wal")
-    return path, rows
-
-
-def test_rows_of_a_hot_log_count(tmp_path: Path) -> None:
-    path, complete = hot_log(tmp_path)
-    rows, damage = recovered(path)
-    assert Counter(rows) == Counter(complete)
-    assert damage == ()
-
-
 def test_rows_of_a_hot_log_beside_a_broken_database_count(tmp_path: Path) -> None:
-    path, complete = hot_log(tmp_path)
+    path, complete, _ = hot_log(tmp_path)
     data = bytearray(path.read_bytes())
     # A page that the log does not have: an inner one is enough for SQLite to give up.
     number = next(at for at in range(4096 * 7, len(data), 4096) if data[at] == 0x0D)
@@ -182,18 +159,8 @@ def test_rows_of_a_hot_log_beside_a_broken_database_count(tmp_path: Path) -> Non
     assert {row for row in complete if row[1] >= 2_000_000} <= set(rows)
 
 
-@pytest.mark.parametrize("size", [0, 20, 5000])
-def test_a_cut_log_keeps_what_was_committed(tmp_path: Path, size: int) -> None:
-    path, complete = hot_log(tmp_path)
-    log = path.with_name("a.db3-wal")
-    log.write_bytes(log.read_bytes()[:size])
-    rows, _ = recovered(path)
-    assert set(rows) <= set(complete)
-    assert len(rows) >= 20
-
-
 def test_a_log_may_name_any_page(tmp_path: Path) -> None:
-    path, complete = hot_log(tmp_path)
+    path, complete, _ = hot_log(tmp_path)
     log = path.with_name("a.db3-wal")
     data = bytearray(log.read_bytes())
     data[32:36] = b"\xff" * 4

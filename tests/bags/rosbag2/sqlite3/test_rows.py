@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 import zstandard
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.opening import open_recording
@@ -275,7 +275,6 @@ def rows_named(damage: tuple[Damage, ...]) -> list[int]:
     return sorted(int(p.what.split()[1]) for p in damage if p.what.startswith("row ") and p.messages_lost == 1)
 
 
-@settings(max_examples=150)
 @given(CASES)
 def test_rows_of_any_type_are_read_as_sqlite_types_them(case: Case) -> None:
     with TemporaryDirectory() as folder:

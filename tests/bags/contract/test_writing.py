@@ -1,0 +1,374 @@
+"""What every writer keeps to: what it writes is read by pc2scan and by others, and nothing else is touched."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import struct
+import sys
+import tempfile
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.opening import open_recording, sniff
+from pc2scan.bags.rosbag1.writer import Rosbag1Writer
+from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
+from pc2scan.errors import DestinationError, OutputError, RecordingError, UnwritableError
+from pc2scan.model import Attachment, Definition, Metadata
+from support import RECORDINGS, needs_shared, sampled
+from support.containers import FORMATS, KINDS, connection_for, read, recorded
+from support.outputs import opened
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pc2scan.model import Writer
+
+T0 = 1_700_000_000_123_456_789
+
+#: Not in the order of time, with equal times, and one that has a chunk of its own.
+SMALL = [(("/a", "/b")[n % 2], T0 + (n * 37) % 50, b"\0\1\0\0" + bytes([n]) * (n * 7)) for n in range(100)]
+LARGE = ("/a", T0 + 60, b"\0\1\0\0" + b"large" * 200_000)
+ROWS = [*SMALL[:50], LARGE, *SMALL[50:]]
+BY_TIME = sorted(ROWS, key=lambda row: row[1])
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_written_messages_are_read_by_all(name: str, tmp_path: Path) -> None:
+    kind = KINDS[name]
+    (tmp_path / "again").mkdir()
+    silent = connection_for(kind.ros_version, "/silent")
+    path, again = (recorded(kind, folder, ROWS, [silent]) for folder in (tmp_path, tmp_path / "again"))
+    found = opened(path)
+    assert [row.log_time_ns for row in found.messages] == [row[1] for row in BY_TIME]
+    for topic in ("/a", "/b"):
+        assert [row.data for row in found.of(topic)] == [row[2] for row in BY_TIME if row[0] == topic]
+    assert sorted(publisher.topic for publisher in found.publishers) == ["/a", "/b", "/silent"]
+    assert {publisher.definition for publisher in found.publishers} == {"string data\n"}
+    assert [publisher.latched for publisher in found.publishers] == [kind.ros_version == 2] * 3
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    others = [again] if path.is_file() else sorted(again.iterdir())
+    assert [file.read_bytes() for file in files] == [file.read_bytes() for file in others]
+    with closing(open_recording(path, strict=True)) as reader:
+        assert [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()] == BY_TIME
+        assert {c.topic: c.message_count for c in reader.connections} == {"/silent": 0, "/a": 51, "/b": 50}
+        summary = reader.summary
+        compression = kind.options.get("compression") or ("none" if "sqlite3" in name else "zstd")
+        assert (summary.container, summary.compression) == (kind.container, (compression,))
+        assert (summary.message_count, summary.start_ns, summary.end_ns) == (101, T0, T0 + 60)
+        assert summary.size_bytes == sum(file.stat().st_size for file in files if file.suffix != ".yaml")
+        assert 0 < reader.bytes_read <= summary.size_bytes
+        assert reader.path == path
+        assert reader.damage == ()
+
+
+@pytest.mark.parametrize("kind", FORMATS.values(), ids=FORMATS)
+def test_connections_are_kept_as_they_are(kind: Any, tmp_path: Path) -> None:
+    is_ros1 = kind.ros_version == 1
+    odd: dict[str, Any] = {
+        "definition": Definition(f"ros{kind.ros_version}msg", b"# caf\xe9\r\nstring data\n"),
+        "msgtype": "custom_msgs/Odd" if is_ros1 else "custom_msgs/msg/Odd",
+    }
+    given = [
+        connection_for(kind.ros_version, "/ü?#%", **odd, callerid="/n" if is_ros1 else None),
+        connection_for(kind.ros_version, "no_slash//double", latching=True),
+        connection_for(kind.ros_version, "/plain", digest="*" if is_ros1 else "", qos="", latching=False),
+    ]
+    path = recorded(kind, tmp_path, [], given)
+    names = ("topic", "msgtype", "serialization", "definition", "digest", "callerid", "latching", "qos")
+    with closing(open_recording(path, strict=True)) as reader:
+        summary = reader.summary
+        assert (summary.message_count, summary.start_ns, summary.end_ns) == (0, None, None)
+        assert list(reader.messages()) == []
+        for own, other in zip(reader.connections, given, strict=True):
+            for name in names:
+                assert getattr(own, name) == getattr(other, name), name
+
+
+TWINS: dict[str, Callable[[Path], Writer]] = {
+    "bag": lambda path: Rosbag1Writer(path, "lz4", 1),
+    "mcap": lambda path: McapWriter(path, compression="lz4", chunk_size=1),
+    "sqlite3": Sqlite3Writer,
+}
+
+
+@pytest.mark.parametrize("name", TWINS)
+def test_equal_connections_are_never_merged(name: str, tmp_path: Path) -> None:
+    writer = TWINS[name](tmp_path / "file")
+    handles = [writer.add_connection(connection_for(1 if name == "bag" else 2)) for _ in range(3)]
+    for time_ns, handle in enumerate(handles):
+        writer.write(handle, time_ns, b"\0", time_ns)
+    writer.finish()
+    with closing(open_recording(tmp_path / "file")) as reader:
+        assert [each.id for each in reader.connections] == handles
+        assert [each.connection.id for each in reader.messages()] == handles
+
+
+@given(
+    # As CDR, a message begins with a zero byte.
+    rows=st.lists(st.tuples(st.integers(0, 2), st.integers(0, 6), st.binary(max_size=300).map(lambda b: b"\0" + b))),
+    name=st.sampled_from(["bag", "mcap", "sqlite3"]),
+    compression=st.integers(0, 2),
+    chunk_size=st.sampled_from((1, 200, 1000, 1 << 20)),
+    wanted=st.sets(st.integers(0, 2)),
+    start=st.none() | st.integers(0, 6),
+    stop=st.none() | st.integers(0, 6),
+)
+def test_any_recording_is_read_as_a_stable_sort(
+    rows: list[tuple[int, int, bytes]],
+    name: str,
+    compression: int,
+    chunk_size: int,
+    wanted: set[int],
+    start: int | None,
+    stop: int | None,
+) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "file"
+        if name == "bag":
+            writer: Writer = Rosbag1Writer(path, ("none", "lz4", "bz2")[compression], chunk_size)
+        elif name == "mcap":
+            writer = McapWriter(path, compression=("none", "lz4", "zstd")[compression], chunk_size=chunk_size)
+        else:
+            writer = Sqlite3Writer(path, compression=("none", "zstd", "none")[compression])
+        handles = [writer.add_connection(connection_for(1 if name == "bag" else 2, f"/{n}")) for n in range(3)]
+        for number, (index, time_ns, data) in enumerate(rows):
+            writer.write(handles[index], time_ns, data, time_ns, number)
+        writer.finish()
+        in_order = sorted(rows, key=lambda row: row[1])
+        with closing(open_recording(path, strict=True)) as reader:
+            assert [(int(m.connection.topic[1:]), m.log_time_ns, bytes(m.data)) for m in reader.messages()] == in_order
+            chosen = [each for each in reader.connections if int(each.topic[1:]) in wanted]
+            expected = [
+                row
+                for row in in_order
+                if row[0] in wanted and (start is None or start <= row[1]) and (stop is None or row[1] < stop)
+            ]
+            found = list(reader.messages(chosen, start, stop))
+            assert [(int(m.connection.topic[1:]), m.log_time_ns, bytes(m.data)) for m in found] == expected
+            counted = {c.topic: reader.counts(chosen, start, stop).get(c.id) for c in chosen}
+            assert counted == {f"/{index}": sum(row[0] == index for row in expected) for index in wanted}
+
+
+@pytest.mark.parametrize("kind", [FORMATS["bag"], KINDS["bag-lz4"], *FORMATS.values()][1:], ids=["lz4", *FORMATS])
+def test_buffers_may_be_reused_after_the_call(kind: Any, tmp_path: Path) -> None:
+    sizes = [10, 70_000, 3, 65_536, 65_535, 0, 900_000]
+    writer = kind.writer(tmp_path)
+    handle = writer.add_connection(connection_for(kind.ros_version))
+    for time_ns, size in enumerate(sizes):
+        buffer = bytearray(b"x" * size)
+        writer.write(handle, time_ns, memoryview(buffer), time_ns)
+        buffer[:] = bytes(size)
+        buffer.clear()  # a view that is still held makes this a BufferError
+    writer.finish()
+    assert [data for _, _, data in read(tmp_path / kind.name)] == [b"x" * size for size in sizes]
+
+
+def test_views_of_other_items_are_written_as_bytes(tmp_path: Path) -> None:
+    view = memoryview(struct.pack("<3d", 1, 2, 3)).cast("d")
+    path = recorded(FORMATS["bag"], tmp_path, [("/a", 1, view)])  # type: ignore[list-item]
+    assert read(path) == [("/a", 1, struct.pack("<3d", 1, 2, 3))]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_attachments_are_kept_or_left_out(name: str, tmp_path: Path) -> None:
+    attachments = [Attachment("a.bin", "x/y", 3, 4, bytes(range(256))), Attachment("", "", 0, 0, b"")]
+    records = [Metadata("first", {"k": "v", "ü": "ß"}), Metadata("second", {})]
+    own = Metadata("rosbag2", {"serialized_metadata": "of another file"})
+    path = recorded(FORMATS[name], tmp_path, [("/a", 1, b"\0")], extras=[*attachments, *records, own])
+    kept = "mcap" in name
+    with closing(open_recording(path, strict=True)) as reader:
+        assert list(reader.attachments()) == attachments * kept
+        # A directory's storage has rosbag2's record of its own.
+        assert list(reader.metadata()) == [*records, *[own] * (name == "mcap")] * kept
+        assert reader.bytes_read == 0 or name == "rosbag2-sqlite3"
+
+
+# --- What cannot be written ---
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_nothing_is_overwritten_or_made_elsewhere(name: str, tmp_path: Path) -> None:
+    kind = FORMATS[name]
+    (tmp_path / kind.name).write_bytes(b"precious")
+    with pytest.raises((OutputError, DestinationError), match=r"exists already|File exists") as caught:
+        kind.writer(tmp_path)
+    assert caught.value.path == tmp_path / kind.name
+    assert (tmp_path / kind.name).read_bytes() == b"precious"
+    with pytest.raises(OutputError, match="No such file") as caught:
+        kind.writer(tmp_path / "missing")
+    assert caught.value.path == tmp_path / "missing" / kind.name
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_an_aborted_recording_is_no_recording(name: str, tmp_path: Path) -> None:
+    kind = FORMATS[name]
+    writer = kind.writer(tmp_path)
+    writer.write(writer.add_connection(connection_for(kind.ros_version)), 1, bytes(1_000_000), 1)
+    writer.abort()
+    writer.abort()
+    if path := next((tmp_path / "out").glob("*.db3"), None):
+        assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+    else:
+        with pytest.raises(RecordingError):
+            read(tmp_path / kind.name, strict=True)
+
+
+@pytest.mark.parametrize("size", [500, 50_000])
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_full_disk_is_an_output_error(name: str, size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Python 3.11 would cut the files of compiled modules off, too, and not read them later.
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    kind = FORMATS[name]
+    writer = kind.writer(tmp_path)
+    handle = writer.add_connection(connection_for(kind.ros_version))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+
+    def fill() -> None:
+        for time_ns in range(400):
+            writer.write(handle, time_ns, os.urandom(size), time_ns)
+        writer.finish()
+
+    try:
+        with pytest.raises(OutputError, match=r"File too large|disk I/O error|is full") as caught:
+            fill()
+        writer.abort()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert tmp_path in caught.value.path.parents  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("name", ["bag", "mcap", "rosbag2-mcap"])
+def test_all_is_on_the_disk_at_the_end(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: dict[str, int] = {}
+
+    def fsync(fd: int) -> None:
+        sizes[str(Path(f"/proc/self/fd/{fd}").readlink())] = os.fstat(fd).st_size
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    path = recorded(FORMATS[name], tmp_path, [("/a", 1, b"\0")])
+    files = [path] if path.is_file() else list(path.iterdir())
+    assert {str(file): file.stat().st_size for file in files}.items() <= sizes.items()
+
+    def failing(_fd: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", failing)
+    (tmp_path / "full").mkdir()
+    writer = FORMATS[name].writer(tmp_path / "full")
+    with pytest.raises(OutputError, match="No space left on device"):
+        writer.finish()
+    writer.abort()
+
+
+#: Log time, publish time and sequence that do not fit; and the largest and smallest that do.
+NUMBERS: dict[str, tuple[list[tuple[int, int, int]], list[tuple[int, int, int]], str]] = {
+    "bag": (
+        [(-1, 0, 0), (2**32 * 1_000_000_000, 0, 0)],
+        [(0, 0, 0), (2**32 * 1_000_000_000 - 1, 0, 0)],
+        "outside the 0 to 4294967295 s",
+    ),
+    "mcap": (
+        [(-1, 0, 0), (0, -1, 0), (1 << 64, 0, 0), (0, 0, 1 << 32)],
+        [(0, 0, 0), ((1 << 64) - 1, (1 << 64) - 1, (1 << 32) - 1)],
+        "unsigned",
+    ),
+    "rosbag2-sqlite3": (
+        [(2**63, 0, 0), (-(2**63) - 1, 0, 0)],
+        [(-(2**63), 0, 0), (2**63 - 1, 0, 0)],
+        "too large for SQLite|that rosbag2 can hold",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_that_do_not_fit_are_refused(name: str, tmp_path: Path) -> None:
+    refused, fitting, told = NUMBERS[name]
+    writer = FORMATS[name].writer(tmp_path)
+    handle = writer.add_connection(connection_for(FORMATS[name].ros_version))
+    for log_time, publish_time, sequence in fitting:
+        writer.write(handle, log_time, b"\0", publish_time, sequence)
+    for log_time, publish_time, sequence in refused:
+        with pytest.raises(UnwritableError, match=told):
+            writer.write(handle, log_time, b"\0", publish_time, sequence)
+    writer.finish()
+    with closing(open_recording(tmp_path / FORMATS[name].name)) as reader:
+        found = [(m.log_time_ns, m.publish_time_ns, m.sequence) for m in reader.messages()]
+    assert [row[0] for row in found] == [row[0] for row in fitting]
+    if name == "mcap":
+        assert found == fitting
+
+
+def test_what_a_writer_cannot_hold_is_refused(tmp_path: Path) -> None:
+    writer: Writer = Rosbag1Writer(tmp_path / "a.bag")
+    with pytest.raises(DestinationError, match="serialised as 'ros1', these are 'cdr'") as refused:
+        writer.add_connection(connection_for(2, "/chatter"))
+    assert refused.value.topic == "/chatter"
+    with pytest.raises(DestinationError, match="'a=b' has a '='"):
+        writer.add_connection(connection_for(1, metadata={"a=b": "c"}))
+    writer.abort()
+    writer = McapWriter(tmp_path / "a.mcap")
+    with pytest.raises(OutputError, match="unsigned"):
+        writer.add_attachment(Attachment("a", "", -1, 0, b""))
+    with pytest.raises(UnwritableError) as unwritable:
+        writer.write(writer.add_connection(connection_for(2, "/odd")), -1, b"", 0)
+    assert unwritable.value.topic == "/odd"
+    writer.abort()
+    with pytest.raises(DestinationError, match="cannot be compressed with zstd, only with none, bz2, lz4") as refused:
+        Rosbag1Writer(tmp_path / "b.bag", "zstd")
+    assert refused.value.hint
+    for compression in ("bz2", "gzip", ""):
+        with pytest.raises(DestinationError, match="allowed are none, lz4, zstd"):
+            McapWriter(tmp_path / "b.mcap", compression=compression)
+    assert not list(tmp_path.glob("b.*"))
+    closed = Sqlite3Writer(tmp_path / "a.db3")
+    closed.abort()
+    with pytest.raises(OutputError, match="closed"):
+        closed.finish()
+
+
+#: The kind in which each is written again.
+REAL = {
+    "luminar_highway.bag": "bag-lz4",
+    "velodyne_vlp32.bag": "bag-none",
+    "ouster_os1_32.mcap": "mcap-ros2-lz4",
+    "d435_depth.mcap": "mcap-ros2-zstd",
+    "jarvis_two_lasers.bag": "bag-bz2",
+    "guardian_pallet.bag": "mcap-ros1-lz4",
+}
+
+
+@needs_shared
+@pytest.mark.parametrize("name", sampled(REAL, 2))
+def test_a_rewritten_real_recording_is_read_by_others(name: str, tmp_path: Path) -> None:
+    kind = KINDS[REAL[name]]
+    assert sniff(RECORDINGS / name) == {".bag": "rosbag1", ".mcap": "mcap"}[Path(name).suffix]
+    with closing(open_recording(RECORDINGS / name, strict=True)) as reader:
+        writer = kind.writer(tmp_path)
+        handles = {each.id: writer.add_connection(each) for each in reader.connections}
+        for message in reader.messages():
+            writer.write(handles[message.connection.id], *message[1:5])
+        writer.finish()
+        with closing(open_recording(tmp_path / kind.name, strict=True)) as again:
+            kept = ("topic", "ros_type", "serialization", "definition", "digest", "callerid", "latching", "qos")
+            found, given = ([[getattr(c, key) for key in kept] for c in r.connections] for r in (again, reader))
+            assert found == given
+            assert again.summary.message_count == reader.summary.message_count
+            assert [c.latching for c in reader.connections if c.topic == "/tf_static"] in ([], [True])
+    try:
+        before = opened(RECORDINGS / name)
+    except AssertionError:
+        pytest.skip(f"rosbags cannot read {name}")
+    after = opened(tmp_path / kind.name)
+    # Only MCAP has publish times and sequence numbers.
+    width = 5 if kind.container == "mcap" and name.endswith(".mcap") else 3
+    assert [row[:width] for row in after.messages] == [row[:width] for row in before.messages]
+    assert after.publishers == before.publishers

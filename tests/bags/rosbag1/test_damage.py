@@ -1,0 +1,176 @@
+"""Bags that contradict the format are refused, with the place and what to do."""
+
+from __future__ import annotations
+
+import bz2
+import tracemalloc
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+import lz4.frame
+import pytest
+
+from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from support.rosbag1_files import (
+    COMPRESSIONS,
+    FIRST_CHUNK,
+    bag_header,
+    chunk,
+    chunk_info,
+    connection,
+    connection_record,
+    fails,
+    given_bytes,
+    header,
+    message,
+    record,
+    simple_bag,
+    time,
+    uint32,
+    write,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+HEADS = [
+    *[(first, "a ROS 1 bag begins with b'#ROSBAG V2.0\\n'", "")
+      for first in (b"", b"#ROS", b"#ROSBAG V3.0\n", b"SQLite format 3\0", b"#ROSBAG V2.0 ")],
+    *[(first + bytes(99), "only bags of format 2.0", "rosbag fix")
+      for first in (b"#ROSBAG V1.2\n", b"#ROSRECORD V1.1\n", b"#ROSBAG V1.1\n")],
+    (bag_header(9999, 1, 1, encryptor=b"rosbag/AesCbcEncryptor"), "encrypted (rosbag/AesCbcEncryptor)",
+     "rosbag decrypt"),
+    (bag_header(0, 0, 0) + chunk(b""), "index_pos is 0", "`strict`"),
+    (bag_header(FIRST_CHUNK, 1, 1) + chunk(message(1)), "is a chunk, a connection should be there", "`strict`"),
+    (bag_header(FIRST_CHUNK, 0, 0).replace(b"op=\x03", b"op=\x09"), "is a 9, a bag header should be there", ""),
+    (bag_header(10**12, 1, 1), "should be at byte 1000000000000, the file has", "`strict`"),
+    # A header may have very many fields, which cost memory.
+    (b"#ROSBAG V2.0\n" + record(b"", **{f"f{number}": b"" for number in range(4097)}), "more than 4096 fields", ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("data", "told", "hint"), HEADS)
+def test_what_does_not_begin_as_a_bag_is_refused(data: bytes, told: str, hint: str, tmp_path: Path) -> None:
+    assert told in fails(given_bytes(tmp_path, data), hint=hint)
+
+
+def test_what_cannot_be_opened_is_refused(tmp_path: Path) -> None:
+    assert "No such file" in fails(tmp_path / "missing.bag")
+    assert "Is a directory" in fails(tmp_path)
+
+
+def test_a_cut_bag_is_refused_wherever_it_is_cut(tmp_path: Path) -> None:
+    rows = [(index % 2, index, b"x" * 300) for index in range(40)]
+    whole = write(tmp_path / "a.bag", [connection("/a"), connection("/b")], rows, "bz2", 4000).read_bytes()
+    for length in [*range(0, len(whole), 211), *range(len(whole) - 60, len(whole), 3)]:
+        told = fails(given_bytes(tmp_path, whole[:length]))
+        assert length <= 5000 or f"the file has {length} bytes" in told
+
+
+@pytest.mark.parametrize(
+    ("info", "told"),
+    [
+        (chunk_info(FIRST_CHUNK, 1, 1, {0: 1}, version=2), "version 2, only 1"),
+        (chunk_info(FIRST_CHUNK, 1, 1, {0: 1}, count=3), "of 8 bytes declares 3 counts"),
+        (chunk_info(FIRST_CHUNK, 1, 1, {3: 1}), "connection 3 has messages but is not described"),
+        (chunk_info(2**50, 1, 1, {0: 1}), "4 bytes are declared from byte 1125899906842624"),
+        (chunk_info(len(b"#ROSBAG V2.0\n"), 1, 1, {0: 1}), "is a bag header, a chunk should be there"),
+        (record(op=b"\x06", ver=b"\1"), "'ver' has 1 bytes, 4 are needed"),
+        (record(op=b"\x06"), "no field 'ver'"),
+        (record(b"x" * 9, op=b"\x06")[:-1], "the chunk info at byte"),
+        (uint32(8) + uint32(2) + b"op" + uint32(0)[:2], "has no '='"),
+        (uint32(6) + uint32(9) + b"op" + uint32(0), "does not fit into its header of 6 bytes"),
+        (uint32(2) + b"op" + uint32(0), "ends inside a field's length"),
+        (chunk_info(FIRST_CHUNK, 1, 1, {0: 1}) + chunk(message(1)), "after the records that the bag header counts"),
+    ],
+)
+def test_a_damaged_index_is_refused(info: bytes, told: str, tmp_path: Path) -> None:
+    body = chunk(message(1))
+    raw = bag_header(FIRST_CHUNK + len(body), 1, 1) + body + connection_record() + info
+    assert told in fails(given_bytes(tmp_path, raw), hint="`strict`")
+
+
+def test_an_index_that_repeats_chunks_is_refused(tmp_path: Path) -> None:
+    body = chunk(message(1))
+    infos = chunk_info(FIRST_CHUNK, 1, 1, {0: 1}) * 2
+    raw = bag_header(FIRST_CHUNK + len(body), 1, 2) + body + connection_record() + infos
+    assert "the index names a chunk twice" in fails(given_bytes(tmp_path, raw))
+
+
+def test_a_connection_without_a_type_is_refused(tmp_path: Path) -> None:
+    bare = record(header(topic=b"/a")[4:], op=b"\x07", conn=uint32(0), topic=b"/a")
+    assert "no field 'type'" in fails(simple_bag(tmp_path / "a.bag", message(1), connections=[bare]))
+
+
+# --- Chunks ---
+
+
+@pytest.mark.parametrize(
+    ("payload", "told"),
+    [
+        (message(1, identity=7), "a message of connection 7, which is not in the index"),
+        (message(1, order=("conn", "op", "time"))[:-1], "a message reaches to byte 50 of a chunk of 49"),
+        (message(1)[:-1], "a record reaches to byte 50 of a chunk of 49"),
+        (message(1)[:20], "a record reaches to byte 42 of a chunk of 20"),
+        (message(1)[:2], "a record's length does not fit into the 2 bytes"),
+        (message(1) + b"\0", "a record's length does not fit"),
+        (record(op=b"\x04"), "a record of kind 4"),
+        (record(conn=uint32(0)), "no field 'op'"),
+        (record(op=b"\x02", time=time(1)), "no field 'conn'"),
+        (record(op=b"\x02", conn=b"", time=time(1)), "'conn' has 0 bytes, 4 are needed"),
+        (record(op=b"\x02", conn=uint32(0)), "no field 'time'"),
+        (message(10), "a message of log time 0.000000010, declared are 0.000000001 to 0.000000009"),
+        (message(0), "a message of log time 0.000000000, declared are"),
+    ],
+)
+def test_a_damaged_chunk_is_refused(payload: bytes, told: str, tmp_path: Path) -> None:
+    message_text = fails(simple_bag(tmp_path / "a.bag", payload), hint="strict")
+    assert told in message_text
+    assert f"the chunk with data at byte {FIRST_CHUNK + len(chunk(b''))} cannot be read" in message_text
+
+
+def test_a_damaged_chunk_that_is_not_wanted_does_no_harm(tmp_path: Path) -> None:
+    path = simple_bag(tmp_path / "a.bag", b"rubbish", connections=[connection_record(), connection_record(1)])
+    with closing(Rosbag1Reader(path)) as reader:
+        assert list(reader.messages([reader.connections[1]])) == []
+
+
+PAYLOAD = message(1)
+LONG = PAYLOAD * 100
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("wrong", [-1, 1, 1000])
+def test_a_chunk_of_another_size_is_refused(compression: str, wrong: int, tmp_path: Path) -> None:
+    path = simple_bag(tmp_path / "a.bag", PAYLOAD, compression=compression, size=len(PAYLOAD) + wrong)
+    observed = f"more than {len(PAYLOAD) - 1}" if wrong < 0 else str(len(PAYLOAD))
+    assert f"holds {observed} bytes when decompressed, {len(PAYLOAD) + wrong} are declared" in fails(path)
+
+
+@pytest.mark.parametrize(("compression", "packed"), [("bz2", bz2.compress(LONG)), ("lz4", lz4.frame.compress(LONG))])
+def test_compressed_data_that_are_none_are_refused(compression: str, packed: bytes, tmp_path: Path) -> None:
+    for size, stored, told in (
+        (100, b"not compressed at all", f"its {compression} data cannot be decompressed"),
+        (2**32 - 1, b"not compressed at all", f"it declares {2**32 - 1} bytes"),
+        (len(LONG), packed[:-1], "data ends early"),
+        (len(LONG), b"", "data ends early"),
+    ):
+        path = simple_bag(tmp_path / "a.bag", b"", compression=compression, size=size, stored=stored)
+        assert told in fails(path)
+
+
+@pytest.mark.parametrize("compression", ["bz2", "lz4"])
+def test_a_decompression_bomb_is_not_let_off(compression: str, tmp_path: Path) -> None:
+    path = simple_bag(tmp_path / "a.bag", bytes(50_000_000), compression=compression, size=1000)
+    tracemalloc.start()
+    try:
+        assert "holds more than 1000 bytes" in fails(path)
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_an_unknown_compression_is_refused(tmp_path: Path) -> None:
+    path = simple_bag(tmp_path / "a.bag", message(1), compression="zstd")
+    assert "compressed with 'zstd', allowed are none, bz2, lz4" in fails(path, hint="`strict`")

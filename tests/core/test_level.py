@@ -1,0 +1,60 @@
+"""A floor at right angles to z, whose slope and distance are known."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pc2scan.core.level import LEVEL, MOST_POINTS, cells_of, level_floor, thinned
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def floor(slope_x: float, slope_y: float, height: float, walls: int = 300) -> NDArray[np.float64]:
+    """Points of a floor all round, and of walls on it."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(-8, 8, (2, 900))
+    ground = np.stack([x, y, slope_x * x + slope_y * y - height], axis=1)
+    around = np.stack([np.full(walls, 8.0), *rng.uniform(0, 3, (2, walls))], axis=1)
+    return np.concatenate([ground, around])
+
+
+slopes = st.floats(-0.055, 0.055)
+
+
+@given(slopes, slopes, st.floats(0.3, 3))
+def test_a_level_floor_is_found_where_it_is(slope_x: float, slope_y: float, height: float) -> None:
+    length = math.sqrt(1 + slope_x**2 + slope_y**2)
+    found = level_floor(cells_of(floor(slope_x, slope_y, height)))
+    # What is too steep for this method is left to others.
+    assert found is not None or length > 1 / math.cos(0.7 * LEVEL)
+    if found is not None:
+        assert found.up == pytest.approx((-slope_x / length, -slope_y / length, 1 / length), abs=0.003)
+        assert found.height == pytest.approx(height / length, abs=0.02)
+
+
+def test_what_is_no_level_floor() -> None:
+    assert level_floor(cells_of(floor(math.tan(LEVEL + 0.01), 0, 1.0))) is None
+    assert level_floor(cells_of(floor(0, 0, -1.0))) is None
+    assert level_floor(cells_of(floor(0, 0, 0.02))) is None
+    # A table, with more below it than above.
+    found = level_floor(cells_of(np.concatenate([floor(0, 0, 0.5), floor(0, 0, 1.5)])))
+    assert found is None or found.height == pytest.approx(1.5, abs=0.02)
+
+
+def test_a_large_cloud_is_thinned_all_over_and_without_the_robot() -> None:
+    points = np.tile(floor(0, 0, 1.0), (10, 1))
+    points[::5] = 0.01
+    x, y, z = points.T
+    few = thinned(x, y, z)
+    assert 0.75 * MOST_POINTS < len(few) < 0.85 * MOST_POINTS
+    assert np.abs(few.mean(axis=0) - points[np.arange(len(points)) % 5 > 0].mean(axis=0)).max() < 0.3
+    rows = thinned(*(part.reshape(100, -1) for part in (x, y, z)))
+    np.testing.assert_array_equal(rows, few)
+    assert len(thinned(x[:50], y[:50], z[:50])) == 40

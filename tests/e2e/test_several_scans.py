@@ -1,0 +1,64 @@
+"""Several scans of one recording in Python, and in the report; `tests/transcripts/several_scans.txt` has the rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import pc2scan
+from pc2scan.errors import SeveralNodesError, UsageError
+from support import ROOT
+from support.command import run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+HALL = ROOT / "fixtures" / "hall.mcap"
+FILES = ROOT / "tests" / "transcripts" / "files"
+SCANS, NODES = FILES / "four_scans.yaml", FILES / "two_nodes.yaml"
+
+
+def test_python_writes_what_the_command_writes(tmp_path: Path) -> None:
+    words: list[str | Path] = ["--params-file", NODES, "--only-scans", "--where", "ring > 1"]
+    assert run("convert", HALL, "-o", tmp_path / "typed.mcap", *words).status == 0
+    report = pc2scan.convert(HALL, tmp_path / "called.mcap", params_file=NODES, only_scans=True, where="ring > 1")
+    assert (tmp_path / "called.mcap").read_bytes() == (tmp_path / "typed.mcap").read_bytes()
+    nodes = ["/front/pointcloud_to_laserscan", "/rear/pointcloud_to_laserscan"]
+    assert [spec.place for spec in report.scans] == [f"{NODES}, {node}" for node in nodes]
+    # Without sources a scan has the only topic.
+    assert pc2scan.convert(HALL, tmp_path / "a.mcap", scans={"/a": {"min_height": -1}}).exit_status == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scans": SCANS, "preset": "gmapping", "deskew": True}, "`preset`, `deskew` cannot be combined with"),
+        ({"params_file": NODES, "topics": "/points"}, "`topics` does not name a node"),
+    ],
+)
+def test_what_contradicts_several_scans(options: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=message):
+        pc2scan.convert(HALL, tmp_path / "none.mcap", **options)
+
+
+def test_where_one_node_is_expected_one_has_to_be_named(tmp_path: Path) -> None:
+    with pytest.raises(SeveralNodesError, match="several nodes match"):
+        pc2scan.ProjectionParams.from_file(NODES)
+    both = tmp_path / "both.yaml"
+    sections = ("pointcloud_to_laserscan", "laserscan_to_pointcloud")
+    both.write_text("".join(f"{section}:\n  ros__parameters: {{}}\n" for section in sections))
+    with pytest.raises(UsageError, match="several nodes match"):
+        pc2scan.convert(HALL, tmp_path / "none.mcap", params_file=both)
+
+
+def test_the_report_has_each_scan(tmp_path: Path) -> None:
+    report = pc2scan.convert(HALL, tmp_path / "a.mcap", scans=SCANS, range_max=3.0).as_dict()
+    names = ["/scan", "/low", "/own", "/coarse"]
+    assert [each["name"] for each in report["scans"]] == names
+    assert [each["params"]["max_height"] for each in report["scans"][:2]] == [1.0, 0.3]
+    assert {each["params"]["range_max"] for each in report["scans"]} == {3.0}
+    assert report["scans"][2]["filters"] == [{"name": "where", "condition": "ring in (3, 4, 5)"}]
+    topics = [topic for topic in report["topics"] if topic["action"] == "converted"]
+    assert [topic["scan"] for topic in topics] == names
+    assert len({topic["points"]["used"] for topic in topics}) == 4

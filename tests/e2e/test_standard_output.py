@@ -1,0 +1,248 @@
+"""What only a process shows: outputs that are full or closed, permissions, terminals."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pc2scan.compare.diff import diff
+from pc2scan.inspect.check import check
+from support import ROOT, sampled
+from support.builders import write_mcap
+from support.command import COMMAND, Finished, environment, run
+from support.scan_recordings import recording, scans
+from support.terminal import shown
+
+HALL = ROOT / "fixtures" / "hall.bag"
+GOLDEN = ROOT / "fixtures" / "golden"
+
+
+def into_full(words: str, folder: Path) -> Finished:
+    """Run a command whose standard output has no room."""
+    command = [*COMMAND, *words.split()]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command, cwd=folder, stdout=full, stderr=subprocess.PIPE, text=True, env=environment(), check=False
+        )
+    return Finished(done.returncode, "", done.stderr)
+
+
+needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+
+
+@needs_full
+@pytest.mark.parametrize(
+    ("words", "status"),
+    sampled(
+        [
+            (f"info {HALL} --json", 1),
+            (f"info {HALL}", 1),
+            (f"tf {HALL}", 1),
+            (f"diff {HALL} {HALL}", 2),
+            (f"golden {GOLDEN} -k defaults", 2),
+            ("convert --help", 1),
+            ("--help", 1),
+        ],
+        2,
+    ),
+)
+def test_output_without_room_is_an_error(words: str, status: int, tmp_path: Path) -> None:
+    done = into_full(words, tmp_path)
+    assert done.status == status
+    assert done.stderr.startswith("error: standard output cannot be written: No space left on device")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@needs_full
+@pytest.mark.parametrize("output", sampled(["convert -o scan.bag", "map -o map.yaml", "view -o page.html"], 1))
+def test_an_output_is_kept_without_room_for_its_summary(output: str, tmp_path: Path) -> None:
+    command, option, name = output.split()
+    done = into_full(f"{command} {HALL} {option} {name} --min-height=-0.3", tmp_path)
+    assert done.status == 3
+    assert done.stderr.splitlines()[-1].endswith("No space left on device; the output is written")
+    assert (tmp_path / name).stat().st_size > 0
+    if command == "convert":
+        assert run("diff", name, name, cwd=tmp_path).status == 0
+
+
+@pytest.mark.parametrize("words", sampled([f"info {HALL}", f"tf {HALL}", f"diff {HALL} {HALL}", "convert --help"], 1))
+def test_a_reader_that_has_read_enough_ends_it_quietly(words: str) -> None:
+    command = [*COMMAND, *words.split()]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment()) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+    assert (process.returncode, said) == (141, b"")
+
+
+#: Root may read and write all files, whatever their permissions.
+WITHOUT_RIGHTS = (
+    "setpriv",
+    "--bounding-set=-dac_override,-dac_read_search",
+    "--inh-caps=-dac_override,-dac_read_search",
+)
+
+
+@pytest.mark.skipif(sys.platform != "linux" or shutil.which("setpriv") is None, reason="setpriv is not there")
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        ("info secret.bag", "error: secret.bag: permission denied\nhint: ls -l shows who owns it"),
+        ("convert folder/hall.bag", "error: folder/hall_scan.bag: its directory is not writable\nhint: "),
+    ],
+)
+def test_what_may_not_be_read_or_written(words: str, error: str, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    shutil.copy(HALL, tmp_path / "folder" / "hall.bag")
+    shutil.copy(HALL, tmp_path / "secret.bag")
+    (tmp_path / "folder").chmod(0o555)
+    (tmp_path / "secret.bag").chmod(0)
+    command = [*(WITHOUT_RIGHTS if os.getuid() == 0 else ()), *COMMAND, *words.split()]
+    try:
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment(), check=False)
+    finally:
+        (tmp_path / "folder").chmod(0o755)
+    assert done.returncode in (1, 2)
+    assert done.stderr.startswith(error)
+
+
+def test_a_server_that_is_not_there_is_no_missing_file(tmp_path: Path) -> None:
+    pytest.importorskip("aiohttp")
+    done = run("convert", "https://127.0.0.1:1/drive.bag", "-o", tmp_path / "a.bag")
+    assert done.status == 1
+    assert "the host cannot be reached" in done.stderr
+
+
+# --- Terminals ---
+
+
+COMMANDS = [
+    f"convert {HALL} -o o.bag --overwrite --target-frame base_link",
+    f"info {HALL}",
+    f"tf {HALL}",
+    f"tf {HALL} --lookup base_link nothing",
+    f"diff {HALL} {ROOT}/fixtures/hall.mcap",
+    f"convert {HALL} -o o.bag --overwrite --preset gmapping -v",
+    f"convert {HALL} -o o.bag --angle-max 90",
+    f"convert {HALL} -o o.bag --no-such-option",
+    f"batch {HALL} -o o.bag --target-frame base_link",
+    f"map {HALL} --png o.bag --overwrite",
+    f"golden {GOLDEN} -k tf_",
+    "convert --help",
+]
+
+
+@pytest.mark.parametrize(
+    ("words", "columns"), sampled(((words, columns) for columns in (60, 80) for words in COMMANDS), 3)
+)
+def test_everything_fits_into_the_terminal(words: str, columns: int, tmp_path: Path) -> None:
+    arguments = [str(tmp_path / word) if word == "o.bag" else word for word in words.split()]
+    text = shown(*arguments, columns=columns, NO_COLOR="1")
+    # What is visible of a line is what was written after the bar was erased.
+    visible = [line.rpartition("\r")[2].removeprefix("\x1b[2K") for line in text.split("\n")]
+    lines = [line for line in visible if "\x1b" not in line]
+    lines += shown(*arguments, columns=200, COLUMNS=str(columns), NO_COLOR="1", TERM="dumb").split("\n")
+    assert len(lines) > 2
+    # A path or another word longer than the screen cannot be broken.
+    assert [line for line in lines if len(line) > columns and " " in line.removesuffix(" \\").strip()] == []
+
+
+def test_warnings_replace_the_progress_bar(tmp_path: Path) -> None:
+    text = shown("convert", HALL, "-o", tmp_path / "o.bag", "--min-height=-1", columns=80)
+    before, found, warning = text.partition("\x1b[1m\x1b[33mwarning:\x1b[0m /points: the floor is within the heights")
+    assert found
+    assert before.endswith("\r\x1b[2K")
+    assert warning.startswith(": it is at z = -0.60 m in\n  'lidar'")
+
+
+@pytest.mark.slow
+def test_neither_pipes_nor_json_are_wrapped(tmp_path: Path) -> None:
+    text = shown("convert", HALL, "-o", tmp_path / "o.bag", "--angle-max", "90", COLUMNS="60")
+    assert len(text.splitlines()) == 2
+    assert "\x1b" not in text
+    assert json.loads(shown("tf", HALL, "--json", columns=40, NO_COLOR="1"))["trees"]
+
+
+@pytest.mark.parametrize(
+    ("variables", "columns", "coloured"),
+    sampled(
+        [
+            ({"FORCE_COLOR": "1"}, None, True),
+            ({}, 80, True),
+            ({"NO_COLOR": "1"}, 80, False),
+            ({}, None, False),
+            ({"TERM": "dumb"}, 80, False),
+            ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, None, False),
+        ],
+        2,
+    ),
+)
+def test_terminals_have_colours_unless_they_are_unwanted(
+    variables: dict[str, str], columns: int | None, *, coloured: bool
+) -> None:
+    text = shown("info", "nothing.bag", columns=columns, **variables)
+    assert ("\x1b[1m\x1b[31merror:\x1b[0m nothing.bag" in text) is coloured
+    assert ("\x1b" in text) is coloured
+    same = shown("diff", HALL, HALL, columns=columns, **variables)
+    assert ("\x1b[1m\x1b[32msame:\x1b[0m" in same) is coloured
+
+
+@pytest.mark.parametrize(
+    ("folder", "options"),
+    sampled(
+        [
+            # A name with spaces and quotes is not broken: within quotes a backslash is no continuation.
+            ("a rather long name of a folder that it's hard to fit", "--to rosbag2"),
+            ("a folder with a name of some length/and another one in it", ""),
+        ],
+        1,
+    ),
+)
+def test_a_wrapped_command_is_still_one_for_the_shell(folder: str, options: str, tmp_path: Path) -> None:
+    (tmp_path / folder).mkdir(parents=True)
+    wanted = f"{tmp_path / folder}/"
+    text = shown("convert", HALL, "-o", wanted, *options.split(), "--min-height=-0.3", columns=60, NO_COLOR="1")
+    command = text[text.index("next: ") + len("next: ") :].split("warning:")[0]
+    assert "\\\n" in command
+    # As a shell reads it.
+    words = shlex.split(command.replace("\\\n", ""))
+    made = str(tmp_path / folder / "hall_scan")
+    assert words == (
+        ["ros2", "bag", "play", made, "--clock"] if options else ["rosbag", "play", "--clock", f"{made}.bag"]
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["check", "diff"])
+def test_check_and_diff_have_the_progress_bar(command: str, tmp_path: Path) -> None:
+    assert run("convert", HALL, "-o", tmp_path / "scan.bag", "--min-height=-1").status == 0
+    sources = [tmp_path / "scan.bag"] * (2 if command == "diff" else 1)
+    text = shown(command, *sources, columns=120)
+    assert "messages" in text
+    assert "\x1b[?25l" in text
+    assert "\x1b[?25l" not in shown(command, *sources, "--json", columns=120)
+    assert "\x1b" not in shown(command, *sources)
+
+
+def test_how_far_a_comparison_is(tmp_path: Path) -> None:
+    many = write_mcap(tmp_path / "many.mcap", recording({"/scan": scans(200)}))
+    both = write_mcap(tmp_path / "both.mcap", recording({"/a": scans(96), "/b": scans(96)}))
+    told: list[tuple[int, int, int]] = []
+    for path, topics in ((many, 1), (both, 2)):
+        told.clear()
+        assert diff(path, path, progress=lambda *step: told.append(step)).same
+        assert [messages for _, _, messages in told] == [32, 64, 96, 128, 160, 192]
+        assert {total for _, total, _ in told} == {2 * topics * path.stat().st_size}
+        assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
+        assert all(0 < done <= total for done, total, _ in told)
+    told.clear()
+    check(many, progress=lambda *step: told.append(step))
+    assert [messages for _, _, messages in told] == [0, 64, 128, 192]

@@ -1,0 +1,106 @@
+"""Batches whose conversions run in this process, and what they leave."""
+
+from __future__ import annotations
+
+import atexit
+import json
+import shutil
+import tempfile
+from contextlib import contextmanager
+from functools import cache, partial
+from pathlib import Path
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+import pc2scan
+from pc2scan.batch.work import convert_one
+from pc2scan.batch.workers import Began, Ended
+from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, write_rosbag2
+from support.command import Finished, run
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterator
+
+    from pc2scan.batch.summary import BatchReport
+    from pc2scan.batch.workers import Event, Queue
+
+__all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
+
+#: Heights that leave points of `support.builders.CONTENT` in its scans, as they are typed and as keywords.
+HEIGHTS = ("--min-height", "-2", "--max-height", "2")
+KEYWORDS: dict[str, Any] = {"min_height": -2, "max_height": 2}
+
+
+def _execute(queue: Queue, jobs: list[str], **_: object) -> Generator[Event]:
+    """Run jobs one after the other; sources at URLs are copied meanwhile, and results uploaded."""
+    inbox: SimpleQueue[Event | None] = SimpleQueue()
+    queue.begin(inbox.put)
+    while queue.is_open or not inbox.empty():
+        if (job := queue.take()) is not None:
+            jobs.append(job.key)
+            yield Began(job.key)
+            if (result := queue.done(convert_one(job))) is not None:
+                yield Ended(result)
+        elif (event := inbox.get(timeout=60)) is not None:
+            yield event
+
+
+@contextmanager
+def in_this_process() -> Iterator[list[str]]:
+    """Let batches convert in this process instead of in processes of their own, which take long to start.
+
+    Yields the keys of the jobs that were begun: of a recording that is converted in pieces there are several.
+    """
+    jobs: list[str] = []
+    with patch("pc2scan.batch.executors.execute_here", partial(_execute, jobs=jobs)):
+        yield jobs
+
+
+def batch(sources: Any, out: Path | str, **words: Any) -> BatchReport:
+    """Run ``pc2scan.batch``, and convert in this process."""
+    with in_this_process():
+        return pc2scan.batch(sources, out, **{**KEYWORDS, **words})
+
+
+def run_batch(*words: str | Path, cwd: Path | None = None) -> Finished:
+    """Run the command ``pc2scan batch``, and convert in this process."""
+    with in_this_process():
+        return run("batch", *words, *HEIGHTS, cwd=cwd)
+
+
+def manifest_of(folder: Path) -> dict[str, dict[str, Any]]:
+    """The last line of each recording; a line without its end is ignored, as the command does."""
+    path = folder / "manifest.jsonl"
+    data = path.read_bytes() if path.exists() else b""
+    lines = [json.loads(line) for line in data.split(b"\n")[:-1]]
+    return {line["key"]: line for line in lines}
+
+
+def contents(folder: Path) -> dict[str, bytes | str]:
+    """The bytes of every file below a folder, and where links lead; not the manifest."""
+    return {
+        path.relative_to(folder).as_posix(): str(path.readlink()) if path.is_symlink() else path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if (path.is_symlink() or path.is_file()) and path.name != "manifest.jsonl"
+    }
+
+
+def place(folder: Path, *names: str) -> Path:
+    """Write a recording under each name; its suffix says the container, and one without suffix is a rosbag2 folder."""
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        template = _template(path.suffix)
+        (shutil.copytree if template.is_dir() else shutil.copyfile)(template, path)
+    return folder
+
+
+@cache
+def _template(suffix: str) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="pc2scan-test-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    write: Callable[..., Path] = {".bag": write_rosbag1, ".mcap": write_mcap, ".db3": write_db3, "": write_rosbag2}[
+        suffix
+    ]  # type: ignore[assignment]
+    return write(folder / f"content{suffix}", CONTENT)

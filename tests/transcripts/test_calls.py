@@ -1,0 +1,69 @@
+"""The library as people call it: every call of the texts here; `support.calls` says how to write one."""
+
+from __future__ import annotations
+
+import os
+from datetime import datetime, timedelta, timezone
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from support import ROOT
+from support.calls import Call, calls_of, check_call
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+TEXTS = sorted(Path(__file__).parent.glob("*.calls"))
+
+NAMES: dict[str, Any] = {name: getattr(pc2scan, name) for name in pc2scan.__all__}
+NAMES |= {"np": np, "datetime": datetime, "timedelta": timedelta, "timezone": timezone, "Path": Path}
+NAMES |= {"HALL": str(ROOT / "fixtures" / "hall.bag"), "CASES": ROOT / "fixtures" / "golden", "OUT": "out.mcap"}
+#: Formats and small rules that are not public.
+INNER = {
+    "pc2scan.bags.damage": ["Damage"],
+    "pc2scan.cli.fitting": ["table_lines"],
+    "pc2scan.cli.render": ["count", "duration", "size", "stamp"],
+    "pc2scan.cli.spelling": ["as_typed"],
+    "pc2scan.errors": ["ParameterError", "name_list", "stamp_text", "visible"],
+    "pc2scan.options.moment": ["TimeBound"],
+    "pc2scan.text": ["did_you_mean", "nearest"],
+}
+for module, inner in INNER.items():
+    NAMES |= {name: getattr(import_module(module), name) for name in inner}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """An empty folder, in which nothing is written."""
+    before, here = Path.cwd(), tmp_path_factory.mktemp("calls")
+    os.chdir(here)
+    yield here
+    assert list(here.iterdir()) == []
+    os.chdir(before)
+
+
+@pytest.mark.parametrize(
+    "call", [pytest.param(call, id=call.expression) for path in TEXTS for call in calls_of(path.read_text("utf-8"))]
+)
+def test_what_is_called_returns_or_raises(call: Call) -> None:
+    check_call(call, NAMES)
+
+
+@pytest.mark.parametrize(
+    "text", ["1 + 1\n= 3", "1\n! TypeError: x", "int('x')\n! ValueError: y", "int('x')\n! TypeError: x"]
+)
+def test_a_call_can_fail(text: str) -> None:
+    (call,) = calls_of(text)
+    with pytest.raises((AssertionError, pytest.fail.Exception)):
+        check_call(call, {})
+
+
+@pytest.mark.parametrize("text", ["= 1", "1\n2\n= 2"])
+def test_what_is_no_call_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="not an expression"):
+        calls_of(text)
