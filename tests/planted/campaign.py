@@ -62,6 +62,8 @@ def main() -> None:
     done = {_key(result) for result in results}
     with tempfile.TemporaryDirectory(prefix="pc2scan-planted-") as name:
         copy = _copy(Path(name))
+        if (built := _build(copy)).returncode:
+            raise SystemExit(f"the compiled loops cannot be built: {built.stderr.strip()}")
         for fault in faults:
             if _key(fault._asdict()) in done:
                 continue
