@@ -56,8 +56,9 @@ def half_done(source: Path, destination: Path, *options: str) -> Iterator[subpro
     command = [*COMMAND, "convert", str(source), "-o", str(destination), "--keep-clouds", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 60
+        # More than the first transaction of a database, which has 1 MB, and is undone if it is not complete.
         while not any(
-            "partial" in str(path) and path.is_file() and path.stat().st_size > 1_000_000
+            "partial" in str(path) and path.is_file() and path.stat().st_size > 3_000_000
             for path in destination.parent.rglob("*")
         ):
             assert process.poll() is None, "the command ended before it could be interrupted"
