@@ -39,7 +39,7 @@ ROOT = Path(__file__).resolve().parents[2]
 _UNKNOWN = "tests are not found"
 
 #: The modules that call the loops in C, which choose between them and NumPy's when they are imported.
-_CALLS_C = ("core/project.py", "core/occupancy.py", "core/rounding.py", "tf/many.py", "pipeline/stages/deskew.py")
+_CALLS_C = ("core/project.py", "core/occupancy.py", "tf/many.py", "pipeline/stages/deskew.py")
 
 
 def main() -> None:

@@ -35,7 +35,6 @@ __all__ = [
     "forget_begun",
     "read_begun",
     "read_lines",
-    "read_manifest",
     "write_begun",
 ]
 
@@ -162,11 +161,6 @@ class Record:
             attempts=int(line["attempts"]),
             report=line["report"],
         )
-
-
-def read_manifest(path: Path) -> dict[str, Record]:
-    """Return the last line of each recording, by key; empty if there is no manifest. See `read_lines`."""
-    return {record.key: record for record in read_lines(path)}
 
 
 def read_lines(path: Path) -> Iterator[Record]:

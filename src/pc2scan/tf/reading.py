@@ -11,18 +11,16 @@ from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.text import counted, did_you_mean
 
-from .options import FrameOptions
-
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.core.rigid import Rigid, TransformRow
+    from pc2scan.core.rigid import TransformRow
     from pc2scan.model import Connection
 
     from .buffer import TransformBuffer
     from .builder import TransformBuilder
+    from .options import FrameOptions
 
 __all__ = [
     "begun_with",
@@ -30,7 +28,6 @@ __all__ = [
     "collect_transforms",
     "read_some_transforms",
     "read_transforms",
-    "recorded_transforms",
     "tf_connections",
 ]
 
@@ -190,23 +187,3 @@ def read_some_transforms(reader: Reader, options: FrameOptions, time_ns: int) ->
                 continue
     buffer = builder.build()
     return buffer if len(buffer) else None
-
-
-def recorded_transforms(path: Path) -> Callable[[str, str, int], Rigid]:
-    """Read a recording's transforms as a conversion without options does, and return their lookup.
-
-    Returns
-    -------
-    callable
-        ``lookup(target, source, stamp_ns)``; raises TransformError if there is no transform.
-    """
-    from pc2scan.bags.opening import open_recording  # noqa: PLC0415  # callers with a reader do not need it
-    from pc2scan.core.params import ProjectionParams  # noqa: PLC0415
-
-    reader = open_recording(path)
-    try:
-        buffer, _ = read_transforms([reader], FrameOptions())
-    finally:
-        reader.close()
-    tolerance_ns = ProjectionParams().tolerance_ns
-    return lambda target, source, stamp_ns: buffer.lookup(target, source, stamp_ns, tolerance_ns)
