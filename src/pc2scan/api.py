@@ -38,23 +38,6 @@ if TYPE_CHECKING:
     from .streams.clouds import Clouds
     from .streams.scans import Scans
 
-__all__ = [
-    "batch",
-    "check",
-    "clouds",
-    "convert",
-    "diff",
-    "export",
-    "golden",
-    "info",
-    "map",
-    "plot",
-    "repair",
-    "scans",
-    "tf",
-    "view",
-]
-
 
 @takes_options
 def convert(

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     PathText: TypeAlias = str | PathLike[str]
 
-__all__ = ["local_path", "names_in", "path_of", "path_text", "paths_in", "refuse_unknown", "shown"]
-
 #: Maximum number of characters of a value in an error message.
 _LONGEST = 80
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from inspect import Signature
     from typing import Any
 
-__all__ = ["make_callable"]
-
 
 class _CallablePackage(ModuleType):
     """A package that is called like the function of its name in ``pc2scan.api``."""

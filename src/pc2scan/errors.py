@@ -32,31 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
 
-__all__ = [
-    "DamageError",
-    "DecodeError",
-    "DestinationError",
-    "MessageError",
-    "MissingError",
-    "OutputError",
-    "ParameterError",
-    "Pc2ScanError",
-    "RecordingError",
-    "RecordingWarning",
-    "ResultError",
-    "SeveralNodesError",
-    "TopicError",
-    "TransformError",
-    "UnconnectedError",
-    "UnwritableError",
-    "UsageError",
-    "leading",
-    "name_list",
-    "stamp_text",
-    "visible",
-]
-
-
 #: The beginning of a hint in a traceback.
 _HINT = "hint: "
 

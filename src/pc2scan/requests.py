@@ -32,17 +32,6 @@ if TYPE_CHECKING:
     from .streams.stream import Selection
     from .tf.options import FrameOptions
 
-__all__ = [
-    "Conversion",
-    "conversion_of",
-    "destination_of",
-    "first_output",
-    "named_files",
-    "output_of",
-    "params_from_file",
-    "selection_of",
-]
-
 #: Options that are attributes of an output or of a conversion, as they are.
 _OF_A_SCAN = ScanSpec.__dataclass_fields__.keys() - {"topics", "params", "channels", "filters", "remove", "reverse"}
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}

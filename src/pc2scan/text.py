@@ -13,24 +13,6 @@ from .errors import leading, stamp_text, visible
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-__all__ = [
-    "Shown",
-    "Table",
-    "TextEnum",
-    "agreeing",
-    "cells",
-    "count",
-    "counted",
-    "csv_cell",
-    "did_you_mean",
-    "duration",
-    "json_value",
-    "listed",
-    "nearest",
-    "size",
-    "stamp",
-]
-
 #: Maximum number of names that are compared, and their maximum length: recordings may have any number of names.
 _MOST_NAMES = 2_000
 _LONGEST_NAME = 255

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-__all__ = ["InOrder", "Task", "Threads"]
-
 _Result = TypeVar("_Result")
 _Arguments = ParamSpec("_Arguments")
 

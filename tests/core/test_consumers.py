@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from core.consumer_rules import RULES, mrpt_2_5, number_of_range_readings
 from pc2scan.core.consumers import CONSUMERS, expected_by_karto, judge, last_beam
-from pc2scan.core.params import ProjectionParams, beam_count
+from pc2scan.core.layout import beam_count
+from pc2scan.core.params import ProjectionParams
 from pc2scan.core.verdicts import OUTCOMES, Scan, ScanTransforms, Verdict
 
 #: Degrees.

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan import ProjectionParams
-from pc2scan.core.params import MAX_BEAMS, beam_count, float32
+from pc2scan.core.layout import beam_count, float32
+from pc2scan.core.params import MAX_BEAMS
 from pc2scan.errors import ParameterError
 
 ANGLES = st.floats(-7, 7)

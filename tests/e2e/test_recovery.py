@@ -23,8 +23,8 @@ from fuzz.mutants.seeds import Seed
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.run import OutputOptions
 from pc2scan.pipeline.run import run as repaired
+from pc2scan.pipeline.run_files import OutputOptions
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import run

@@ -23,7 +23,8 @@ from pc2scan.cli.damage import recovery_text
 from pc2scan.options.moment import TimeBound
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.report import Report
-from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.pipeline.run import run
+from pc2scan.pipeline.run_files import OutputOptions
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.text import TextEnum
 from support.bounded import size_of, watched

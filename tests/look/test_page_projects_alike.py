@@ -16,7 +16,8 @@ from pc2scan.look.view import view
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.param_sources import resolve_sources
-from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.pipeline.run import run
+from pc2scan.pipeline.run_files import OutputOptions
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from support import GOLDEN, GOLDEN_EXACT, RECORDINGS, needs_shared, sampled
 

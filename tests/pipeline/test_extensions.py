@@ -24,7 +24,8 @@ from pc2scan.messages.outputs import OF_CLOUDS, OutputType
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.pipeline.run import run
+from pc2scan.pipeline.run_files import OutputOptions
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.filters import Frame
 from support.builders import T0

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from .damage import Damage, DamageLog
     from .reader import Reader
 
-__all__ = ["ConcatenatedReader"]
-
 
 class ConcatenatedReader(MergedReader):
     """Reads all recordings of a file as one."""

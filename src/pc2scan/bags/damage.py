@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from pc2scan.errors import DamageError
 
-__all__ = ["MAX_PLACES", "RECOVER", "Damage", "DamageLog", "count_details"]
-
 #: The hint for damage that ended a run.
 RECOVER = "copy the recording again; without `strict` everything readable in it is recovered"
 

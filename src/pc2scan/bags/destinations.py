@@ -20,18 +20,6 @@ if TYPE_CHECKING:
 
     from .splitting import Cut, Part
 
-__all__ = [
-    "Destination",
-    "check_to",
-    "default_destination",
-    "default_storage",
-    "kept_form",
-    "named_after",
-    "open_writer",
-    "plan_destination",
-    "recorded_in",
-]
-
 _METADATA_VERSIONS = (8, 9)
 
 #: Suffixes of formats that are not written; a directory of such a name would be confusing.

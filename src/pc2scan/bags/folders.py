@@ -30,18 +30,6 @@ if TYPE_CHECKING:
 
     from .reader import Reader
 
-__all__ = [
-    "are_named_as_parts",
-    "continues",
-    "groups_of_parts",
-    "is_named_as_recording",
-    "natural_order",
-    "overlap_warnings",
-    "recordings_in",
-    "refuse_unrelated",
-    "several_recordings",
-]
-
 #: Maximum overlap of parts, since a recorder's threads may write a message late: at most this, and at most half of
 #: the shorter part, although such a part may be shorter than that delay.
 _MAX_COMMON_NS = 1_000_000_000

@@ -19,18 +19,6 @@ if TYPE_CHECKING:
     from .reader import Reader
     from .splitting import Cut
 
-__all__ = [
-    "FORMATS",
-    "Format",
-    "ReadOptions",
-    "WriteOptions",
-    "and_list",
-    "chunk_format",
-    "destinations",
-    "file_suffixes",
-    "storages",
-]
-
 
 class ReadOptions(NamedTuple):
     """How a recording is read.

@@ -9,8 +9,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection
 
-__all__ = ["Newest", "is_static", "lasts"]
-
 Item = TypeVar("Item")
 
 

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Generic, TypeVar, overload
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["ITEM_BYTES", "MAX_TOGETHER", "Many", "kept", "mapped"]
-
 _Item = TypeVar("_Item")
 _Other = TypeVar("_Other")
 

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from .damage import Damage
     from .units import Item, Load, Loaded, Unit
 
-__all__ = ["MergedReader", "merged_summary", "unified"]
-
 
 class MergedReader(Reader):
     """Reads several open recordings as one.

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from .reader import Reader
 
-__all__ = ["as_one", "open_recording", "open_recordings", "sniff"]
-
 #: Other files that users try to open.
 _LOOKALIKES = {
     b"\x1f\x8b": "gzip-compressed",

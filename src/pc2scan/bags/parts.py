@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from pc2scan.files.source import SourceFile
 
-__all__ = ["AnotherBeginsError", "PartReader", "note_next", "opened_parts"]
-
 #: Each part takes a file descriptor.
 MAX_PARTS = 64
 

@@ -11,8 +11,6 @@ from pc2scan.files.yaml import dump_yaml, load_yaml
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["latches", "merged_qos", "parsed_qos", "respelled_qos"]
-
 #: A profile takes some 400 characters, and a topic has one for each publisher. Reading more takes seconds.
 MAX_CHARACTERS = 64_000
 

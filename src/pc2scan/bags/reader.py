@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from .damage import Damage
     from .units import Unit
 
-__all__ = ["Reader"]
-
 
 class Reader(ABC):
     """Reads an open recording, unit by unit."""

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, StoredChunk, Writer
     from pc2scan.threads import Threads
 
-__all__ = ["Cut", "Part", "SplitWriter", "narrowed"]
-
 #: More files than this are a unit that was mistaken.
 _MOST_PARTS = 10_000
 

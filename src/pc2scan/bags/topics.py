@@ -12,8 +12,6 @@ from pc2scan.text import did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["find_topic", "find_topics", "is_glob", "matches", "new_topic", "renamed", "short_types"]
-
 
 def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
     """Return the topic of a type by its name, with or without the leading slash.

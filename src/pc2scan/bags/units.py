@@ -24,21 +24,6 @@ if TYPE_CHECKING:
 
     from pc2scan.files.source import SourceFile
 
-__all__ = [
-    "MAX_OPEN_BYTES",
-    "UNKNOWN_START_NS",
-    "Extent",
-    "Handle",
-    "Load",
-    "Loaded",
-    "Timed",
-    "Unit",
-    "by_start",
-    "in_time_order",
-    "loaded",
-    "when_due",
-]
-
 #: Limit of loaded units; beyond it, those needed last are dropped and later loaded again.
 MAX_OPEN_BYTES = 96 << 20
 

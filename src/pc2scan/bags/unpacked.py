@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from .formats import Format, ReadOptions
     from .units import Unit
 
-__all__ = ["UnpackedReader"]
-
 
 class UnpackedReader(Reader):
     """Reads a file that is compressed as a whole from a temporary copy.

@@ -27,18 +27,6 @@ if TYPE_CHECKING:
 
     Messages = list[RawMessage] | Many[RawMessage]
 
-__all__ = [
-    "SUFFIXES",
-    "compressions",
-    "is_frame",
-    "is_zstd",
-    "unpacked_file",
-    "unpacked_head",
-    "unpacked_message",
-    "unpacked_messages",
-    "without_suffix",
-]
-
 #: Bytes that are decompressed at a time. The result, which may be 30,000 times as large, is held in memory.
 _PIECE = 1 << 11
 

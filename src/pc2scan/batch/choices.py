@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from .dataset_file import DatasetFile
 
-__all__ = ["Choices"]
-
 
 class Choices:
     """Finds the options of recordings.

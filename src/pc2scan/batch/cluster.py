@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from .work import Job
     from .workers import Event
 
-__all__ = ["check_dask", "dask_setup", "execute_on_dask"]
-
 #: Seconds between two checks whether a task was cancelled, and between two polls of the events.
 _POLL_SECONDS = 0.5
 

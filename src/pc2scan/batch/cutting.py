@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     from .workers import Event, Executor
 
-__all__ = ["PIECE_BYTES", "count_of", "in_pieces", "is_given_up"]
-
 #: A file beside the pieces of a recording. While it exists, the steps that remain end at once: another one has failed.
 _GIVEN_UP = "given-up"
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from pc2scan.options.values import Value
 
-__all__ = ["DatasetFile", "Entry", "load_dataset_file"]
-
 #: Larger files are refused.
 _MAX_BYTES = 1_000_000
 

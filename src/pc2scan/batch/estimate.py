@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from .manifest import Record
     from .work import Job
 
-__all__ = ["estimated_seconds"]
-
 #: Sizes of recordings that are converted as a sample: smaller ones say little, larger ones take too long.
 _SAMPLE_BYTES = range(1_000_000, 300_000_000)
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from .work import Job
     from .workers import Event, Executor
 
-__all__ = ["count_of", "local", "on_dask"]
-
 
 def count_of(jobs: Sequence[Job]) -> int:
     """Return how many processes could work on these jobs at the same time."""

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     #: Returns the container of a recording that an earlier run has found, by its first path and its files; else "".
     Known = Callable[[Path, Identity], str]
 
-__all__ = ["Found", "find"]
-
 #: Text in the first bytes of a rosbag2 directory's metadata.yaml. Other programs have files of this name, too.
 _METADATA, _METADATA_MARK, _METADATA_HEAD = "metadata.yaml", b"rosbag2_bagfile_information", 4096
 

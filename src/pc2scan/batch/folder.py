@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
-__all__ = ["begun_noted", "check_folder", "locked"]
-
 #: The name of the workers' lock is derived from this.
 _WORKERS = "manifest.jsonl.workers"
 

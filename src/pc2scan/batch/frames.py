@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from typing import BinaryIO
 
-__all__ = ["receive", "send"]
-
 _LENGTH = struct.Struct(">Q")
 
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-__all__ = ["Identity", "checksum_of", "identity_of", "versions"]
-
 #: Versions (such as ETags) of files that are copies of objects in a store, or stand-ins for them, by absolute path.
 versions: dict[str, str] = {}
 

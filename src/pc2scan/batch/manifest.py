@@ -26,18 +26,6 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-__all__ = [
-    "BEGUN",
-    "MANIFEST",
-    "Begun",
-    "Manifest",
-    "Record",
-    "forget_begun",
-    "read_begun",
-    "read_lines",
-    "write_begun",
-]
-
 #: The files that a batch writes into its folder besides the recordings.
 MANIFEST = "manifest.jsonl"
 BEGUN = ".pc2scan-begun.json"

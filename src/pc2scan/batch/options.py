@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from pc2scan.options.call import Options
 
-__all__ = ["BatchOptions"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchOptions:

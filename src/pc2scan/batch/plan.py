@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from .manifest import Record
     from .request import Request
 
-__all__ = ["Choice", "History", "Plan", "Step", "destinations", "make_plan"]
-
 
 @dataclass(frozen=True, slots=True)
 class Choice:

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from .plan import Step
     from .work import Result
 
-__all__ = ["recorded", "refused", "says_the_same"]
-
 
 def refused(step: Step, shown: Callable[[Path], str]) -> Record:
     """Return the line of a recording that is refused; ``shown`` returns a path as users know it."""

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run_files import OutputOptions
 
-__all__ = ["Request", "request_of"]
-
 #: Attributes that do not affect the output: where options come from.
 _PLACES = frozenset({"origins", "place"})
 

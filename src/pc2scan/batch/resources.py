@@ -5,8 +5,6 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["available_bytes", "workers_for"]
-
 #: Memory that is counted for a worker. A conversion with one thread takes less, unless chunks or clouds are very large.
 _WORKER_BYTES = 300_000_000
 

@@ -10,8 +10,6 @@ import re
 from pc2scan.bags.formats import file_suffixes
 from pc2scan.files.numbered import part_name
 
-__all__ = ["first_part", "is_numbered", "whole"]
-
 
 def first_part(output: str) -> str:
     """Return the name of the first part of a result.

@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from .stores import Output
     from .workers import Executor
 
-__all__ = ["run_batch"]
-
 
 def run_batch(
     sources: Sequence[str],

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from .work import Job
     from .workers import Event
 
-__all__ = ["is_remote", "jobs_here"]
-
 #: Bytes by which a result may be larger than its sources: an index, message definitions.
 _BESIDE = 1_000_000
 

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from pc2scan.remote.store import Object, RemotePath
 
-__all__ = ["Output", "Stores"]
-
 _GLOB = frozenset("*?[")
 
 #: The lock of a folder in a store.

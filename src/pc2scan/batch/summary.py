@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from .manifest import Record
     from .plan import Step
 
-__all__ = ["BEGINNINGS", "BatchReport", "Facts", "Outcome", "report_text"]
-
 #: Outcomes from bad to good. Recordings are shown in this order.
 _ORDER = ("died", "failed", "not begun", "empty", "incomplete", "converted", "skipped")
 

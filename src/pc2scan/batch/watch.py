@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from .manifest import Record
     from .plan import Plan
 
-__all__ = ["BatchProgress", "Progress", "Watch"]
-
 
 class BatchProgress(NamedTuple):
     """The progress of a batch: bytes of sources and number of recordings, done and in total."""

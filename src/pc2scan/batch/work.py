@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from .request import Request
 
-__all__ = ["Job", "Result", "Step", "convert_one", "died", "now", "outcome_of"]
-
 #: Outcomes by the exit status of `pc2scan convert`.
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
 

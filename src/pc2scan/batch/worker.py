@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import BinaryIO
 
-__all__ = ["main"]
-
 #: Seconds between two messages about progress.
 _PROGRESS_SECONDS = 0.1
 

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
     from typing import BinaryIO
 
-__all__ = ["Began", "Died", "Ended", "Event", "Executor", "Information", "Progressed", "Queue", "execute"]
-
 #: Seconds that an interrupted worker has to remove its unfinished output.
 _END_SECONDS = 12.0
 

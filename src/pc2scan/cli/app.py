@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from types import FrameType
 
-__all__ = ["COMMANDS", "application"]
-
 #: The commands in the order of the help; each is a function in the module of its name.
 COMMANDS = ("convert", "batch", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
 

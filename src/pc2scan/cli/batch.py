@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pc2scan.options.call import Options
-from pc2scan.text import counted
+from pc2scan.text import counted, size
 
-from .render import say, show_parts, size, warn
+from .render import say, show_parts, warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from pc2scan.batch.plan import Plan
     from pc2scan.batch.summary import BatchReport
     from pc2scan.batch.watch import BatchProgress
-
-__all__ = ["batch"]
 
 
 def batch(

@@ -13,9 +13,6 @@ from .damage import show_damage
 from .render import print_json, say, warn
 from .spelling import as_typed
 
-__all__ = ["check"]
-
-
 #: Maximum number of a topic's frames that are shown.
 _SHOWN = 5
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.stages.filters import Filter
 
-__all__ = ["convert_words"]
-
 
 def convert_words(sources: Sequence[Path], options: ConvertOptions, destination: str) -> list[str]:
     """Return the words of a command that converts the same points of the same topics in the same frames.

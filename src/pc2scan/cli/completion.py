@@ -14,8 +14,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-__all__ = ["choices", "frames", "presets", "topics"]
-
 #: Time limit in seconds; what was found by then is offered.
 _PATIENCE = 1.0
 

@@ -18,8 +18,6 @@ from .render import warn
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = ["convert"]
-
 
 def convert(
     sources: Annotated[

@@ -5,17 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import stamp_text
-from pc2scan.text import counted
+from pc2scan.text import counted, size
 
-from .render import say, size
+from .render import say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.pipeline.report import Report
-
-__all__ = ["DAMAGED", "SHOWN", "recovery_text", "show_damage", "show_recovery"]
 
 #: The exit status of a command that wrote what is recoverable of a damaged source.
 DAMAGED = 3

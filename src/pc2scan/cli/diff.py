@@ -12,8 +12,6 @@ from pc2scan.options.call import Options
 from .render import print_json, say
 from .spelling import as_typed
 
-__all__ = ["diff"]
-
 
 def diff(
     a: Annotated[Path, typer.Argument(metavar="A", help="A recording, the reference.")],

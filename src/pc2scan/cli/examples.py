@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["EXAMPLES"]
-
 #: For each command: what is typed, and what it does.
 EXAMPLES: dict[str, tuple[tuple[str, str], ...]] = {
     "convert": (

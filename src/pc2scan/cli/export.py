@@ -15,8 +15,6 @@ from .progress import progress_bar
 from .render import print_json, say, show_parts, warn
 from .spelling import as_typed
 
-__all__ = ["export"]
-
 
 def export(
     sources: Annotated[

@@ -15,8 +15,6 @@ from .spelling import as_typed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["VERDICTS", "end_without_output", "show_failure"]
-
 #: Commands whose exit status 1 is a verdict; their status for errors is 2.
 VERDICTS = frozenset({"check", "diff", "golden"})
 

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
-__all__ = ["table_lines"]
-
 #: The space between columns, and the smaller one for tables that do not fit otherwise.
 _GAP, _NARROW_GAP = 3, 2
 

@@ -17,8 +17,6 @@ from .spelling import as_typed
 if TYPE_CHECKING:
     from pc2scan.golden.result import CaseResult, GoldenReport
 
-__all__ = ["golden"]
-
 
 def golden(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of cases, or one case.")],

@@ -23,9 +23,6 @@ from .usage import TyperUsageError, in_our_words
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["run_command"]
-
-
 #: Options of ``convert`` that decide where the output is written: a case has none of them.
 _PLACE = {"to", "split", "repeat_latched"}
 

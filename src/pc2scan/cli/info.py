@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from pc2scan.inspect.info import Info
     from pc2scan.tf.mounting import Mounting
 
-__all__ = ["info"]
-
 
 def info(
     sources: Annotated[

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import FrameType
 
-__all__ = ["interruptible", "quiet_interrupts"]
-
 
 def _end(number: int, _frame: FrameType | None) -> None:
     os._exit(128 + number)

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from pc2scan.inspect.check import Check
     from pc2scan.options.call import Options
 
-__all__ = ["junit_output", "of_check", "of_diff", "of_golden"]
-
-
 #: Outcomes of golden cases, and those of JUnit XML; updated cases pass.
 _OUTCOMES: dict[str, Outcome] = {"passed": "passed", "updated": "passed", "failed": "failure", "error": "error"}
 

@@ -14,8 +14,6 @@ from .progress import progress_bar
 from .render import print_json, say, warn
 from .spelling import as_typed
 
-__all__ = ["map"]
-
 #: Maximum number of reasons for skipping that are shown.
 _SHOWN = 5
 

@@ -11,8 +11,6 @@ from pc2scan.pipeline.parameters import from_preset
 if TYPE_CHECKING:
     from pc2scan.pipeline.report import Report
 
-__all__ = ["next_command"]
-
 #: More files than these are written as a pattern.
 _NAMED = 3
 

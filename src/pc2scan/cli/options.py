@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from pc2scan.options.option import Option
 
-__all__ = ["Destination", "PathType", "described", "typed_command"]
-
 #: The functions that read a parameter's number, by its kind.
 _NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 

@@ -10,11 +10,11 @@ from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
 from pc2scan.options.values import in_words
-from pc2scan.text import Table
+from pc2scan.text import Table, duration, size, stamp
 
 from .damage import SHOWN, show_recovery
 from .next_command import next_command
-from .render import duration, say, show_parts, show_table, size, stamp, warn
+from .render import say, show_parts, show_table, warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
     from pc2scan.pipeline.report import Report, Skipped
     from pc2scan.pipeline.scan_spec import ScanSpec
-
-__all__ = ["conclude", "show", "show_next"]
-
 
 #: The text for the frame of scans without a target frame.
 _OWN = "each message's own"

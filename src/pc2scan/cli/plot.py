@@ -13,8 +13,6 @@ from .damage import DAMAGED, show_damage
 from .fonts import fonts_noted_elsewhere
 from .render import warn
 
-__all__ = ["plot"]
-
 
 def plot(
     sources: Annotated[

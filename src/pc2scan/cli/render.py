@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from pc2scan.errors import visible
-from pc2scan.text import Table, cells, count, duration, size, stamp
+from pc2scan.text import Table, cells
 
 from .fitting import table_lines
 from .screen import Screen
@@ -18,19 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from pc2scan.errors import Pc2ScanError
-
-__all__ = [
-    "count",
-    "duration",
-    "print_json",
-    "say",
-    "show_error",
-    "show_parts",
-    "show_table",
-    "size",
-    "stamp",
-    "warn",
-]
 
 
 def say(text: str = "", *, err: bool = False) -> None:

@@ -13,8 +13,6 @@ from .options import Destination
 from .outcome import conclude, show, show_next
 from .render import print_json
 
-__all__ = ["repair"]
-
 
 def repair(
     source: Annotated[

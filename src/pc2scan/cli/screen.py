@@ -10,8 +10,6 @@ import os
 import re
 from typing import Any, TextIO
 
-__all__ = ["Screen", "StdoutError", "width_of"]
-
 #: The smallest width that is used, because no table fits into less.
 _NARROWEST = 40
 

@@ -10,8 +10,6 @@ import re
 
 from pc2scan.options.table import spelling_of
 
-__all__ = ["as_typed"]
-
 _NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from pc2scan.inspect.tf import FrameTree
     from pc2scan.tf.summary import FrameInfo
 
-__all__ = ["tf"]
-
 #: Maximum indentation of the drawing, because a chain may have a million frames.
 _MAX_DEPTH = 60
 _MAX_LINES = 500

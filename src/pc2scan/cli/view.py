@@ -9,14 +9,13 @@ import typer
 
 from pc2scan.errors import leading
 from pc2scan.options.call import Options
+from pc2scan.text import size
 
 from .damage import DAMAGED, show_damage
-from .render import say, size, warn
+from .render import say, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-__all__ = ["view"]
 
 
 def view(

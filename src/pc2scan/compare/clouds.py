@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from .rules import Rules
 
-__all__ = ["cloud_changes", "cloud_values", "field_elements"]
-
 
 def cloud_changes(a: PointCloud2, b: PointCloud2) -> Iterator[Change]:
     """Yield differences other than values: fields, shape, layout, and bytes that belong to no field."""

@@ -27,9 +27,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection, RawMessage
 
-
-__all__ = ["TopicPair", "diff", "diff_sources", "open_source", "paired_streams"]
-
 #: If there are more topics of scans or clouds, they are read together, because one after the other takes too long.
 _MANY_TOPICS = 16
 

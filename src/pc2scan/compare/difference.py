@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pc2scan.core.compare import ArrayDifference
 
-__all__ = ["Change", "MessageDifference", "ValueChange"]
-
 
 @dataclass(frozen=True, slots=True)
 class Change:

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from .match import OpenRecording
 
-__all__ = ["held"]
-
 #: Limit of the bytes held; each message takes some 300 more than its data.
 _MAX_BYTES = 32 << 20
 _MESSAGE_BYTES = 300

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection, RawMessage
 
-__all__ = ["Match", "OpenRecording", "TopicStream", "header_stamp_ns", "matched", "moved_indices"]
-
 
 class OpenRecording(Protocol):
     """The part of an open recording that comparing needs; `pc2scan.bags.reader.Reader` has it."""

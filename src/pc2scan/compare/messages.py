@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from .rules import Rules
 
-__all__ = ["DECODED", "compare_messages"]
-
 #: The types that are compared field by field, in ROS 2's spelling.
 DECODED = frozenset({LASERSCAN, POINTCLOUD2})
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from .rules import Rules
     from .topic_difference import TopicDifference
 
-__all__ = ["compare_others"]
-
 #: The messages of one log time, by the number of their topic.
 _Group = dict[int, list["RawMessage"]]
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from .match import OpenRecording
 
-__all__ = ["Counted"]
-
 #: Pairs of messages between two reports.
 _EVERY = 32
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from .topic_difference import TopicDifference
 
-__all__ = ["Difference"]
-
 
 @dataclass(slots=True, repr=False)
 class Difference(Shown):

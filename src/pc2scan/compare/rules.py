@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from pc2scan.options.call import Options
 
-__all__ = ["GEOMETRY", "IGNORABLE", "Rules"]
-
 #: The single numbers of a LaserScan; they are compared bit for bit.
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
 

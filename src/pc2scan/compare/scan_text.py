@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from pc2scan.messages.pointcloud2 import PointCloud2
 
-__all__ = ["ScanText", "is_scan_text", "open_scan_text", "render_messages"]
-
 _FIRST_LINE = "# pc2scan scan text 1"
 _EXPLAINED = (
     "# Every message to the bit. A scan's lines are beams: the first one's number, then the ranges in metres.",

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from .rules import Rules
 
-__all__ = ["scan_changes", "scan_values"]
-
 
 def scan_changes(a: LaserScan, b: LaserScan) -> Iterator[Change]:
     """Yield differences in geometry, bit for bit."""

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from .topic_difference import MessageTimes, TopicDifference, Unpaired, ValuesFound
 
-__all__ = ["summary"]
-
 #: Stamps of unpaired messages that are shown.
 _SHOWN = 3
 #: Longer values of changed fields are shortened.

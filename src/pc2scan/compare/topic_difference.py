@@ -10,8 +10,6 @@ from pc2scan.text import json_value
 if TYPE_CHECKING:
     from .difference import MessageDifference
 
-__all__ = ["ChangeFound", "MessageTimes", "TopicDifference", "Unpaired", "ValuesFound", "WorstValue"]
-
 #: Maximum number of messages that are listed; all of them are counted.
 MAX_LISTED = 100
 

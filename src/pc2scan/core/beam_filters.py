@@ -18,8 +18,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["between_surfaces", "shadows", "speckles_by_distance", "speckles_by_neighbors"]
-
 #: A return is between two others if it is at least this far behind one and in front of the other, metres ...
 _APART = 0.1
 #: ... and both lines are nearly parallel to the beam: tan of the largest angle between them.

@@ -17,8 +17,6 @@ from pc2scan.errors import UsageError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["EXACT", "ArrayDifference", "Tolerance", "Worst", "compare_arrays", "differing"]
-
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:

@@ -29,8 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .layout import SYMMETRIC_BEAMS, symmetric_sector
-from .params import float32
+from .layout import SYMMETRIC_BEAMS, float32, symmetric_sector
 from .verdicts import Scan, ScanTransforms, Verdict
 
 if TYPE_CHECKING:
@@ -39,8 +38,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .verdicts import Outcome
-
-__all__ = ["CONSUMERS", "expected_by_karto", "has_angles", "judge", "last_beam"]
 
 #: gmapping asserts ``beams < LASER_MAXBEAMS``.
 _GMAPPING_BEAMS = 2048

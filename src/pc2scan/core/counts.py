@@ -10,8 +10,6 @@ from .rule import NO_TIME, NO_TRANSFORM, REJECTIONS
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["PointCounts"]
-
 _REASONS = tuple(rejection.name for rejection in REJECTIONS)
 _MOVING_REASONS = (*_REASONS, NO_TIME.name, NO_TRANSFORM.name)
 _NONE = dict.fromkeys(_REASONS, 0)

@@ -14,8 +14,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["atan2f"]
-
 #: The quotients from which on the next row of the reduction applies.
 _FROM = np.array([7 / 16, 11 / 16, 19 / 16, 39 / 16, 2.0**25], np.float32)
 

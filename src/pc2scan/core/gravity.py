@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["LONGEST_GAP_NS", "up_by_gravity"]
-
 #: The longest time between two samples, nanoseconds, for which the turn in between can be computed.
 LONGEST_GAP_NS = 250_000_000
 

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Ground", "Kind", "Plane", "agreed", "look_at", "planes_of"]
-
 Kind = Literal["level", "tilted", "upside-down", "optical", "unknown"]
 
 _Points: TypeAlias = "NDArray[np.float64]"

@@ -10,20 +10,6 @@ import math
 import struct
 from dataclasses import dataclass, replace
 
-__all__ = [
-    "FULL_TURN",
-    "SYMMETRIC_BEAMS",
-    "TURN",
-    "BeamLayout",
-    "beam_count",
-    "centered_layout",
-    "float32",
-    "half_open_layout",
-    "symmetric_layout",
-    "symmetric_sector",
-    "upstream_layout",
-]
-
 TURN = 2 * math.pi
 
 #: The largest angle, radians. Digits of pi may be missing: 6.2832 is a full turn, and so is -3.15 to 3.15.

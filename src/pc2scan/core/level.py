@@ -13,8 +13,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["LEVEL", "MOST_POINTS", "Floor", "cells_of", "level_floor", "thinned", "tolerances"]
-
 _Points: TypeAlias = "NDArray[np.float64]"
 
 #: How many points of a cloud are used.

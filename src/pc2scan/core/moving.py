@@ -8,8 +8,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["MovingTransform"]
-
 
 class MovingTransform(NamedTuple):
     """Transforms over time, and the time of each point of a cloud.

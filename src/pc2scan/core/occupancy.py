@@ -30,18 +30,6 @@ if TYPE_CHECKING:
 
     from .rigid import Rigid
 
-__all__ = [
-    "FREE",
-    "LONGEST",
-    "OCCUPIED",
-    "UNSEEN",
-    "ObservingBeams",
-    "Occupancy",
-    "OccupancyGrid",
-    "observing_beams",
-    "placed_beams",
-]
-
 #: A rectangle of cells: columns and rows from the first two numbers to the last two (exclusive).
 _Bounds: TypeAlias = tuple[int, int, int, int]
 

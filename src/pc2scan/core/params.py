@@ -16,7 +16,6 @@ from .layout import (
     SYMMETRIC_BEAMS,
     TURN,
     BeamLayout,
-    beam_count,
     centered_layout,
     float32,
     half_open_layout,
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from typing_extensions import Self
-
-__all__ = ["CHOICES", "MAX_BEAMS", "MEASURED", "ProjectionParams", "beam_count", "float32", "range_max_minus"]
 
 #: The most beams. More mean a mistyped increment: a ten-thousandth of a degree over a full circle makes 3.6 million.
 MAX_BEAMS = 4_000_000

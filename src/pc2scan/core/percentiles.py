@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["median", "median_low", "percentiles"]
-
 _Number = TypeVar("_Number", int, float)
 
 

@@ -19,20 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "angles",
-    "apart",
-    "bins_of",
-    "deskew",
-    "follow",
-    "gather",
-    "nodes",
-    "project",
-    "span",
-    "trace",
-    "transformed",
-]
-
 #: How many points are processed at a time: few enough for the cache, and enough that calls of NumPy take little time.
 BLOCK = 16384
 

@@ -13,8 +13,6 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = ["NUMBER", "TIME", "Columns", "Points", "coordinates_of", "values_of"]
-
 
 class Columns(Protocol):
     """Fields of points by name, as in a dict of arrays, a DataFrame, or a `pc2scan.Cloud`."""

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["PRESETS"]
-
 _COMMON: dict[str, float | str] = {
     "geometry": "centered",
     "range_min": 0.1,

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Part", "ProjectedScan", "Projector", "Transform", "compact", "packed", "project"]
-
 #: Rotation (3, 3) and translation (3,), rounded to float32: ``target = rotation @ source + translation``.
 Transform: TypeAlias = "tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]"
 

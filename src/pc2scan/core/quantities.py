@@ -14,17 +14,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = [
-    "ANGLE",
-    "EXAMPLES",
-    "angle_value",
-    "byte_size",
-    "duration_ns",
-    "in_degrees",
-    "quantity",
-    "written_angle",
-]
-
 #: ROS 1's notation of angles.
 ANGLE = re.compile(r"(deg|rad)\((.*)\)")
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .params import ProjectionParams
 
-__all__ = ["extremes", "means", "read", "surfaces", "winners"]
-
 
 def extremes(
     beams: NDArray[Any], ranges: NDArray[np.float32], count: int, *, largest: bool = False

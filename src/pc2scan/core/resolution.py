@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["RING_FIELDS", "azimuth_step"]
-
 #: Fields in which drivers store the number of a point's laser; the first one that a cloud has is used: Velodyne's,
 #: Ouster's, Hesai's and RoboSense's ``ring``, Autoware's ``channel``, Luminar's ``laser_id``, Livox's ``line``.
 RING_FIELDS = ("ring", "channel", "laser_id", "line")

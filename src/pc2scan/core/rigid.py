@@ -24,21 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "IDENTITY_POSE",
-    "Pose",
-    "Rigid",
-    "TransformRow",
-    "are_taken",
-    "compose_poses",
-    "interpolate",
-    "interpolate_poses",
-    "inverse_pose",
-    "lerp",
-    "rotation_matrices",
-    "slerp",
-]
-
 #: Translation x, y, z in metres, then the quaternion x, y, z, w, as published: not exactly of unit length.
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float]
 

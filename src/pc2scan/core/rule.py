@@ -34,17 +34,6 @@ if TYPE_CHECKING:
     from .layout import BeamLayout
     from .params import ProjectionParams
 
-__all__ = [
-    "NO_TIME",
-    "NO_TRANSFORM",
-    "REJECTIONS",
-    "Rejection",
-    "centered_beams",
-    "rule_of",
-    "upstream_beams",
-    "within",
-]
-
 
 class Rejection(NamedTuple):
     """A reason why points are rejected.

@@ -26,8 +26,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Terrain", "on_ground"]
-
 #: How many directions there are, and the cells along each: the first is twenty centimetres long, each next one 4 %
 #: longer.
 _SECTORS = 180

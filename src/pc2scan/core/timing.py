@@ -18,18 +18,6 @@ if TYPE_CHECKING:
 
     from .layout import BeamLayout
 
-__all__ = [
-    "TIME_FIELDS",
-    "TIME_UNITS",
-    "Sweep",
-    "azimuth_times",
-    "beam_times",
-    "fit_sweep",
-    "median_interval_ns",
-    "offset_and_unit",
-    "point_times",
-]
-
 #: Fields in which drivers store a point's time; the first one that a cloud has is used: Ouster's ``t``, Velodyne's
 #: ``time``, Hesai's, RoboSense's and Livox's ``timestamp``, Autoware's ``time_stamp``, Livox's ``offset_time``.
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")

@@ -20,17 +20,6 @@ from .rigid import rotation_matrices, slerp
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "RejectedBeams",
-    "Transform",
-    "UnprojectParams",
-    "UnprojectedScan",
-    "beam_angles",
-    "deskew",
-    "last_beam_ns",
-    "unproject",
-]
-
 #: ROS 1 stores the seconds of a duration in 32 bits.
 _LONGEST = 2**31
 

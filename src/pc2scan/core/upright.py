@@ -10,8 +10,6 @@ from .rigid import Rigid
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Up", "tilt", "up_in", "upright"]
-
 #: A direction of unit length: x, y, z.
 Up: TypeAlias = tuple[float, float, float]
 

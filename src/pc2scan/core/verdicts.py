@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from .params import float32, range_max_minus
+from .layout import float32
+from .params import range_max_minus
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-__all__ = ["OUTCOMES", "Outcome", "Scan", "ScanTransforms", "Verdict", "are_returns"]
 
 Outcome = Literal["accepted", "shifted", "misplaced", "ignored", "aborts"]
 

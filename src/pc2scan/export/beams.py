@@ -9,8 +9,6 @@ from pc2scan.errors import UsageError, stamp_text
 if TYPE_CHECKING:
     from pc2scan.streams.scans import Scan
 
-__all__ = ["SameBeams"]
-
 
 class SameBeams:
     """Compares each scan with the first one.

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from .poses import PosesAtStamp
 
-__all__ = ["CarmenWriter", "FlaserWriter"]
-
 #: The name of the computer in each line; readers need one word.
 _HOST = "pc2scan"
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = ["CloudFolder"]
-
 
 class CloudFolder:
     """A new folder.

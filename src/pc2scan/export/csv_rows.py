@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from .poses import PosesAtStamp
 
-__all__ = ["CsvWriter"]
-
 #: Numbers of a scan that are float32 in the message.
 _GEOMETRY = ("angle_min", "angle_increment", "time_increment", "scan_time", "range_min", "range_max")
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["float32_text", "float32_texts", "planar"]
-
 
 def float32_text(value: float) -> str:
     """Return the shortest text that float32 reads back as this value: ``nan``, ``inf``, ``1.5707964``."""

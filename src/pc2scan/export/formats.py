@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from .poses import PosesAtStamp
 
-__all__ = ["FORMATS", "Format", "Writer", "format_of"]
-
 
 class Writer(Protocol):
     """Writes the messages of one topic."""

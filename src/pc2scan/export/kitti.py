@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from .poses import PosesAtStamp
 
-__all__ = ["KittiWriter"]
-
 #: Files beside the clouds.
 _FURTHER = ("times.txt", "stamps.txt", "poses.txt")
 

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["file_names"]
-
 #: The longest name: file systems allow 255 bytes, and staging adds an ending.
 _LONGEST = 120
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from .poses import PosesAtStamp
 
-__all__ = ["NpzWriter"]
-
 #: How many bytes are copied at a time.
 _PIECE = 1 << 20
 

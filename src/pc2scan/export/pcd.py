@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from .poses import PosesAtStamp
 
-__all__ = ["PcdWriter"]
-
 _WORD = re.compile(r"[!-~]+")
 
 #: NumPy's kinds of numbers, and PCD's.

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.options import FrameOptions
 
-__all__ = ["PoseOptions", "Poses", "PosesAtStamp", "open_poses"]
-
 #: Usual names of the robot's frame, the best one first.
 _BASES = ("base_link", "base_footprint")
 

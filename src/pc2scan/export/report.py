@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
 
-__all__ = ["ExportReport", "ExportedTopic"]
-
 #: How many reasons for skipping are shown.
 _SHOWN = 5
 

@@ -39,12 +39,10 @@ if TYPE_CHECKING:
     from pc2scan.files.records import Record
     from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.run import Progress
+    from pc2scan.pipeline.stream import Progress
 
     from .formats import Format, Writer
     from .poses import Poses
-
-__all__ = ["ExportOptions", "run"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,8 +10,6 @@ from pc2scan.files.source import NewFile
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["TextFile"]
-
 #: How many characters are buffered.
 _MOST = 1 << 18
 

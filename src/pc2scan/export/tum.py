@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .poses import PosesAtStamp
 
-__all__ = ["TumWriter"]
-
 
 class TumWriter:
     """Writes one line for each scan: its stamp, with all nine digits, and the robot's pose. Stamps ascend."""

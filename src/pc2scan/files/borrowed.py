@@ -6,8 +6,6 @@ from contextlib import suppress
 from threading import RLock
 from weakref import ref
 
-__all__ = ["Borrowed", "Buffers", "Kept", "Memory", "keep"]
-
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.
 _ROUNDED_TO = 1 << 20
 

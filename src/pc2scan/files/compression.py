@@ -12,19 +12,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = [
-    "LZ4_MAGIC",
-    "ZSTD_MAGIC",
-    "CompressionError",
-    "Decoder",
-    "Decompressed",
-    "compress",
-    "decoder",
-    "decompress",
-    "zstd_content_size",
-    "zstd_head",
-]
-
 #: The first bytes of every LZ4 frame.
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
 

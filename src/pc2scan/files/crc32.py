@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = ["crc32", "crc32_combined"]
-
 #: For fewer bytes, zlib is faster than loading the other library.
 _WORTH_LOADING = 1 << 18
 

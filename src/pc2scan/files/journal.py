@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-__all__ = ["Journal", "complete", "finished", "undo"]
-
 
 class Journal(NamedTuple):
     """The files that a run is about to rename, and those that it replaces.

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["JUnitCase", "Outcome", "junit_file", "junit_xml"]
-
 #: The first bytes of such a file; a file with these may be replaced.
 _BEGINNING = b'<?xml version="1.0" encoding="utf-8"?>\n<testsuites>\n  <testsuite name="pc2scan '
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection
 
-__all__ = ["MAX_CONNECTIONS", "MAX_FILE_RATIO", "MAX_MAP_CELLS", "MAX_UNPACKED", "ConnectionLimit", "allowed_bytes"]
-
 #: Size to which any chunk or message may be decompressed, even if it is stored in few bytes.
 MAX_UNPACKED = 32 << 20
 

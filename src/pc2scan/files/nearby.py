@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-__all__ = ["missing_hint"]
-
 #: Maximum number of a directory's entries that are compared.
 _MOST = 2_000
 

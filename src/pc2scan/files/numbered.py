@@ -9,8 +9,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-__all__ = ["part_name", "part_number", "parts_among", "parts_beside"]
-
 
 def part_name(name: str, number: int) -> str:
     """Return the name of a part of a recording: ``drive.bag`` becomes ``drive_0.bag``."""

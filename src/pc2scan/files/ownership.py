@@ -42,21 +42,6 @@ if TYPE_CHECKING:
     from .records import FolderRecord, Left, Record
     from .same_file import FileId
 
-__all__ = [
-    "InputPath",
-    "Inputs",
-    "OutputPath",
-    "Ruling",
-    "check_existing",
-    "check_kind",
-    "exists_already",
-    "first_link",
-    "inputs_of",
-    "refuse_others",
-    "refuse_overlap",
-    "ruling",
-]
-
 #: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
 

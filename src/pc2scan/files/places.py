@@ -14,19 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = [
-    "JOURNAL",
-    "LEFTOVERS",
-    "LOCK",
-    "OLD",
-    "PARTIAL",
-    "check_length",
-    "check_new_folder",
-    "check_place",
-    "made_folder",
-    "working_names",
-]
-
 PARTIAL = ".pc2scan-partial"
 OLD = ".pc2scan-old"
 LOCK = f"{PARTIAL}.lock"

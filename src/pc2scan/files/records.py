@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     #: Reads the record of what is in a folder; text if there is none: the reason.
     FolderRecord = Callable[[Path], "Record | str"]
 
-__all__ = ["RECORD", "Left", "Record", "files_below", "is_as_left", "left_now", "read_record", "write_record"]
-
 #: The record in an exported folder.
 RECORD = ".pc2scan-files.json"
 

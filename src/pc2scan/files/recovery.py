@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .records import Record
 
-__all__ = ["recover"]
-
 
 def recover(dst: Path, *, keep_journal: bool = False) -> Record | None:
     """Undo or complete what a run left that died while it wrote a destination; the caller holds the destination's lock.

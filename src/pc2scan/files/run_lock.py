@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["only_run"]
-
 
 @contextmanager
 def only_run(dst: Path) -> Iterator[int]:

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from .compression import Decoder
 
-__all__ = ["SIZE_LIMIT", "decompressed_prefix"]
-
 #: A damaged chunk is decompressed up to this size even if it declares less: its declared size may be damaged too.
 SIZE_LIMIT = 16 << 20
 

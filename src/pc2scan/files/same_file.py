@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["FileId", "file_ids", "name_key", "path_key", "places"]
-
 #: Device and inode.
 FileId = tuple[int, int]
 

@@ -22,19 +22,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-
-__all__ = [
-    "FreeIds",
-    "NewFile",
-    "SourceFile",
-    "changed_while_read",
-    "file_beside",
-    "on_demand",
-    "opened_bytes",
-    "opened_text",
-    "state_of",
-]
-
 _Result = TypeVar("_Result")
 
 #: Sizes that are read into a reused buffer. Memory for fewer bytes costs no page faults, and a larger buffer would take

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["check_parts", "staged_parts", "staying"]
-
 
 def check_parts(dst: Path, *, overwrite: bool, owned: Record | None = None) -> None:
     """Raise what `staged_parts` would raise at its beginning, as far as that is known without writing anything.

@@ -20,18 +20,6 @@ if TYPE_CHECKING:
 
     from .records import FolderRecord, Record
 
-__all__ = [
-    "check_destination",
-    "clean_up",
-    "note_renaming",
-    "note_written",
-    "prepared",
-    "rename_file",
-    "staged",
-    "sync",
-    "written",
-]
-
 #: The beginning of the names of a run's internal files.
 _PRIVATE = ".pc2scan-"
 

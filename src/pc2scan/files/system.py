@@ -12,18 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-__all__ = [
-    "BINARY",
-    "REFUSES_LINKS",
-    "lock",
-    "read_at",
-    "remove",
-    "sought_and_read",
-    "sync_directory",
-    "sync_file",
-    "unusable_name",
-]
-
 #: Windows would translate line ends in files that are opened without it.
 BINARY = getattr(os, "O_BINARY", 0)
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from tempfile import TemporaryDirectory
 
-__all__ = ["making_copy", "private_folder", "sqlite_is_full"]
-
 _HINT = "free space there, or set the environment variable TMPDIR to another folder"
 
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from .records import Record
 
-__all__ = ["check_text_output", "file_output", "files_output", "text_output"]
-
 
 @contextmanager
 def text_output(path: Path, *, beginning: bytes, overwrite: bool) -> Iterator[Callable[[str], None]]:

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from pc2scan.threads import Threads
 
-__all__ = ["WriteAhead"]
-
 Prepared = TypeVar("Prepared")
 
 #: Bytes that may wait for each thread.

@@ -6,9 +6,6 @@ import io
 import re
 from typing import Any
 
-__all__ = ["MAX_CHARACTERS", "dump_yaml", "load_yaml"]
-
-
 #: rosbag2 writes some 600 characters a topic. The library takes up to 300 bytes and 20 microseconds for each character.
 MAX_CHARACTERS = 800_000
 

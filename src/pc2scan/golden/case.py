@@ -19,8 +19,6 @@ from pc2scan.text import did_you_mean, nearest
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["EXPECTED_TEXT", "KEYS", "SETTINGS", "Case", "case_folders", "is_case", "load_case"]
-
 EXPECTED_TEXT = "expected.txt"
 _EXPECTED = (EXPECTED_TEXT, "expected.bag", "expected.mcap", "expected")
 _INPUTS = ("input.bag", "input.mcap", "input.db3", "input")

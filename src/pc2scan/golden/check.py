@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from .case import Case
 
-__all__ = ["Command", "Ended", "check_case", "refuse_output_over_cases"]
-
 #: The names of the two sides.
 NAMES = ("expected", "actual")
 

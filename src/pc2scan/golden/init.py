@@ -16,7 +16,8 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.options.moment import bound_of
 from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.run import OutputOptions, run
+from pc2scan.pipeline.run import run
+from pc2scan.pipeline.run_files import OutputOptions
 
 from .check import check_case
 
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from pc2scan.options.moment import Time, TimeBound
 
     from .check import Command
-
-__all__ = ["NewCase", "make_case"]
 
 #: Types that conversions read besides clouds and scans.
 _ALSO_READ = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "sensor_msgs/msg/Imu"}

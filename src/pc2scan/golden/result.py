@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from pc2scan.compare.result import Difference
 
-__all__ = ["CaseOutcome", "CaseResult", "GoldenReport"]
-
 
 class CaseOutcome(TextEnum):
     """The outcome of a case."""

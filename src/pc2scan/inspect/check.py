@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 #: How many frames, and how many damaged places, are shown as text.
 _MAX_SHOWN = 5
 
-__all__ = ["Check", "ConsumerCheck", "TopicCheck", "check"]
-
 #: How many scans are between two calls of the progress function.
 _PROGRESS_EVERY = 64
 

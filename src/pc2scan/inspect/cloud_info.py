@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import Frames
 
-__all__ = ["CloudInfo", "CloudLook"]
-
 #: The width of the largest bar of the histogram of heights, and how many bars it has.
 _BAR = 40
 _BINS = 12

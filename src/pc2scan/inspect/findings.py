@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Finding", "Level", "Tally", "few_unplaced", "finding"]
-
 #: ``defect``: violates the definition of the message, or makes scans useless. ``notice``: worth knowing.
 Level = Literal["defect", "notice"]
 

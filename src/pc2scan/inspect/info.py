@@ -22,7 +22,6 @@ from pc2scan.tf.reading import read_some_transforms, read_transforms
 from .cloud_info import CloudInfo, CloudLook
 from .sampling import sampled
 from .scan_info import ScanInfo, ScanLook
-from .spread import Spread
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -33,8 +32,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, Summary
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
-
-__all__ = ["CloudInfo", "FileInfo", "Info", "ScanInfo", "Spread", "TopicInfo", "ground_text", "info"]
 
 #: How many damaged places are shown as text.
 _MAX_SHOWN = 5

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["frames_in", "topics_in"]
-
 
 def topics_in(paths: Iterable[Path], endings: tuple[str, ...] = ()) -> Iterator[str]:
     """Yield the topics of recordings, of types with these endings, or of any type."""

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
 
-__all__ = ["sampled"]
-
 #: How often, for each sample, a stream may be opened only for the topics that lack it.
 _NARROWED = 4
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.verdicts import Scan
 
-__all__ = ["ScanFilling"]
-
 #: A scan is a part of a turn if all its returns are in a sector of less than this share of its directions, and less
 #: than this share of them in directions in which the scan before it has returns.
 _PART = 0.5

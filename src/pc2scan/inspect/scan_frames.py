@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from .findings import Level
 
-__all__ = ["BASE_FRAMES", "ScanFrames"]
-
 #: The usual names of a robot's body; the first that exists is used.
 BASE_FRAMES = ("base_link", "base_footprint")
 

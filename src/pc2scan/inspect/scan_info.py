@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from pc2scan.model import RawMessage
     from pc2scan.text import Table
 
-__all__ = ["ScanInfo", "ScanLook"]
-
 
 @dataclass(frozen=True, slots=True)
 class ScanInfo:

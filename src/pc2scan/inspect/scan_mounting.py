@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
 
-__all__ = ["mounting_findings"]
-
 #: How many clouds of a topic are searched for the ground.
 _CLOUDS = 3
 

@@ -11,8 +11,6 @@ from pc2scan.text import agreeing, counted
 
 from .findings import Finding, Tally, finding
 
-__all__ = ["ScanStamps"]
-
 #: Intervals between stamps are counted in classes with this ratio, 1 %, so that their median needs little memory.
 _CLASS = math.log(1.01)
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from pc2scan.messages.laserscan import LaserScan
 
-__all__ = ["Judged", "ScanTopic"]
-
 #: A median range from here on is taken for millimetres: no lidar sees half a kilometre in most directions.
 _MILLIMETRES = 500.0
 

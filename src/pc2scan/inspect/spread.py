@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Spread", "count_range", "finite", "spread_of", "spread_table"]
-
 #: Numbers of float64 beyond this count as infinite.
 _LARGEST = 1e300
 

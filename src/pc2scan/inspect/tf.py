@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.summary import FrameInfo, Tree
 
-__all__ = ["FrameTree", "frame_tree"]
-
 #: How many damaged places are shown as text.
 _MAX_SHOWN = 5
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from .shots import Shot, Shots
 
-__all__ = ["MOST_BYTES", "clouds_page"]
-
 #: Maximum size of all compressed clouds of a page, in bytes. As text in the page they take a third more.
 MOST_BYTES = 10_500_000
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from pc2scan.compare.rules import Rules
     from pc2scan.model import RawMessage
 
-__all__ = ["compared_view"]
-
 #: Maximum number of moments on a page.
 _MOST = 20
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
     from pathlib import Path
 
-__all__ = ["BEGINNING", "check_page_name", "html", "script", "style"]
-
 #: The first bytes of every page; a file that begins like this may be replaced by another page.
 BEGINNING = b"<!doctype html>\n<!-- pc2scan view -->\n"
 

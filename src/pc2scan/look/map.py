@@ -31,12 +31,10 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.run import Progress
+    from pc2scan.pipeline.stream import Progress
 
     from .map_options import MapOptions
     from .map_result import Map
-
-__all__ = ["map_of", "write_map"]
 
 
 def write_map(

@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     from .map_options import MapOptions
 
-__all__ = ["Drawing"]
-
 #: A scan is tilted if the cosine between its z axis and the map's is below this: 5 degrees.
 _LEVEL = math.cos(math.radians(5))
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["image_of", "map_paths", "yaml_of"]
-
 _FREE, _OCCUPIED, _UNKNOWN = 254, 0, 205
 
 

@@ -11,8 +11,6 @@ from pc2scan.errors import UsageError
 if TYPE_CHECKING:
     from pc2scan.options.call import Options
 
-__all__ = ["MapOptions"]
-
 #: Limits of the side of a cell, metres: smaller cells are finer than any lidar measures, larger ones show nothing.
 _FINEST, _COARSEST = 0.001, 1.0
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.occupancy import Occupancy
 
-__all__ = ["picture_of"]
-
 _UNKNOWN_COLOUR, _FREE_COLOUR, _OCCUPIED_COLOUR = (226, 231, 236), (255, 255, 255), (23, 34, 46)
 _INK, _WAY, _LINES, _WHITE = "#17222e", "#d1495b", "#0b6e99", "#ffffff"
 #: The axes of a frame, as RViz colours them.

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.text import Table
 
-__all__ = ["Map", "NotDrawn", "contents_of"]
-
 #: How many reasons for skipping, and damaged places, are shown as text.
 _MAX_SHOWN = 5
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
     from pc2scan.pipeline.options import ConvertOptions
 
-__all__ = ["moment", "spread"]
-
 #: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
 _FIRST_DATE_NS = 100_000_000 * 1_000_000_000
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
 
-__all__ = ["Opened", "opened", "title_of"]
-
 
 class Opened(NamedTuple):
     """A recording, others that were read for their transforms, and the transforms (None if there are none)."""

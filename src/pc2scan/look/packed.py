@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["described", "packed"]
-
 #: The level of compression; higher ones take longer and gain almost nothing for measured values.
 _LEVEL = 6
 

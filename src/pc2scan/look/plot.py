@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from .shots import Shot, Shots
 
-__all__ = ["FORMATS", "Plotted", "plot"]
-
 #: The formats of figures, by the suffix of the file.
 FORMATS = ("png", "svg", "pdf")
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["blend", "coverage", "disc", "png", "strokes", "text_width"]
-
 #: Numbers and a few letters as lines, in a box of 4 by 6 from its lower left corner: x and y of each point.
 _GLYPHS: dict[str, tuple[float, Sequence[Sequence[tuple[float, float]]]]] = {
     "0": (4, [[(2, 6), (0.6, 5.2), (0, 3), (0.6, 0.8), (2, 0), (3.4, 0.8), (4, 3), (3.4, 5.2), (2, 6)]]),

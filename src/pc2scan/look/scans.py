@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
 
-__all__ = ["findings", "layer", "scan_connections", "scans_page"]
-
-
 #: The pose of a scan that is shown in its own frame.
 _HERE = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 

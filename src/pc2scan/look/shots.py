@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement
 
-__all__ = ["Shot", "Shots", "take_shots"]
-
 #: Fields that a picture can show besides x, y and z.
 _MOST_FIELDS = 8
 

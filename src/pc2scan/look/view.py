@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
 
-__all__ = ["Page", "page_of", "view"]
-
 #: Clouds and scans of a topic on one page. All of them are in memory until the page is written, and share its size.
 _MOST_CLOUDS = 1_000
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from .laserscan import LaserScan
 
-__all__ = ["ScanPoints", "beams_of", "unprojected"]
-
 
 class ScanPoints(NamedTuple):
     """The returns of a LaserScan.

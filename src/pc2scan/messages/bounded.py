@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = ["BoundedTypes"]
-
 #: At the end of a message, the generated functions may skip to the alignment of a member that does not exist.
 _MAX_PADDING = 7
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from .pointcloud2 import PointCloud2
 
-__all__ = ["CLOUDS", "Decode", "message_of"]
-
 #: A decoder: returns the points of a message's bytes, or raises a `DecodeError`. Threads may share one.
 Decode: TypeAlias = Callable[[Buffer], Points]
 

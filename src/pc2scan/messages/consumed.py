@@ -9,8 +9,6 @@ from pc2scan.core.verdicts import Scan
 if TYPE_CHECKING:
     from .laserscan import LaserScan
 
-__all__ = ["consumed_scan"]
-
 
 def consumed_scan(message: LaserScan) -> Scan:
     """Return a decoded scan in the form that the consumers' rules need."""

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from pc2scan.model import Definition, normalized_type
 
-__all__ = ["TYPES", "definition"]
-
 #: md5sum and RIHS01 hash by type. The tests compute both again.
 _DIGESTS = {
     "sensor_msgs/msg/LaserScan": (

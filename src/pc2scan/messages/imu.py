@@ -10,8 +10,6 @@ from .wire import Cursor
 if TYPE_CHECKING:
     from pc2scan.model import Buffer
 
-__all__ = ["IMU", "Imu", "decode_imu"]
-
 #: The type in ROS 2's spelling.
 IMU = "sensor_msgs/msg/Imu"
 

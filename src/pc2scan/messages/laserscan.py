@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = ["LASERSCAN", "LaserScan", "decode_laserscan", "encode_laserscan"]
-
 #: The type in ROS 2's spelling.
 LASERSCAN = "sensor_msgs/msg/LaserScan"
 

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import TransformRow
     from pc2scan.model import Buffer
 
-__all__ = ["ODOMETRY", "decode_odometry"]
-
 #: The type in ROS 2's spelling.
 ODOMETRY = "nav_msgs/msg/Odometry"
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Definition
 
-__all__ = ["OF_CLOUDS", "OF_SCANS", "OutputType"]
-
 Message = TypeVar("Message")
 
 

@@ -19,18 +19,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = [
-    "DATATYPES",
-    "POINTCLOUD2",
-    "CloudDecoder",
-    "PointCloud2",
-    "PointField",
-    "StructuredCloud",
-    "decode_pointcloud2",
-    "encode_pointcloud2",
-    "encode_structured",
-]
-
 #: The type in ROS 2's spelling.
 POINTCLOUD2 = "sensor_msgs/msg/PointCloud2"
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import TransformRow
     from pc2scan.model import Buffer
 
-__all__ = ["TF_TYPES", "decode_transforms", "encode_transforms"]
-
 #: The types that this module decodes, in ROS 2's spelling (`pc2scan.model.normalized_type`).
 TF_TYPES = frozenset({"tf/msg/tfMessage", "tf2_msgs/msg/TFMessage"})
 

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from .bounded import BoundedTypes
     from .schema import Schema, Struct
 
-__all__ = ["DEFAULT_DISTRO", "DISTROS", "Transcoding", "defined", "transcoder"]
-
 #: ROS 2's distributions whose message sets rosbags has, and ROS 1's last distribution.
 DISTROS = (
     "dashing",

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from .laserscan import LaserScan
     from .pointcloud2 import PointCloud2
 
-__all__ = ["BEAM", "SOURCE", "UsedPoints", "gathered"]
-
 #: The field with the number of the beam. If the cloud has such a field, ``scan_`` precedes its name.
 BEAM = "beam"
 

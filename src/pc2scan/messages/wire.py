@@ -18,8 +18,6 @@ from pc2scan.errors import DecodeError
 if TYPE_CHECKING:
     from pc2scan.model import Buffer
 
-__all__ = ["MAX_CACHED_BYTES", "Cursor", "Packer"]
-
 #: Parts that messages have in common are kept if they are no longer than this: an untrusted recording may have
 #: thousands of topics with megabytes each. Real parts take some 200 bytes.
 MAX_CACHED_BYTES = 1 << 10

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from .option import Option
 
-__all__ = ["CALL", "Options"]
-
 #: The origin of parameters that are given as keywords in Python.
 CALL = "the call"
 

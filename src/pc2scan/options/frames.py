@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from .call import Options
 
-__all__ = ["frames_of"]
-
 _NAMES = ("static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
 
 

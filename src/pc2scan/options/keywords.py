@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .option import Option
 
-__all__ = ["takes_options"]
-
 _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 

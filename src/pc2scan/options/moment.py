@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     #: The types that a time may have; see `TimeBound.of`.
     Time: TypeAlias = str | float | datetime | timedelta | np.datetime64 | np.timedelta64 | np.number[Any]
 
-__all__ = ["TimeBound", "bound_of"]
-
 #: Larger numbers are points in time, not seconds from the beginning: no recording lasts three years.
 _ABSOLUTE_SECONDS = 100_000_000
 #: Larger whole numbers are nanoseconds: as seconds they would be after the year 5000.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from .option import Option
 
-__all__ = ["dataset_schema", "scans_schema", "schema_text"]
-
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
 _TEXT = {"type": "string"}
 _TEXTS = {"anyOf": [_TEXT, {"type": "array", "items": _TEXT, "minItems": 1}]}

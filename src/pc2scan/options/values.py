@@ -19,29 +19,6 @@ from pc2scan.text import did_you_mean
 if TYPE_CHECKING:
     from typing import Any
 
-__all__ = [
-    "Count",
-    "Duration",
-    "Flag",
-    "Moment",
-    "Moments",
-    "Number",
-    "Object",
-    "Outputs",
-    "PathName",
-    "PathNames",
-    "Preset",
-    "Share",
-    "Size",
-    "Switch",
-    "Text",
-    "Texts",
-    "Tolerances",
-    "Value",
-    "in_words",
-    "nanoseconds_of",
-]
-
 #: The longest time in seconds that a scan may be made of.
 _LONGEST = 86_400.0
 

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from pc2scan.core.verdicts import Outcome, Verdict
     from pc2scan.model import Buffer
 
-__all__ = ["ghosts", "refusal"]
-
-
 #: What a consumer does with scans by its verdict, as part of a sentence.
 _DOES: dict[Outcome, str] = {
     "shifted": "would turn these scans by up to one beam",

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
     from pc2scan.options.moment import TimeBound
 
-__all__ = ["Unconnected", "idle_cut", "refuse_no_messages", "refuse_outside"]
-
 #: How many of the first messages must fail before a user is warned.
 _LOOKED_AT = 10
 

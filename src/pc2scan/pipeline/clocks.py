@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from .stream import Span
 
-__all__ = ["are_doubtful", "doubtful_clocks", "logged_early"]
-
 #: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
 _MESSAGES = {True: 3, False: 50}
 

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from .scan_spec import ScanSpec
 
-__all__ = ["CloudChecks", "Sample", "sample_of"]
-
 #: How many points of a cloud are sampled.
 _POINTS = 2_000
 

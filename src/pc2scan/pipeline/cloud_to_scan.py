@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from .stages.filters import Filter
     from .stages.place import Placed
 
-__all__ = ["CloudToScan"]
-
 
 class _Beams:
     """The parts that all scans of a topic share: their beams, and the projection to them."""

@@ -17,8 +17,6 @@ from .parameters import expected
 if TYPE_CHECKING:
     from os import PathLike
 
-__all__ = ["is_about", "without_content", "without_value"]
-
 _PLACE = r"(?:, |: )((?:line|entry) \d+(?:, column \d+)?)"
 
 

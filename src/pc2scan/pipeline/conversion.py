@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     #: One step between the decoded message and the result.
     Step: TypeAlias = Callable[[Any], Any]
 
-__all__ = ["Conversion", "Converted", "Measured", "Result", "converter"]
-
 
 # Instances are never changed. They are neither frozen nor named tuples, because creating those takes two to three times
 # as long, for every message.

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection, Writer
 
-__all__ = ["Declarations"]
-
 _COMMENT = rb"#[^\n]*"
 
 

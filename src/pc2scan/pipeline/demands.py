@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from .report import Report
     from .topic_report import TopicReport
 
-__all__ = ["refuse_nothing", "refuse_unsatisfied"]
-
 
 def refuse_nothing(report: Report) -> None:
     """Raise if no message was converted.

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from .report import Report
     from .scan_spec import ScanSpec
 
-__all__ = ["Candidate", "FirstClouds", "Sampled", "TopicClouds"]
-
 #: How many clouds are judged together if the first one is not enough.
 _CLOUDS = 3
 

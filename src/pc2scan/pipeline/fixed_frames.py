@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .stream import Span
 
-__all__ = ["check_fixed_frame", "first_frame"]
-
 
 def check_fixed_frame(
     reader: Reader,

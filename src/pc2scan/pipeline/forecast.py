@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from .routes import OpenRoute
     from .scan_spec import ScanSpec
 
-__all__ = ["forecast"]
-
 #: How many of the first messages of a topic are converted, not counting those that fail, and how many are read at most,
 #: if there are transforms.
 _CONVERTED = 3

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .stream import Span
 
-__all__ = ["check_given_frames"]
-
 #: No sensor is this far from its robot, metres; in millimetres all but the nearest are.
 _FAR = 20.0
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .scan_spec import ScanSpec
 
-__all__ = ["doubts", "refuse_unusable"]
-
 #: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
 _COARSE = 0.2
 

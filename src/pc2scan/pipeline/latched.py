@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.units import Item
     from pc2scan.model import RawMessage
 
-__all__ = ["latched_at"]
-
 
 def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Unit:
     """Return the messages that are valid when a cut begins, with its time.

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from .parameters import Direction
 
-__all__ = ["LaunchNode", "LaunchParam", "LaunchText", "is_launch_xml", "launch_node"]
-
 #: Maximum number of levels of nested elements.
 _MAX_DEPTH = 50
 

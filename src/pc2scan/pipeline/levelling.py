@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .topic_report import TopicReport
 
-__all__ = ["LevelFrames", "Ups", "tf_connection"]
-
 _TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
 

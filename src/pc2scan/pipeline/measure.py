@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
     from .scan_spec import ScanSpec
 
-__all__ = ["measure"]
-
 #: How many clouds are read to measure the scan time, and how many to measure the time and the width of a beam.
 FIRST_CLOUDS = 51
 SWEEPS = 11

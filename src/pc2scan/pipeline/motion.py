@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["Motion"]
-
 
 class Motion(NamedTuple):
     """The largest distance of the sensor from its pose at the scan's time: metres and radians.

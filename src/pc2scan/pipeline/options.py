@@ -15,8 +15,6 @@ from .scan_spec import ScanSpec
 if TYPE_CHECKING:
     from pc2scan.options.moment import TimeBound
 
-__all__ = ["ConvertOptions", "destination_and_folder"]
-
 
 def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
     """Return the destination, or the folder to write into if the text ends with a slash or is a dot.

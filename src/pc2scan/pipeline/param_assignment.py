@@ -7,8 +7,6 @@ from pc2scan.errors import ParameterError
 from .parameters import Setting
 from .yaml_nodes import compose, scalar_value
 
-__all__ = ["parse_param"]
-
 
 def parse_param(text: str) -> Setting:
     """Read ROS's notation for one parameter, ``name:=value``.

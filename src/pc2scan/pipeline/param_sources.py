@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from .parameters import Direction, Setting
     from .params_file import Hidden
 
-__all__ = ["ResolvedSources", "resolve_sources"]
-
 
 class ResolvedSources(NamedTuple):
     """The result of `resolve_sources`.

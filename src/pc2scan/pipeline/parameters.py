@@ -26,27 +26,6 @@ if TYPE_CHECKING:
 
     from pc2scan.options.option import Parameter
 
-__all__ = [
-    "ALIASES",
-    "RIVALS",
-    "SCALAR_PARAMETERS",
-    "TOPICS",
-    "Direction",
-    "ResolvedParams",
-    "Setting",
-    "expected",
-    "expected_message",
-    "from_option",
-    "from_preset",
-    "names_of",
-    "preset_of",
-    "preset_settings",
-    "refuse_degrees",
-    "resolve",
-    "shown",
-    "unknown_parameter",
-]
-
 #: Upstream's two nodes; each direction has the name of its node.
 Direction = Literal["pointcloud_to_laserscan", "laserscan_to_pointcloud"]
 

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from .launch_file import LaunchNode, LaunchParam
 
-__all__ = ["ParamsFile", "load_params_file", "render_params_file"]
-
 #: Maximum size of a parameter file. A larger file was given by mistake.
 MAX_FILE_BYTES = 1_000_000
 

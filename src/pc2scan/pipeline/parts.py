@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.destinations import Destination
 
-__all__ = ["cut_of", "expected_files", "files_in"]
-
 
 def cut_of(split: str | None, *, repeat_latched: bool) -> Cut | None:
     """Read when a new file begins: ``60s``, ``10min``, ``500MB``, ``1GiB``; None for one file.

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from .report import Report
     from .tally import Tally
 
-__all__ = ["Made", "Piece"]
-
 
 class Piece(NamedTuple):
     """The messages of a piece, and the folder of its files.

@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from .tally import Tally
     from .topic_report import TopicReport
 
-__all__ = ["Stretch", "Stretches", "join", "joined_report", "may_be_cut", "read_stretch", "stretches_of"]
-
 #: Maximum number of files that are counted one by one.
 _MOST_FILES = 5_000
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .scan_spec import ScanSpec
 
-__all__ = ["Combination", "Plan", "Route", "Task", "make_plan"]
-
 
 class Combination:
     """Topics whose messages become one scan together. Two of them are never equal.

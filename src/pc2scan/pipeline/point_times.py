@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from .stages.deskew import PointTime
     from .stream import Span
 
-__all__ = ["doubtful_times"]
-
 #: How many clouds of a topic are read, and how many stamps are needed to know its period.
 _CLOUDS = 4
 _FEWEST = 3

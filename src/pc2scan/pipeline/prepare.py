@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from .stages.turn import Turn
     from .stream import Span
 
-__all__ = ["prepared"]
-
 
 def prepared(
     reader: Reader,

@@ -13,8 +13,6 @@ from .scan_spec import TopicRequest
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["Remapped", "meant_for", "remapped"]
-
 #: The nodes' names for the topic that they read and the topic that they write, by whether scans become clouds.
 _NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from .conversion import Result
     from .stages.beams import BeamFilter
 
-__all__ = ["Remove"]
-
 
 class Remove:
     """Removes beams of scans: a removed beam has no return. Instances with equal filters are equal.

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .topic_report import TopicReport
 
-__all__ = ["BEGINNING", "MAX_LISTED", "Failure", "Report", "Skipped"]
-
 #: The beginning of every report as JSON: such a file may be replaced by another report.
 BEGINNING = b'{\n  "pc2scan": "'
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .topic_report import TopicReport
 
-__all__ = ["loss_warning", "param_notes", "topic_notes", "topic_warnings"]
-
 #: How many topics the warning about skipped ones lists.
 _MAX_WARNED = 5
 

@@ -33,18 +33,6 @@ if TYPE_CHECKING:
     from .report import Report
     from .scan_spec import ScanSpec
 
-__all__ = [
-    "OpenRoute",
-    "bind",
-    "carry_extras",
-    "chunk_rule",
-    "count_skipped",
-    "joint_of",
-    "open_routes",
-    "static_connection",
-    "write_static",
-]
-
 #: Maximum number of fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots
 #: have thousands.
 _MAX_COMPILED_FIELDS = 20_000

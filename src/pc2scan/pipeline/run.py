@@ -75,18 +75,6 @@ if TYPE_CHECKING:
     from .piece import Made, Piece
     from .plan import Plan
 
-__all__ = [
-    "OutputOptions",
-    "Progress",
-    "opened_plan",
-    "report_failure",
-    "report_file",
-    "robot_transforms",
-    "run",
-    "run_piece",
-    "span_of",
-]
-
 
 def run(
     sources: Sequence[Path],

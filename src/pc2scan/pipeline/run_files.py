@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from .report import Failure, Report
 
-__all__ = ["OutputOptions", "RunFiles", "report_file"]
-
 
 class OutputOptions(NamedTuple):
     """Options of the destination; None means the container's default.

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from .stages.beams import BeamFilter
     from .stages.filters import Filter
 
-__all__ = ["ScanSpec", "TopicRequest"]
-
 
 class TopicRequest(NamedTuple):
     """A topic to convert, and the topic of the result."""
@@ -247,7 +245,7 @@ class ScanSpec:
             further = tuple(map(rejection_of, self.filters))
         if not self.deskew or self.reverse:
             return further
-        from .stages.deskew import NO_TIME, NO_TRANSFORM  # noqa: PLC0415  # only where points move
+        from pc2scan.core.rule import NO_TIME, NO_TRANSFORM  # noqa: PLC0415  # only where points move
 
         return (*further, NO_TIME, NO_TRANSFORM)
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from .conversion import Step
 
-__all__ = ["ScanToCloud"]
-
 
 class ScanToCloud(Conversion):
     """Converts LaserScan to PointCloud2, as upstream's laserscan_to_pointcloud_node.cpp does with laser_geometry.

@@ -23,8 +23,6 @@ from .stages.filter_options import filters_from
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-__all__ = ["ScansFile", "load_scans", "refuse_beside"]
-
 #: Maximum number of levels of nesting.
 _MAX_DEPTH = 20
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     Item = TypeVar("Item", bound=Timed)
 
-__all__ = ["Later", "cores", "schedule"]
-
 #: How many bytes are loaded ahead for every thread. Of units up to the second size, always one more than threads is
 #: loaded.
 AHEAD_BYTES = 6 << 20

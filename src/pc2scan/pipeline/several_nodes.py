@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from .options import ConvertOptions
     from .scan_spec import ScanSpec
 
-__all__ = ["options_of_nodes", "refuse_topics"]
-
 
 def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
     """Raise if topics are given, because it is not clear which node they are for.

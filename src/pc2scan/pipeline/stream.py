@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from .routes import OpenRoute, Output
     from .topic_report import TopicReport
 
-__all__ = ["Progress", "Span", "stream"]
-
 #: Called regularly with the bytes read so far, the bytes in all, and the messages read so far.
 Progress = Callable[[int, int, int], None]
 

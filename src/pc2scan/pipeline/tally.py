@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from .report import Report
     from .routes import OpenRoute
 
-__all__ = ["Tally", "conclude", "tally_of"]
-
 
 class Tally(NamedTuple):
     """What is compared and reported once the whole recording has been read.

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from .combine.rebinned import Rebinned
     from .scan_spec import ScanSpec
 
-__all__ = ["TopicReport"]
-
 #: Attributes of a topic's entry that JSON has in another form, or does not have.
 _NOT_AS_THEY_ARE = {"points", "motions", "tilts", "spec", "joined", "rebinned"}
 

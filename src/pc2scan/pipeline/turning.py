@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
 
-__all__ = ["measured_turns"]
-
 
 def measured_turns(
     reader: Reader,

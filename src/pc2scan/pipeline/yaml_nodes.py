@@ -11,8 +11,6 @@ from pc2scan.errors import ParameterError
 from .parameters import expected_message
 from .ros_scalars import plain_scalar
 
-__all__ = ["compose", "is_empty", "is_mapping", "is_scalar", "place_of", "scalar_value"]
-
 _YAML_TAG = "tag:yaml.org,2002:"
 
 #: Tags that YAML gives to plain text; any other tag was written by the user.

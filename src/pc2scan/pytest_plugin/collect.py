@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from pc2scan.golden.result import CaseResult
 
-__all__ = ["GoldenCase", "GoldenFolder", "checked", "collector"]
-
 
 def checked(folder: Path, *, update: bool) -> CaseResult:
     """Check one case."""

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pc2scan.errors import Pc2ScanError
 
-__all__ = ["Names", "ShownUrl"]
-
 
 class Names:
     """Replaces local folders by the URLs of which they contain copies."""

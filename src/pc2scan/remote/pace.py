@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["LEAST_BYTES", "Pace", "TooSlowError", "affordable", "finished"]
-
 #: The slowest transfer: so many bytes, or all that are left, arrive in so many seconds.
 LEAST_BYTES = 1 << 16
 SLOWEST_SECONDS = 60.0

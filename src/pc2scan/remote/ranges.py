@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
     from .store import Object
 
-__all__ = ["Nearby", "complete", "nearby", "stand_in"]
-
 #: Bytes are fetched in blocks of this size. Their transfer takes little time compared with the request itself.
 _BLOCK = LEAST_BYTES
 

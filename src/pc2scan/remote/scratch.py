@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     Progress = Callable[[int, int, int], None]
 
-__all__ = ["Limit", "Room", "ScratchError", "scratch_folder"]
-
 #: Seconds between two measurements of a folder's size.
 _MEASURE_SECONDS = 0.1
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["Asked", "Staged", "staged"]
-
 
 class Asked(NamedTuple):
     """The sources and the destination of a conversion as requested: paths or URLs.

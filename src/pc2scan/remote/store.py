@@ -18,8 +18,6 @@ from .urls import LIBRARIES, shown_url, url_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["Object", "RemotePath"]
-
 #: Attributes that distinguish versions of an object, the best first. Stores differ in which of these they have.
 _VERSION = (
     *("ETag", "etag", "md5Hash", "generation", "mtime", "LastModified", "last_modified", "Last-Modified"),

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["LIBRARIES", "is_url", "shown_path", "shown_url", "url_of"]
-
 #: The library that fsspec needs for a scheme; empty if it needs none.
 LIBRARIES = {
     "s3": "s3fs",

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, RawMessage
 
-__all__ = ["Cloud", "Clouds"]
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Cloud(Stamped):

@@ -5,8 +5,6 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-__all__ = ["pandas", "xarray"]
-
 
 def pandas() -> Any:
     """Return the package pandas; raise an ImportError with what to install if it is missing."""

@@ -41,8 +41,6 @@ if TYPE_CHECKING:
 
     from .stream import Selection
 
-__all__ = ["Scan", "Scans"]
-
 #: The attributes that all scans of one Dataset must share, because they describe the beams.
 _GEOMETRY = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = ("range_min", "range_max", "time_increment", "scan_time")

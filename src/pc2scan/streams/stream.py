@@ -32,9 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
     from pc2scan.pipeline.conversion import Converted
-    from pc2scan.pipeline.run import Progress
-
-__all__ = ["Account", "Read", "Selection", "Source", "Stream"]
+    from pc2scan.pipeline.stream import Progress
 
 Item = TypeVar("Item")
 

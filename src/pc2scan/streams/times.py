@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-__all__ = ["Stamped", "datetime64"]
-
 #: The smallest of 64 bits is NumPy's "not a time".
 _LARGEST = 2**63 - 1
 

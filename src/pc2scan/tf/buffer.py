@@ -55,8 +55,6 @@ if TYPE_CHECKING:
     from .rejections import RejectedTransforms
     from .summary import FrameInfo, Tree
 
-__all__ = ["TransformBuffer"]
-
 #: How often frames may change their parents while a cloud is measured.
 _MOST_CHANGES = 1000
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import TransformRow
 
-__all__ = ["TransformBuilder"]
-
 #: Groups of rejected transforms that are reported one by one; all are counted.
 MAX_REJECTIONS = 100
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .history import FrameHistory
 
-__all__ = ["Chain", "Side"]
-
 
 @dataclass(frozen=True, slots=True)
 class Side:

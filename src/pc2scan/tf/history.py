@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import Pose
 
-__all__ = ["FrameHistory"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameHistory:

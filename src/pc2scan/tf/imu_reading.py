@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
 
-__all__ = ["ImuRequest", "MeasuredUp", "read_up"]
-
 #: The standard acceleration of gravity, m/s^2, and the largest deviation of an accelerometer at rest, as a share.
 GRAVITY = 9.80665
 _NEAR = 0.15

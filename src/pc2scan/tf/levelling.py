@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .buffer import TransformBuffer
 
-__all__ = ["UpByFrame", "UpByImu", "UpSource"]
-
 #: Stamps that differ by more seconds than this are assumed to come from different clocks.
 _ANOTHER_CLOCK = 3600
 

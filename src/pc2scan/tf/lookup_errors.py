@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from .summary import Tree
     from .walk import Walk
 
-__all__ = ["empty_name", "extrapolation", "frames_text", "looping", "often_changing", "unconnected", "unknown_frame"]
-
 #: Maximum number of frames that an error message names.
 MAX_NAMES = 20
 

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
     Needed = Callable[[NDArray[np.int64], NDArray[np.float64]], int]
 
-__all__ = ["in_turn", "rows_of", "sampled"]
-
-
 #: The stamps of a static link.
 _ALWAYS = np.empty(0, np.int64)
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from .buffer import TransformBuffer
 
-__all__ = ["Heights", "Mounting", "heights_for", "mounting", "without_sensor"]
-
 #: Transforms that tilt a sensor by more than this, radians, are reported even if no ground is visible.
 _NOTABLE_TILT = math.radians(10.0)
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from .static import StaticTransform
 
-__all__ = ["FrameOptions"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameOptions:

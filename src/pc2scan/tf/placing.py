@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from .buffer import TransformBuffer
     from .levelling import UpSource
 
-__all__ = ["STABILIZED", "Frames", "Level", "LevelTransform", "Placement"]
-
 #: The name of a level frame: the name of the frame that it is made from, and this suffix.
 STABILIZED = "_stabilized"
 

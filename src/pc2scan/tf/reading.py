@@ -22,15 +22,6 @@ if TYPE_CHECKING:
     from .builder import TransformBuilder
     from .options import FrameOptions
 
-__all__ = [
-    "begun_with",
-    "built",
-    "collect_transforms",
-    "read_some_transforms",
-    "read_transforms",
-    "tf_connections",
-]
-
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
 _SOME_MESSAGES = 1_000

@@ -12,8 +12,6 @@ from pc2scan.core.rigid import are_taken
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ACCEPTED", "REASONS", "RejectedTransforms", "reason_of_names", "reasons_of"]
-
 ACCEPTED, NO_CHILD, NO_PARENT, SELF, NOT_FINITE, ZERO, DENORMALIZED = range(7)
 REASONS = {
     NO_CHILD: "TF_NO_CHILD_FRAME_ID: child_frame_id is empty",

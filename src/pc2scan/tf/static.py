@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import Rigid, TransformRow
 
-__all__ = ["StaticTransform", "added_transforms", "load_static_transforms", "number_in", "static_text"]
-
 #: Larger files are refused: a list of static transforms is a page of text.
 _MAX_FILE_BYTES = 1_000_000
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from .buffer import TransformBuffer
     from .options import FrameOptions
 
-__all__ = ["store_transforms", "stored_transforms"]
-
 
 def store_transforms(
     reader: Reader, options: FrameOptions, path: Path, start_ns: int | None = None, stop_ns: int | None = None

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from .history import FrameHistory
 
-__all__ = ["FrameInfo", "Tree", "frame_info", "trees_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:

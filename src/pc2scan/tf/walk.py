@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from .history import FrameHistory
 
-__all__ = ["Walk", "joined", "walk_up"]
-
 
 @dataclass(frozen=True, slots=True)
 class Walk:

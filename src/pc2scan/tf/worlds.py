@@ -9,8 +9,6 @@ import numpy as np
 if TYPE_CHECKING:
     from .buffer import TransformBuffer
 
-__all__ = ["BODIES", "WORLDS", "Moving", "moving_below"]
-
 #: Usual names of a robot's frame, whose z is up; the first that exists is used.
 BODIES = ("base_link", "base_footprint")
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = ["EntryForm", "IndexCheck", "entries_astray"]
-
 #: For more entries than this, NumPy is faster.
 _FEW = 32
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from .segments import Segment
 
-__all__ = ["Salvaged", "note_salvaged", "settled"]
-
 
 class Salvaged(NamedTuple):
     """The messages recovered from a chunk.

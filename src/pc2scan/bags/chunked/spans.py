@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     #: The first and the last log time.
     Span = tuple[int, int]
 
-__all__ = ["SpanCheck", "beside_cut"]
-
 
 class SpanCheck:
     """Corrects the declared times of segments, and notes those that are wrong.

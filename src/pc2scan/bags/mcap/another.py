@@ -12,8 +12,6 @@ from .records import MAGIC, RECORD
 if TYPE_CHECKING:
     from .records import RecordFile
 
-__all__ = ["refuse_another"]
-
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
 

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-__all__ = ["CHUNK_HEAD_SIZE", "ChunkSegment", "chunk_at", "payload", "stored_chunk", "unpacked_chunk", "with_payload"]
-
 _Result = TypeVar("_Result")
 
 # Maximum length of a compression's name. A longer one is damaged.

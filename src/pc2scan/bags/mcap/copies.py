@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     #: By channel: log times and places of its messages.
     Index = dict[int, list[tuple[int, int]]]
 
-__all__ = ["agreed", "whole_by_content", "whole_by_index"]
-
 
 def agreed(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
     """Find the channels that the destination declares as this file does, so that a chunk may repeat the declaration."""

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-__all__ = ["counts_between", "indexed_span"]
-
 #: Log time and place in the chunk of one message.
 _ENTRY = struct.Struct("<QQ")
 

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from .index import McapIndex
     from .records import RecordFile
 
-__all__ = ["DataCrc", "data_crc"]
-
 #: Bytes between messages are read in pieces of this size.
 _PIECE = 4 << 20
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from .index import McapIndex
     from .records import RecordFile
 
-__all__ = ["compare_counts", "connections_of", "summary_of"]
-
 _SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from .chunks import ChunkSegment
     from .records import RecordFile
 
-__all__ = ["index_check", "index_entries", "indexed_places"]
-
 #: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
 _HEAD = struct.Struct("<BQHI")
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from .index import ExtraIndex, McapIndex
     from .records import RecordFile
 
-__all__ = ["attachments_of", "metadata_of"]
-
 
 def attachments_of(file: RecordFile, index: McapIndex, log: DamageLog, *, verify: bool) -> Iterator[Attachment]:
     """Yield attachments in the order of the file; each is read when it is needed."""

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-__all__ = ["RUN_SIZE", "McapIndex", "RecordWalk", "find_declarations", "find_index", "read_header", "read_summary"]
-
 _FOOTER_SIZE = RECORD.size + 20
 
 #: A chunk's record up to its payload, without the name of its compression.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     Messages = list[RawMessage] | Many[RawMessage]
 
-__all__ = ["ANY_TIME", "Found", "message_at", "messages_in"]
-
 #: The first and the last log time that a message can have.
 ANY_TIME = (0, (1 << 64) - 1)
 

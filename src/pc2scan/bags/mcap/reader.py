@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
     from .messages import Messages
 
-__all__ = ["McapReader", "open_reader"]
-
 
 def open_reader(path: Path, options: ReadOptions) -> Reader:
     """Open an MCAP file; see `pc2scan.bags.formats.Format`."""

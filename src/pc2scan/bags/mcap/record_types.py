@@ -16,25 +16,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = [
-    "Attachment",
-    "AttachmentIndex",
-    "Channel",
-    "ChunkIndex",
-    "DataEnd",
-    "Footer",
-    "Header",
-    "Metadata",
-    "MetadataIndex",
-    "Opcode",
-    "Record",
-    "Schema",
-    "Statistics",
-    "SummaryOffset",
-    "pack",
-    "unpack",
-]
-
 
 class Opcode(IntEnum):
     """The kinds of records."""

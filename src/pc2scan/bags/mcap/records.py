@@ -21,24 +21,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = [
-    "CHUNK",
-    "COMPRESSIONS",
-    "FIRST_PRIVATE",
-    "MAGIC",
-    "MESSAGE",
-    "OP_CHUNK",
-    "OP_MESSAGE",
-    "OP_MESSAGE_INDEX",
-    "RECORD",
-    "UINT64",
-    "RecordFile",
-    "encoded",
-    "has_meaning",
-    "parse",
-    "split",
-]
-
 #: The first and the last eight bytes of every file.
 MAGIC = FORMATS["mcap"].magic
 COMPRESSIONS = FORMATS["mcap"].compressions

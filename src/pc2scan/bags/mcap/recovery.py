@@ -59,15 +59,6 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-__all__ = [
-    "displaced_chunks",
-    "is_at_its_place",
-    "payload_prefix",
-    "recovered_index",
-    "salvaged_messages",
-    "salvaged_records",
-]
-
 #: Records that chunks are made of.
 _INSIDE_CHUNKS = frozenset({OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)})
 

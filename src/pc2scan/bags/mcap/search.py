@@ -19,21 +19,6 @@ if TYPE_CHECKING:
     from .chunks import ChunkSegment
     from .records import RecordFile
 
-__all__ = [
-    "WINDOW",
-    "chunk_in_front",
-    "end_of_chunk",
-    "end_of_declaration",
-    "end_of_framed",
-    "included_record",
-    "is_message",
-    "is_record",
-    "next_message",
-    "next_record",
-    "payload_stop",
-    "record_end",
-]
-
 #: Bytes that are searched at a time.
 WINDOW = 1 << 20
 

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Buffer, Connection, Metadata
     from pc2scan.threads import Threads
 
-__all__ = ["McapWriter", "open_writer"]
-
 _MAX_CHANNELS = 0xFFFF
 
 # The order of the summary.

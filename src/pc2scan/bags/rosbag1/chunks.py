@@ -40,17 +40,6 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = [
-    "USUAL_LAYOUT",
-    "FoundMessages",
-    "Places",
-    "decompressed",
-    "messages_in",
-    "payload",
-    "records_in",
-    "with_payload",
-]
-
 _Result = TypeVar("_Result")
 
 #: Later than any time that a bag can hold.

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from .chunks import Places
 
-__all__ = ["first_uses", "whole_chunk"]
-
 
 def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segment, frozenset[int]]:
     """Find the connections that each chunk has to describe, because no earlier chunk does.

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = ["counts_between", "indexed_span"]
-
 #: Seconds, nanoseconds and the place in the chunk of one message.
 _ENTRY = struct.Struct("<III")
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = ["index_check", "index_entries"]
-
 #: The stored seconds and nanoseconds of one message, and its place in the chunk.
 _ENTRY = struct.Struct("<8sI")
 

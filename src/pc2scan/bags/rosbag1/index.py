@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = ["BagIndex", "ConnectionCheck", "Connections", "chunk_segment", "contained_span", "read_index"]
-
 
 class BagIndex(NamedTuple):
     """The connections and chunks of a bag.

@@ -14,8 +14,6 @@ from .records import UINT32
 if TYPE_CHECKING:
     from pc2scan.model import Buffer
 
-__all__ = ["packed", "ros1_reads"]
-
 #: Version 1, independent blocks, content checksum; no block checksums, content size or dictionary.
 _FLAGS = 0b0110_0100
 #: Blocks of at most 64 KiB, 256 KiB, 1 MiB, 4 MiB.

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from .index import BagIndex
 
-__all__ = ["Rosbag1Reader", "open_reader"]
-
 
 def open_reader(path: Path, options: ReadOptions) -> Reader:
     """Open a ROS 1 bag; see `pc2scan.bags.formats.Format`."""

@@ -33,33 +33,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-__all__ = [
-    "BAG_HEADER",
-    "CHUNK",
-    "CHUNK_INFO",
-    "COMPRESSIONS",
-    "CONNECTION",
-    "FIRST_LINE",
-    "INDEX_DATA",
-    "MESSAGE",
-    "OWN_FIELDS",
-    "PAIR",
-    "SECOND_NS",
-    "UINT32",
-    "UINT32_MAX",
-    "UINT64",
-    "BagFile",
-    "Damaged",
-    "field_of",
-    "kind_of",
-    "parsed_connection",
-    "parsed_fields",
-    "text_of",
-    "time_field",
-    "uint32_field",
-    "uint64_field",
-]
-
 FIRST_LINE = FORMATS["rosbag1"].magic
 COMPRESSIONS = FORMATS["rosbag1"].compressions
 

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from .records import BagFile
     from .search import Fields
 
-__all__ = ["payload_prefix", "recovered_index", "salvaged_messages"]
-
 #: Messages outside chunks, which only damaged bags have, are read in segments of about this size, bytes.
 _RUN_SIZE = 4 << 20
 

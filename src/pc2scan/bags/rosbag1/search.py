@@ -26,18 +26,6 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-__all__ = [
-    "ANYWHERE",
-    "OUTSIDE_CHUNKS",
-    "Fields",
-    "Record",
-    "another_bag",
-    "next_record",
-    "record_at",
-    "record_behind",
-    "refuse_another",
-]
-
 #: Bytes that are searched at a time.
 _WINDOW = 1 << 20
 

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Buffer, Connection, Metadata
     from pc2scan.threads import Threads
 
-__all__ = ["Rosbag1Writer", "open_writer"]
-
 _TRIPLE = struct.Struct("<III")
 
 

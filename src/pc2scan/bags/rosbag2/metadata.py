@@ -41,21 +41,6 @@ from pc2scan.model import Connection
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-__all__ = [
-    "METADATA_NAME",
-    "NEWEST_VERSION",
-    "RECORD_NAME",
-    "ROOT",
-    "BagInfo",
-    "Extent",
-    "is_in",
-    "is_one",
-    "located_file",
-    "read_info",
-    "recorded_in",
-    "storage_files",
-]
-
 METADATA_NAME = "metadata.yaml"
 
 #: The name of the MCAP metadata record in which rosbag2 repeats metadata.yaml.

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Metadata, Summary
 
-__all__ = ["Rosbag2Reader", "open_reader"]
-
 
 def open_reader(path: Path, options: ReadOptions) -> Rosbag2Reader:
     """Open a rosbag2 directory; see `pc2scan.bags.formats.Format`."""

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
     from pc2scan.threads import Threads
 
-__all__ = ["Rosbag2Writer", "joined_info", "open_mcap_storage", "open_writer", "write_info"]
-
 
 class _File(NamedTuple):
     """A storage file, its messages by handle, and its first and last log time."""

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .types import Constant, Field, Schema, Struct
 
-__all__ = ["closure"]
-
 MAX_DEPTH = 64
 #: Limit of declared fields. rosbags needs up to a millisecond and 45 kB to compile one; each element of a fixed
 #: array of strings or messages counts, because rosbags unrolls them.

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Definition
 
-__all__ = ["parse"]
-
 MAX_BYTES = 1 << 20
 
 _SEPARATOR = re.compile(r"^=+[ \t]*$", re.MULTILINE)

@@ -12,8 +12,6 @@ from .types import PRIMITIVES, builtin, fields_of
 if TYPE_CHECKING:
     from .types import Schema
 
-__all__ = ["md5sum", "rihs01"]
-
 
 def md5sum(schema: Schema) -> str:
     """Compute ROS 1's hash of a schema's first type: the MD5 of its text, nested types as their sums."""

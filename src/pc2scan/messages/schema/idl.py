@@ -13,8 +13,6 @@ from .types import excerpt
 if TYPE_CHECKING:
     from .types import Struct
 
-__all__ = ["parse_idl"]
-
 _IDL_STRING = r'"(?:\\.|[^"\\])*"'
 _IDL_TOKENS = re.compile(
     rf'(?P<string>{_IDL_STRING})|/\*.*?\*/|//[^\n]*|(?P<open>"|/\*)|'

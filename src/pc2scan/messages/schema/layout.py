@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from .types import Field, Struct
 
-__all__ = ["same_layout"]
-
 
 def same_layout(ours: Mapping[str, Struct], theirs: Mapping[str, Struct], name: str) -> bool:
     """Whether both have a type with the same bytes on the wire and the same names.

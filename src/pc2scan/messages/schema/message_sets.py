@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from .types import Schema
 
-__all__ = ["fielddefs", "known", "structs_of"]
-
 
 @lru_cache(maxsize=16)
 def known(store: str) -> Mapping[str, Struct]:

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from .types import Field, Schema, Struct
 
-__all__ = ["constant_lines", "render", "type_word"]
-
 
 def render(schema: Schema, ros_version: int) -> str:
     """Write a schema as ``ros1msg`` or ``ros2msg`` text: its first type, then the others in sections."""

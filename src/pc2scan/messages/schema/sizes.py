@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from .types import Field, Struct
 
-__all__ = ["least_bytes"]
-
 #: Bytes of the primitives that have a fixed size.
 _WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
     f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)

@@ -8,24 +8,6 @@ from typing import Literal
 from pc2scan.errors import DecodeError
 from pc2scan.model import normalized_type
 
-__all__ = [
-    "BUILTIN",
-    "HEADER",
-    "PLACEHOLDER",
-    "PRIMITIVES",
-    "ROS2_ONLY",
-    "Constant",
-    "Field",
-    "Schema",
-    "Shape",
-    "Struct",
-    "builtin",
-    "canonical",
-    "excerpt",
-    "fields_of",
-    "without_sequence_number",
-]
-
 HEADER = "std_msgs/msg/Header"
 
 #: Primitives of both ROS versions. ``byte`` and ``char`` are 8 bits wide in both.

@@ -11,8 +11,6 @@ from pc2scan.options.values import nanoseconds_of
 if TYPE_CHECKING:
     from pc2scan.options.option import Period
 
-__all__ = ["Combining"]
-
 #: The largest number of messages that one scan may be made of.
 _MOST = 100_000
 

@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from .matching import Grouper
     from .rebinned import Rebinned
 
-__all__ = ["CombineToScan", "Prepared", "kept_together"]
-
 #: Bytes that a message takes besides its arrays.
 _OVERHEAD = 2_000
 

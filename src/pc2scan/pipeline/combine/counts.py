@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-__all__ = ["NO_RUN", "Jump", "Run", "SourceCounts"]
-
 #: How many jumps of a topic are listed; all of them are counted.
 _MAX_LISTED = 3
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from .rules import Entry
     from .series import Group
 
-__all__ = ["Arrived", "Joint", "MadeScan", "with_scans"]
-
 Outcome = TypeVar("Outcome")
 
 #: Bytes that may wait for each thread to be written.

@@ -21,8 +21,6 @@ from .series import Group, Moment, Series, drift_ns, follows
 if TYPE_CHECKING:
     from .rules import Rule
 
-__all__ = ["MAX_HELD_BYTES", "Grouper"]
-
 Item = TypeVar("Item")
 
 #: The most bytes of messages that a grouper holds. A scan that is being made may hold as many again.

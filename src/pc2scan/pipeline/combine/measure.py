@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from .conversion import Prepared
     from .rules import Rule
 
-__all__ = ["measured"]
-
 #: How many messages of a topic are read to measure its period, and how many are needed at least.
 _LOOKED_AT = 6
 _FEWEST = 3

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Rebinned", "rebinned"]
-
 
 class Rebinned(NamedTuple):
     """The beams of scans in the beams of a new scan.

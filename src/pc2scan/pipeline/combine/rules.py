@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import ClassVar, Generic, TypeAlias, TypeVar
 
-__all__ = ["KEY", "Entry", "Interval", "Key", "Nearest", "Recent", "Rule"]
-
 Item = TypeVar("Item")
 
 #: The place of a message in its topic: its stamp, nanoseconds, and its number among those with the same stamp.

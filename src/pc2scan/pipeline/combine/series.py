@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from .counts import SourceCounts
     from .rules import Key, Rule
 
-__all__ = ["PATIENCE_NS", "Group", "Moment", "Series", "drift_ns", "follows"]
-
 Item = TypeVar("Item")
 
 #: Within how much log time messages of equal stamps come, nanoseconds.

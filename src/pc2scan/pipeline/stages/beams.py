@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["BeamFilter", "Shadows", "Speckles", "beam_filter"]
-
 _TRUE = {"true": True, "false": False}
 
 #: The parameters of ``ScanShadowsFilter``, with the values of laser_filters' example.

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Frames
 
-__all__ = ["NO_TIME", "NO_TRANSFORM", "STAMPS", "Deskew", "Moving", "PointTime", "Track", "without_zeros"]
-
 #: The time of a cloud that its scan gets.
 STAMPS = ("header", "start", "middle", "end")
 

@@ -9,8 +9,6 @@ if TYPE_CHECKING:
 
     from .filters import Filter
 
-__all__ = ["FILTERS", "filters_from"]
-
 
 def _where(conditions: Iterable[str], _: float) -> Iterator[Filter]:
     from .where import Where  # noqa: PLC0415

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
 
-__all__ = ["Filter", "Frame", "as_dict", "rejection_of"]
-
 
 class Frame(Enum):
     """The frames that every conversion has; a filter may use any other frame by its name."""

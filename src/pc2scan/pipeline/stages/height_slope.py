@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
 
-__all__ = ["MinHeightSlope"]
-
 
 @dataclass(frozen=True, slots=True)
 class MinHeightSlope:

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .deskew import Deskew, Moving
 
-__all__ = ["Place", "Placed"]
-
 _NOTHING: Mapping[str, int] = {}
 
 

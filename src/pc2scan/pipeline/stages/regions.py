@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
 
-__all__ = ["ExcludeBox", "ExcludePolygon"]
-
 _BOX = "write 'frame x0 x1 y0 y1 z0 z1' (metres), such as 'base_link -0.4 0.4 -0.3 0.3 0 1.2'"
 _POLYGON = "write 'frame x0 y0 x1 y1 x2 y2 ...' (metres), at least three corners"
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from .filters import Filter
     from .place import Placed
 
-__all__ = ["Select", "Selected"]
-
 
 class Selected(NamedTuple):
     """The selected points, the transform that is still to be applied, and how many points each filter rejected.

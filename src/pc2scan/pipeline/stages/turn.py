@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
 
-__all__ = ["AZIMUTH", "FIRST_CLOUDS", "Look", "Turn", "look", "measured_turn"]
-
 #: Given instead of a field with times: the times are computed from the directions of the points.
 AZIMUTH = "azimuth"
 

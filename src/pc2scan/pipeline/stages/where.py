@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
 
-__all__ = ["Where"]
-
 _EXAMPLE = "such as `where='ring in (3, 4, 5) and intensity > 10'`"
 
 #: The longest condition, and the deepest nesting: deeper ones could overflow the stack.

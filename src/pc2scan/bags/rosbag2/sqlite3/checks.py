@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     #: Executes a statement with values.
     Query = Callable[[str, Sequence[Any]], Any]
 
-__all__ = ["TIMES_SUM", "Trouble", "index_trouble", "table_trouble"]
-
 #: A sum over rows that changes if a row has another time or replaces another. It is exact: a sum with one REAL would be
 #: rounded, and neither text nor numbers of 64 bits may end it.
 TIMES_SUM = "coalesce(sum(CAST(timestamp AS INTEGER) % 2147483647 + CAST(id AS INTEGER) % 2147483647), 0)"

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import sqlite3
 
-__all__ = ["CORRUPT", "ERROR", "FULL", "IOERR_SHORT_READ", "NOTADB", "code_of"]
-
 ERROR = 1
 CORRUPT = 11
 FULL = 13

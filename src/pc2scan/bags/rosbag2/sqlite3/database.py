@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
     from .page_log import PageLog
 
-__all__ = ["SQLITE_ERRORS", "Database"]
-
 #: Allowed defaults of columns, neither long nor computed: a default is the value of every row that does not store one.
 _SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")
 

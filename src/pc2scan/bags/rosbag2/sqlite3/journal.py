@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from .page_log import PageLog
 
-__all__ = ["read_journal"]
-
 _MAGIC = bytes.fromhex("d9d505f920a163d7")
 _HEADER = 28
 

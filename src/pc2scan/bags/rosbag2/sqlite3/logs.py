@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["missing_bytes", "page_size_of", "side_logs", "write_merged"]
-
 
 def page_size_of(head: bytes) -> int:
     """Return the page size in the first bytes of a database; SQLite's default if it is impossible."""

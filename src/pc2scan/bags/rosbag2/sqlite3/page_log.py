@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from pc2scan.files.source import SourceFile
 
-__all__ = ["LogProblem", "PageLog"]
-
 
 class LogProblem(NamedTuple):
     """A problem of a log, its offset, and how many bytes of the log are not used."""

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from .page_log import PageLog
 
-__all__ = ["Cell", "PageFile", "declared_size", "rebuilt"]
-
 _HEADER_SIZE = 100
 _LEAF = 0x0D
 

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.units import Item
     from pc2scan.model import ChunkRule, Connection
 
-__all__ = ["Sqlite3Reader", "open_reader"]
-
 #: Limits of a unit's bytes and rows. Loading less takes less time than handing it to another thread.
 _UNIT_BYTES = 1 << 19
 _UNIT_ROWS = 1024

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from .database import Database
 
-__all__ = ["SOUND", "kinds_of", "message_row", "note_kinds", "note_unsound", "shown_value"]
-
 #: The columns that place a message.
 _COLUMNS = ("id", "topic_id", "timestamp")
 

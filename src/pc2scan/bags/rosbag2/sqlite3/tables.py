@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 
     from .database import Database
 
-__all__ = ["Tables", "read_tables"]
-
 #: Messages among which one in CDR is searched, to detect whether they are compressed one by one.
 _LOOKED_AT = 1000
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from .page_log import PageLog
 
-__all__ = ["read_write_ahead"]
-
 _MAGICS = (0x377F0682, 0x377F0683)
 _HEADER, _FRAME_HEADER = 32, 24
 

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Attachment, Buffer, Connection, Metadata, StoredChunk
     from pc2scan.threads import Threads
 
-__all__ = ["Sqlite3Writer", "open_storage"]
-
 _SCHEMA = """
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
 CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);
