@@ -333,7 +333,7 @@ def test_public_names_exist() -> None:
 
 
 def test_only_doors_list_their_names() -> None:
-    """Packages that others import from have ``__all__``; the two modules have the names of a compiled and a foreign one."""
+    """Packages have ``__all__``, and two modules that stand for a compiled and for a foreign one."""
     doors = {
         path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if "\n__all__ = " in path.read_text()
     }
