@@ -177,10 +177,10 @@ def test_a_launch_files_arguments_in_python(tmp_path: Path) -> None:
 def test_of_several_outputs_the_first_is_shown(tmp_path: Path) -> None:
     asked: dict[str, Any] = {"/scan": {"min_height": -0.3}, "/low": {"max_height": 0.1}}
     note = "only the first of 2 outputs is {}: /scan"
-    assert note.format("shown") in pc2scan.view(HALL, clouds=1, scans=asked).notes
-    assert note.format("drawn") in pc2scan.map(HALL, scans=asked).notes
+    assert note.format("shown") in pc2scan.view(HALL, clouds=1, scans=asked).warnings
+    assert note.format("drawn") in pc2scan.map(HALL, scans=asked).warnings
     drawn = pc2scan.plot(HALL, tmp_path / "a.png", scans=asked)
-    assert note.format("shown") in drawn.notes
+    assert note.format("shown") in drawn.warnings
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
 
 

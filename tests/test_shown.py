@@ -9,7 +9,8 @@ import pytest
 
 import pc2scan
 from pc2scan.messages.laserscan import encode_laserscan
-from pc2scan.text import Shown, Table
+from pc2scan.result import Result
+from pc2scan.tables import Table
 from support import ROOT
 from support.builders import SCAN, Item, Recording, Stream, write_mcap
 from support.scan_recordings import scans
@@ -99,19 +100,19 @@ def test_what_went_wrong_is_shown(tmp_path: Path) -> None:
     report = pc2scan.convert(tmp_path / "cut.bag", tmp_path / "out.bag")
     for result in (report, pc2scan.info(tmp_path / "cut.bag"), pc2scan.tf(tmp_path / "cut.bag")):
         assert "damaged: " in str(result)
-    assert "exit status 3" in str(report)
+    assert report.exit_status == 3
     assert "warning: /scan: " in str(report)
     stream = Stream("/scan", SCAN)
     items = [Item(stream, scan.stamp_ns, {2: encode_laserscan(scan, "cdr")}) for scan in scans(3)]
     items[1] = Item(stream, items[1].log_time_ns, {2: items[1].data[2][:40]})
     broken = write_mcap(tmp_path / "broken.mcap", Recording((stream,), tuple(items)))
     text = str(pc2scan.convert(broken, tmp_path / "clouds.mcap", reverse=True))
-    assert "skipped: /scan, log time 1700000000.100000000: " in text
+    assert "skipped: /scan, log time 1700000000.100000000 (2023-11-14 22:13:20 UTC): " in text
 
 
 def test_long_names_are_cut() -> None:
-    class Long(Shown):
-        def _shown(self) -> Any:
+    class Long(Result):
+        def body(self, *, verbose: bool = False) -> Any:
             yield "a" * 5_000
             yield Table(("name",), [("b" * 500,)])
 

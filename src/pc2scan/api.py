@@ -281,7 +281,7 @@ def view(
         preset=asked.preset or "",
         command=convert_words(paths, conversion, "scans.mcap"),
     )
-    return replace(page, notes=(*notes, *page.notes))
+    return replace(page, warnings=(*notes, *page.warnings))
 
 
 @takes_options
@@ -334,7 +334,7 @@ def plot(
         at=asked.at,
         overwrite=asked.overwrite,
     )
-    return drawn._replace(notes=[*notes, *drawn.notes])
+    return replace(drawn, warnings=(*notes, *drawn.warnings))
 
 
 @takes_options
@@ -381,7 +381,7 @@ def map(  # noqa: A001  # the command's name
     from .look.map_options import MapOptions  # noqa: PLC0415
 
     made = map_of(paths_in("sources", sources), conversion, MapOptions.of(asked), progress=asked.progress)
-    return replace(made, notes=(*notes, *made.notes))
+    return replace(made, warnings=(*notes, *made.warnings))
 
 
 @takes_options

@@ -163,9 +163,11 @@ class Pc2ScanError(Exception):
     def as_dict(self) -> dict[str, str | int | None]:
         """Return the error as JSON's types."""
         return {
-            "class": type(self).__name__,
+            "kind": type(self).__name__,
             "message": self.message,
-            "place": self.where or None,
+            "path": None if self.path is None else str(self.path),
+            "topic": self.topic,
+            "stamp_ns": self.stamp_ns,
             "hint": self.hint,
             "exit_status": self.exit_status,
         }

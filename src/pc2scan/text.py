@@ -1,25 +1,19 @@
-"""Text for users: tables and lines, names that were probably meant, values for JSON, words as enumerations."""
+"""Text for users: names that were probably meant, numbers, sizes and times, words as enumerations."""
 
 from __future__ import annotations
 
-import math
-from abc import abstractmethod
 from enum import Enum
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
-from .errors import leading, stamp_text, visible
+from .errors import stamp_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable
 
 #: Maximum number of names that are compared, and their maximum length: recordings may have any number of names.
 _MOST_NAMES = 2_000
 _LONGEST_NAME = 255
-
-#: Maximum number of characters of a table's cell, because one long name would widen every line. Names in ROS have at
-#: most 255.
-_MAX_CELL = 255
 
 #: Stamps between these, in seconds since 1970 (years 1980 to 2100), are shown as dates.
 _FIRST_DATE, _LAST_DATE = 315_532_800, 4_102_444_800
@@ -63,66 +57,6 @@ def _normalized(name: str) -> str:
 
 def _is_part(short: str, long: str) -> bool:
     return len(short) >= 3 and (long.endswith(f"/{short}") or long.startswith(f"{short}/") or f"/{short}/" in long)
-
-
-class Table(NamedTuple):
-    """A table: headings, cells as text, and the headings of columns that are aligned to the left."""
-
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    left: Sequence[str] = ()
-
-
-class Shown:
-    """A result that ``print`` shows as text, notebooks as HTML, and ``repr`` in one line."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def _shown(self) -> Iterator[str | Table]:
-        """Yield tables and lines of text; an empty line separates them."""
-
-    def __str__(self) -> str:
-        lines: list[str] = []
-        for part in self._shown():
-            lines += _table_text(part) if isinstance(part, Table) else [visible(part)]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        """Return the HTML that notebooks show."""
-        parts: list[str] = []
-        lines: list[str] = []
-        for part in [*self._shown(), Table((), ())]:
-            if not isinstance(part, Table):
-                lines.append(_escaped(part))
-                continue
-            # Without empty lines at the ends: HTML has space around tables anyway.
-            if text := "\n".join(lines).strip("\n"):
-                parts.append(f"<pre>{text}</pre>")
-            lines.clear()
-            parts += _table_html(part) if part.columns else []
-        return f"<div>{''.join(parts)}</div>"
-
-
-def cells(table: Table, *, ascii_only: bool = False) -> list[list[str]]:
-    """Return the headings and the cells of a table, which have names of untrusted recordings, as safe text."""
-    rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in table.rows)
-    return [list(table.columns), *([leading(cell) for cell in row[:1]] + row[1:] for row in rows)]
-
-
-def csv_cell(text: str) -> str:
-    r"""Return text as a cell of a CSV file: visible, in quotes if necessary, and never a formula.
-
-    Spreadsheets compute a cell that begins with ``=``, ``+``, ``-`` or ``@``, and names come from untrusted recordings.
-    No frame or topic of ROS begins with one of these, so the character is escaped like a control character.
-
-    >>> print(csv_cell("base_link"), csv_cell("a,b"), csv_cell("=cmd|' /C calc'!A0"))
-    base_link "a,b" \x3dcmd|' /C calc'!A0
-    """
-    if text[:1] in ("=", "+", "-", "@"):
-        text = f"\\x{ord(text[0]):02x}{text[1:]}"
-    text = visible(text, None)
-    return '"' + text.replace('"', '""') + '"' if "," in text or '"' in text else text
 
 
 def count(number: int) -> str:
@@ -186,61 +120,6 @@ def stamp(stamp_ns: int) -> str:
     from datetime import datetime, timezone  # noqa: PLC0415  # few results have dates
 
     return f"{stamp_text(stamp_ns)} ({datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S} UTC)"
-
-
-def listed(entries: Sequence[str], label: str, most: int) -> Iterator[str]:
-    """Yield at most ``most`` lines that begin with a label, and a line with the number of further entries."""
-    yield from (f"{label}: {entry}" for entry in entries[:most])
-    if len(entries) > most:
-        yield f"{label}: {len(entries) - most:,} more"
-
-
-def _table_text(table: Table) -> Iterator[str]:
-    lines = cells(table)
-    widths = [max(len(line[i]) for line in lines) for i in range(len(table.columns))]
-    for number, line in enumerate(lines):
-        aligned = (
-            cell.ljust(width) if heading in table.left else cell.rjust(width)
-            for heading, cell, width in zip(table.columns, line, widths, strict=True)
-        )
-        yield "   ".join(aligned).rstrip()
-        if number == 0:
-            yield "-" * (sum(widths) + 3 * (len(widths) - 1))
-
-
-def _table_html(table: Table) -> Iterator[str]:
-    styles = [f' style="text-align: {"left" if name in table.left else "right"}"' for name in table.columns]
-
-    def row(tag: str, cells: Sequence[str]) -> str:
-        made = (f"<{tag}{style}>{_escaped(cell)}</{tag}>" for style, cell in zip(styles, cells, strict=True))
-        return f"<tr>{''.join(made)}</tr>"
-
-    yield f"<table><thead>{row('th', table.columns)}</thead><tbody>"
-    yield from (row("td", cells) for cells in table.rows)
-    yield "</tbody></table>"
-
-
-def _escaped(text: str) -> str:
-    from html import escape  # noqa: PLC0415  # only notebooks need it
-
-    return escape(visible(text))
-
-
-def json_value(value: Any) -> Any:
-    """Return a value with infinities and NaNs as text, in lists and dictionaries too.
-
-    Tuples become lists, named tuples dictionaries.
-
-    >>> json_value({"range_max": float("inf"), "angles": (0.5, float("nan"))})
-    {'range_max': 'inf', 'angles': [0.5, 'nan']}
-    """
-    if isinstance(value, tuple) and hasattr(value, "_asdict"):
-        value = value._asdict()
-    if isinstance(value, dict):
-        return {key: json_value(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_value(part) for part in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class TextEnum(str, Enum):

@@ -11,6 +11,7 @@ from pc2scan.bags import damage
 from pc2scan.bags.chunked.segments import Segment, times_around
 from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError, RecordingError
+from pc2scan.result import json_value
 
 PATH = Path("drive.bag")
 
@@ -54,7 +55,7 @@ def test_places_beyond_the_limit_are_added_up(monkeypatch: pytest.MonkeyPatch) -
 def test_damage_is_json() -> None:
     log = DamageLog()
     log.note(error(), offset=7, bytes_lost=3, messages_lost=1, first_ns=10, last_ns=20)
-    assert json.loads(json.dumps(log.found[0].as_dict())) == {
+    assert json.loads(json.dumps(json_value(log.found[0]))) == {
         "what": "is cut off", "path": "drive.bag", "offset": 7, "bytes_lost": 3, "messages_lost": 1,
         "first_ns": 10, "last_ns": 20,
     }  # fmt: skip

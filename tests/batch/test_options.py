@@ -261,7 +261,7 @@ def test_later_entries_override_and_the_call_overrides_all(tmp_path: Path) -> No
     }
     lines = manifest_of(tmp_path / "out")
     reports = {key: lines[key]["report"] for key in ("robot1/a.bag", "robot1/b.mcap", "c.mcap")}
-    assert {key: report["params"]["min_height"] for key, report in reports.items()} == {
+    assert {key: report["scans"][0]["params"]["min_height"] for key, report in reports.items()} == {
         "robot1/a.bag": -3.0,
         "robot1/b.mcap": -2.0,
         "c.mcap": -1.0,
@@ -269,7 +269,7 @@ def test_later_entries_override_and_the_call_overrides_all(tmp_path: Path) -> No
     # A parameter replaces the one that says the same in another way.
     first, *_ = pc2scan.scans(tmp_path / "out" / "robot1" / "a_scan.mcap", "/front")
     assert first.angle_increment == pytest.approx(0.01)
-    origins = reports["robot1/a.bag"]["param_origins"]
+    origins = reports["robot1/a.bag"]["scans"][0]["param_origins"]
     assert origins["min_height"] == f"{tmp_path / 'set.yaml'}, line 13"
     assert "set.yaml" not in origins["max_height"]
 

@@ -61,7 +61,7 @@ def until(condition: Callable[[], Any]) -> Any:
 
 def ended(job: Job, error: str = "") -> Result:
     if error:
-        return Result(key=job.key, outcome="failed", exit_status=1, error={"class": error})
+        return Result(key=job.key, outcome="failed", exit_status=1, error={"kind": error})
     return Result(key=job.key, outcome="converted", exit_status=0, output_identity=Identity((("x", 1, 1),)))
 
 

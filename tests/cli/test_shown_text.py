@@ -10,13 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.damage import Damage
-from pc2scan.cli.damage import show_damage, show_recovery
-from pc2scan.cli.fitting import table_lines
-from pc2scan.cli.render import say, show_error, show_table
+from pc2scan.cli.render import say, show, show_error, show_parts
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
-from pc2scan.text import Table
+from pc2scan.tables import Table, fitted
 
 
 @pytest.mark.parametrize(
@@ -47,7 +45,7 @@ def test_an_error_says_where_what_and_what_to_do(capsys: pytest.CaptureFixture[s
 
 
 def test_a_table_lines_up_and_escapes(capsys: pytest.CaptureFixture[str]) -> None:
-    show_table(Table(("topic", "in"), [("/a\x1b", "1"), ("/longer", "1,000")], left=("topic",)))
+    show_parts([Table(("topic", "in"), [("/a\x1b", "1"), ("/longer", "1,000")], left=("topic",))])
     lines = ["topic        in", "---------------", "/a\\x1b        1", "/longer   1,000"]
     assert capsys.readouterr().out.splitlines() == lines
 
@@ -71,29 +69,30 @@ velodyne_points  msg/PointCloud2             remark of words
 
 
 def test_a_table_that_is_too_wide_loses_no_text() -> None:
-    as_it_is, wide, narrow = (list(table_lines(CELLS, ("topic", "type", "what"), width)) for width in (None, 200, 61))
+    as_it_is, wide, narrow = (list(fitted(CELLS, ("topic", "type", "what"), width)) for width in (None, 200, 61))
     assert as_it_is == wide
     assert len(wide) == 4
     # Empty columns go first, then text is wrapped, and all columns share the space.
     assert "lost" in wide[0]
     assert narrow == NARROW.splitlines()
     # At last columns on the right go, and are named.
-    shown = list(table_lines([["on", *"abcdefgh"], ["/scan", *["1,000,000"] * 8]], ("on",), 50))
+    shown = list(fitted([["on", *"abcdefgh"], ["/scan", *["1,000,000"] * 8]], ("on",), 50))
     assert shown[-1] == "(no room for: e, f, g, h)"
 
 
 @given(st.lists(st.lists(st.text("ab /", max_size=40), min_size=4, max_size=4), max_size=5), st.integers(60, 120))
 def test_any_table_fits(rows: list[list[str]], width: int) -> None:
     cells = [["one", "two", "three", "four"], *rows]
-    assert all(len(line) <= width for line in table_lines(cells, ("one", "three"), width))
+    assert all(len(line) <= width for line in fitted(cells, ("one", "three"), width))
 
 
 def test_many_places_are_cut_short(capsys: pytest.CaptureFixture[str]) -> None:
-    show_damage([Damage("is \x1b[2J", PATH, offset) for offset in range(1000)])
+    damage = [Damage("is \x1b[2J", PATH, offset) for offset in range(1000)]
+    show(Report(["a"], "b", (ScanSpec(),), damage=damage), quiet=True)
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 6
+    assert len(lines) == 7
     assert lines[0] == r"damaged: drive.bag, byte 0: is \x1b[2J"
-    assert "995 more places" in lines[-1]
+    assert lines[-2] == "damaged: 995 more"
 
 
 @pytest.mark.parametrize(
@@ -128,6 +127,6 @@ def test_a_run_says_what_was_recovered(
 ) -> None:
     damage = [Damage("x", PATH, *place) for place in places]
     report = Report(["a"], "b", (ScanSpec(),), damage=damage, messages_read=1200, messages_declared=declared)
-    show_recovery(report)
+    show(report, quiet=True)
     assert capsys.readouterr().err.splitlines()[-1] == f"recovered: {found}; {lost}; {times}"
     assert report.exit_status == 3

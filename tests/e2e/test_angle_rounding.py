@@ -54,8 +54,8 @@ def test_the_older_libm_to_the_byte(case: str, way: str, tmp_path: Path) -> None
     assert opened(tmp_path / "out.bag").messages == expected
     assert expected != opened(FOLDER / case / "expected.bag").messages
     found = json.loads(report.read_text())
-    assert found["params"]["angle_rounding"] == "glibc-2.40"
-    assert "default" not in found["param_origins"]["angle_rounding"]
+    assert found["scans"][0]["params"]["angle_rounding"] == "glibc-2.40"
+    assert "default" not in found["scans"][0]["param_origins"]["angle_rounding"]
 
 
 @pytest.mark.parametrize("case", sampled(CASES, 1))

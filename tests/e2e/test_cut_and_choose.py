@@ -142,7 +142,10 @@ def test_the_report_has_what_was_read_and_written(bag: Path, tmp_path: Path) -> 
     assert (found["sources"], found["destination"]) == ([str(bag)], str(tmp_path / "out.bag"))
     assert found["bytes_read"] == bag.stat().st_size
     assert found["bytes_written"] == (tmp_path / "out.bag").stat().st_size
-    assert (found["params"]["min_height"], found["param_origins"]["min_height"]) == (-2.0, "--min-height")
+    assert (found["scans"][0]["params"]["min_height"], found["scans"][0]["param_origins"]["min_height"]) == (
+        -2.0,
+        "--min-height",
+    )
     topics = {entry["topic"]: entry for entry in found["topics"]}
     assert topics.keys() == EVERYTHING - {"/scan"} | {"/points"}
     points = topics.pop("/points")["points"]

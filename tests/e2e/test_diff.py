@@ -155,17 +155,17 @@ THREE = changed((1, 1, TEN[1][1] + 1), (1, 2, TEN[1][2] + 1), (7, 1, TEN[7][1] +
 #: Beam 70 had no return and takes its neighbour's: it has shifted.
 SHIFTED = changed((2, 70, TEN[2][69]), (2, 69, np.inf), (3, 50, TEN[3][50] + 1))
 
-ONE_BIT = "same=False differing=1 values.0.name=ranges values.0.messages=1 values.0.changed=1 values.0.shifted=0"
-WORST = f"values.0.worst.index=90 values.0.worst.stamp_ns={stamp_of(4)} values.0.worst.angle=0.0"
-ALLOWED = f"same=True values.0.allowed=True worst.stamp_ns={stamp_of(1)} values.0.worst.index=1"
+ONE_BIT = "same=False differing=1 values.ranges.messages=1 values.ranges.changed=1 values.ranges.shifted=0"
+WORST = f"values.ranges.worst.index=90 values.ranges.worst.times.stamp_ns={stamp_of(4)} values.ranges.worst.angle=0.0"
+ALLOWED = f"same=True worst.times.stamp_ns={stamp_of(1)} values.ranges.worst.index=1"
 
 #: Another recording, options, what the JSON says of the only topic, and what the text says.
 CHANGES: list[tuple[Recording, str, str, str]] = [
     (bit(), "", f"{ONE_BIT} {WORST}", "1 beam of 1,810|beam 90 (0.00 deg)|different: 1 of 1 topic"),
     (bit(), "--rtol 1e-6", "same=True", "same"),
-    (SHIFTED, "", "values.0.changed=1 values.0.shifted=2 values.0.whole_shifts=0", ""),
-    (recording(ROLLED), "", "values.0.whole_shifts=1", "1 whole scan shifted by one beam"),
-    (recording([TEN[k] for k in SWAPPED], SWAPPED), "", "moved.count=1 values=[] changes.0.name=log_time", ""),
+    (SHIFTED, "", "values.ranges.changed=1 values.ranges.shifted=2 values.ranges.whole_shifts=0", ""),
+    (recording(ROLLED), "", "values.ranges.whole_shifts=1", "1 whole scan shifted by one beam"),
+    (recording([TEN[k] for k in SWAPPED], SWAPPED), "", "moved.count=1 values={} changes.log_time.messages=2", ""),
     (recording([TEN[k] for k in SWAPPED], SWAPPED), "--ignore order --ignore log_time", "same=True", ""),
     # Only the contents change places: both scans differ.
     (recording([TEN[k] for k in SWAPPED]), "", "moved.count=0 differing=2", ""),

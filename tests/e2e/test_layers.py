@@ -28,6 +28,8 @@ GROUND = {
     "errors",
     "memory",
     "model",
+    "result",
+    "tables",
     "text",
     "threads",
     "version",
@@ -36,6 +38,8 @@ GROUND = {
 #: What else each layer may import of pc2scan, for type checkers too; its own modules always.
 ALLOWED = {
     **{name: set[str]() for name in GROUND},
+    # Results have damage.
+    "result": {"bags.damage"},
     "files": set[str](),
     "remote": {"files"},
     "core": set[str](),
@@ -66,6 +70,7 @@ ALLOWED = {
         *("bags.damage", "bags.formats", "files.staging", "files.junit", "remote.urls", "requests"),
     },
     "pytest_plugin": {"api", "cli", "golden"},
+    "result_schema": {"batch", "compare", "core", "export", "golden", "inspect", "look", "pipeline"},
 }
 
 #: What layers may import from elsewhere, beside the standard library.
@@ -88,6 +93,7 @@ THIRD_PARTY = {
     "look": {"numpy", "matplotlib"},
     "api": set[str](),
     "requests": set[str](),
+    "result_schema": set[str](),
     "cli": {"typer", "rich"},
     "pytest_plugin": {"pytest"},
 }
@@ -245,7 +251,7 @@ def test_starting_is_cheap(code: str) -> None:
 LOADED_BY_CONVERT = {
     "pc2scan": (
         "arguments bags callable_package cli core errors files memory messages model options pipeline "
-        "remote requests text tf threads version"
+        "remote requests result tables text tf threads version"
     ),
     "pc2scan.bags": (
         "chunked damage destinations formats lasting many mcap opening parts reader rosbag1 topics units zstd"
@@ -254,7 +260,7 @@ LOADED_BY_CONVERT = {
     "pc2scan.bags.mcap": "record_types records writer",
     "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
     "pc2scan.cli": (
-        "app completion convert damage fitting interrupts next_command options outcome progress "
+        "app completion convert interrupts next_command options progress "
         "render screen spelling usage"
     ),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",

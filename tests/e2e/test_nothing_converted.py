@@ -108,7 +108,7 @@ def test_frames_that_nothing_connects(count: int, options: tuple[str, ...], fold
     in_frames(folder / "far.bag", *["nowhere", "elsewhere"] * count)
     done, report = convert(folder, "--target-frame", "base_link", *options, status=1, source="far.bag")
     assert "error: /points: nothing can be converted: no transform has the source frame" in done.stderr
-    assert report["error"]["class"] == "UnconnectedError"
+    assert report["errors"][0]["kind"] == "UnconnectedError"
     with pytest.raises(UnconnectedError, match="nothing can be converted"), pytest.warns(RecordingWarning):
         list(scans(folder / "far.bag", target_frame="base_link"))
     dry = run_command(["convert", str(folder / "far.bag"), "--target-frame", "base_link", "--dry-run"])
@@ -123,7 +123,7 @@ def test_a_topic_without_messages(kind: str, tmp_path: Path) -> None:
     for options in ((), ("--topic", "/points")):
         done, report = convert(tmp_path, *options, status=2, source=source)
         assert "there is nothing to convert" in done.stderr or "no PointCloud2 topic" in done.stderr
-        assert report["error"]["class"] == "TopicError"
+        assert report["errors"][0]["kind"] == "TopicError"
 
 
 # --- What turns out in the end ---
@@ -140,7 +140,7 @@ def test_clouds_that_all_are_skipped(folder: Path) -> None:
     write_rosbag1(folder / "early.bag", replace(CONTENT, items=tuple(items)))
     done, report = convert(folder, "--target-frame", "odom", status=1, source="early.bag")
     assert "error: no message was converted: all were skipped: " in done.stderr
-    assert report["error"]["class"] == "ResultError"
+    assert report["errors"][0]["kind"] == "ResultError"
     assert report["skipped_count"] == 3
     assert [topic["messages_out"] for topic in report["topics"] if topic["action"] == "converted"] == [0]
 
@@ -163,10 +163,10 @@ def test_one_converted_message_is_enough(folder: Path) -> None:
 @pytest.mark.parametrize(("options", "kind", "status"), rows(TABLES, "failures"))
 def test_the_report_of_a_failure(options: tuple[str, ...], kind: str, status: int, folder: Path) -> None:
     done, report = convert(folder, *options, status=status)
-    error = report["error"]
+    (error,) = report["errors"]
     assert error["exit_status"] == status
-    assert set(error) == {"class", "message", "place", "hint", "exit_status"}
-    assert error["class"] in (kind, "ParameterError", "UsageError", "MissingError")
+    assert set(error) == {"kind", "message", "path", "topic", "stamp_ns", "hint", "exit_status"}
+    assert error["kind"] in (kind, "ParameterError", "UsageError", "MissingError")
     assert report["sources"] == ["drive.bag"]
     assert done.stderr.startswith("error: ")
 
@@ -174,9 +174,9 @@ def test_the_report_of_a_failure(options: tuple[str, ...], kind: str, status: in
 def test_the_report_of_a_source_that_is_none(folder: Path) -> None:
     (folder / "notes.bag").write_text("no bag")
     _, report = convert(folder, status=1, source="notes.bag")
-    assert report["error"]["class"] == "RecordingError"
-    assert report["error"]["place"] == "notes.bag"
-    assert report["destination"] is None
+    assert report["errors"][0]["kind"] == "RecordingError"
+    assert report["errors"][0]["path"] == "notes.bag"
+    assert report["destination"] == ""
 
 
 def test_a_report_of_a_failure_replaces_no_file_of_the_users(folder: Path) -> None:

@@ -57,7 +57,7 @@ def test_a_preset_is_accepted_by_its_consumer(consumer: str, tmp_path: Path) -> 
         assert scan.scan_time == np.float32(0.1)
         assert np.isinf(scan.ranges).any() == (consumer != "gmapping")
     told = json.loads(report.read_text())
-    assert told["param_origins"]["geometry"] == f"--preset {consumer}"
+    assert told["scans"][0]["param_origins"]["geometry"] == f"--preset {consumer}"
     assert told["notes"][0] == "/points: scan_time is 0.1 s, the median interval of its 5 stamps"
     checked = run("check", destination, "--for", consumer)
     assert checked.status == 0, checked.stdout

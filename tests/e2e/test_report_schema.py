@@ -1,4 +1,4 @@
-"""The JSON schemas of the report and the manifest: real ones have exactly what they say."""
+"""The JSON schemas of results and the manifest: real ones have exactly what they say."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
+from pc2scan.result_schema import results_schema
 from support import ROOT, sampled
 from support.command import run
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 HALL = ROOT / "fixtures" / "hall.bag"
 SCHEMAS = {
     name: json.loads((files("pc2scan") / folder / name).read_text("utf-8"))
-    for folder, name in (("pipeline", "report.schema.json"), ("batch", "manifest.schema.json"))
+    for folder, name in (("", "results.schema.json"), ("batch", "manifest.schema.json"))
 }
 TYPES: dict[str, Any] = {
     "null": type(None),
@@ -95,6 +96,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "cut.bag").write_bytes(HALL.read_bytes()[:300_000])
     (folder / "scans.yaml").write_text(SCANS)
     pc2scan.convert(HALL, folder / "scans.bag", min_height=-0.3)
+    pc2scan.convert(HALL, folder / "lower.bag", min_height=-0.4)
     return folder
 
 
@@ -102,11 +104,48 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_report_is_as_its_schema_says(folder: Path, tmp_path: Path, words: str) -> None:
     run(*words.split(), "-o", tmp_path / "out.bag", "--report", tmp_path / "report.json", cwd=folder)
     report = json.loads((tmp_path / "report.json").read_text("utf-8"))
-    schema = SCHEMAS["report.schema.json"]
+    schema = SCHEMAS["results.schema.json"]
     assert violations(report, schema, schema) == []
     assert bool(report["damage"]) == ("cut.bag" in words)
     del report["topics"]
-    assert violations(report | {"more": 1}, schema, schema) == ["$: topics is missing", "$: more is too much"]
+    wrong = violations(report | {"more": 1}, schema["$defs"]["report"], schema)
+    assert wrong == ["$: topics is missing", "$: more is too much"]
+
+
+COMMANDS = [
+    ("info", "info hall.bag cut.bag"),
+    ("info", "info scans.bag"),
+    ("check", "check scans.bag"),
+    ("frames", "tf hall.bag"),
+    ("transform", "tf hall.bag --lookup base_link lidar"),
+    ("difference", "diff hall.bag hall.bag"),
+    ("difference", "diff scans.bag lower.bag"),
+    ("golden", f"golden {ROOT / 'fixtures' / 'golden'} -k default"),
+    ("export", "export scans.bag -o scans.npz"),
+    ("map", "map hall.bag --min-height -0.3 --png map.png"),
+    ("report", "repair cut.bag -o sound.bag --overwrite"),
+    ("failure", "info missing.bag"),
+    ("failure", "export hall.bag -o scans.npz --format tum"),
+]
+
+
+@pytest.mark.parametrize(("kind", "words"), COMMANDS)
+def test_json_is_as_the_schema_of_results_says(folder: Path, kind: str, words: str) -> None:
+    found = json.loads(run(*words.split(), "--json", cwd=folder).stdout)
+    schema = SCHEMAS["results.schema.json"]
+    assert found["kind"] == kind
+    assert violations(found, schema["$defs"][kind], schema) == []
+
+
+def test_the_schema_of_a_batch_is_that_of_its_report(folder: Path, tmp_path: Path) -> None:
+    run("batch", folder / "hall.bag", "-o", tmp_path / "out", "--report", tmp_path / "batch.json")
+    found = json.loads((tmp_path / "batch.json").read_text("utf-8"))
+    schema = SCHEMAS["results.schema.json"]
+    assert violations(found, schema["$defs"]["batch"], schema) == []
+
+
+def test_the_shipped_schema_is_that_of_the_classes() -> None:
+    assert SCHEMAS["results.schema.json"] == results_schema(), "python -m pc2scan.result_schema > results.schema.json"
 
 
 @pytest.mark.parametrize("words", sampled(["", "--export npz"], 1))

@@ -85,13 +85,13 @@ def test_points_are_chosen_and_counted(
     if counted:
         assert 100 < points[counted] < 0.9 * points["total"]
         assert (points["height"] == 0) or counted == "min_height_slope"
-    assert [each["name"] for each in report.as_dict()["filters"]] == ([counted] if counted else [])
+    assert [each["name"] for each in report.as_dict()["scans"][0]["filters"]] == ([counted] if counted else [])
     assert not any("ground" in warning for warning in report.warnings)
 
 
 def test_a_condition_is_in_the_report(tmp_path: Path) -> None:
     _, _, report = converted(tmp_path, where="ring in (3, 4, 5)")
-    assert report.as_dict()["filters"] == [{"name": "where", "condition": "ring in (3, 4, 5)"}]
+    assert report.as_dict()["scans"][0]["filters"] == [{"name": "where", "condition": "ring in (3, 4, 5)"}]
 
 
 def test_beams_are_removed_and_counted(tmp_path: Path) -> None:

@@ -19,7 +19,6 @@ from fuzz.mutants.mutate import Mutant, mutant, rearranged, stretches
 from fuzz.mutants.seeds import Seed, place
 from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
-from pc2scan.cli.damage import recovery_text
 from pc2scan.options.moment import TimeBound
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.report import Report
@@ -194,7 +193,11 @@ def _run(operation: Operation, options: ConvertOptions, source: Path, folder: Pa
         return 1, None, ""
     if left != [destination.name]:
         raise Finding(f"it left {left}")
-    return status, content_of(destination), recovery_text(report) if report.damage else ""
+    return (
+        status,
+        content_of(destination),
+        " ".join(each.text for each in report.remarks() if each.label == "recovered"),
+    )
 
 
 def _read(source: Path) -> tuple[int, Content | None]:

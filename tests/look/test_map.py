@@ -84,7 +84,7 @@ def test_walls_are_where_they_are(source: Path, recording: Recording) -> None:
     area = len(free) * CELL**2
     assert 0.9 < area / (10.05 * 5.01 - 0.36**2) <= 1.0
     assert made.scans == {"/scan": 40}
-    assert (made.exit_status, made.notes, made.skipped) == (0, (), ())
+    assert (made.exit_status, made.warnings, made.skipped) == (0, (), ())
 
 
 def test_the_way_is_that_of_the_robot(source: Path) -> None:
@@ -252,8 +252,8 @@ def test_reasons_without_number_are_one(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "odd.mcap", Recording(recording.streams, (*recording.items, *odd)))
     made = pc2scan.map(source)
     assert len(made.skipped) == 101
-    assert sum(each.count for each in made.skipped) == 150
-    assert made.skipped[0].count == 50
+    assert sum(each.messages for each in made.skipped) == 150
+    assert made.skipped[0].messages == 50
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 3.4e38, -1.0])

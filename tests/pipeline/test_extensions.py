@@ -167,7 +167,7 @@ def test_a_new_filter_is_one_class(tmp_path: Path, jobs: int) -> None:
     assert topic.points == pc2scan.PointCounts(total=10, used=4, thinned=6)
     assert topic.points.thinned == 6
     written = json.loads(report.as_json())
-    assert written["filters"] == [{"name": "thinned", "n": 2, "highest": 8}]
+    assert written["scans"][0]["filters"] == [{"name": "thinned", "n": 2, "highest": 8}]
     assert list(written["topics"][0]["points"]) == [*pc2scan.PointCounts().as_dict(), "thinned"]
     for data in messages_of(tmp_path / "b.mcap"):
         ranges = decode_laserscan(data, "cdr").ranges

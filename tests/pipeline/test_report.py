@@ -12,9 +12,10 @@ import pytest
 
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
-from pc2scan.pipeline.report import MAX_LISTED, Report, Skipped
+from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.topic_report import TopicReport
+from pc2scan.result import MAX_LISTED, Skipped
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("reports.txt")
@@ -97,6 +98,6 @@ def test_json_has_no_infinities_and_keeps_every_nanosecond() -> None:
     made = report(ProjectionParams(range_max=math.inf), used=100)
     made.list_skipped(Skipped("/points", 1604515190231374463, None, "no header"))
     read = json.loads(json.dumps(made.as_dict(), allow_nan=False))
-    assert read["params"]["range_max"] == "inf"
+    assert read["scans"][0]["params"]["range_max"] == "inf"
     assert read["skipped"][0]["log_time_ns"] == 1604515190231374463
     assert read["topics"][0]["points"]["used"] == 100

@@ -124,7 +124,7 @@ def check(case: Case, folder: Path) -> None:
             # A command that cannot begin prints nothing but its error as JSON.
             document = json.loads(done.stdout)
             assert document["exit_status"] == done.status, where
-            assert document["error"]["message"] in done.stderr, where
+            assert document["errors"][0]["message"] in done.stderr, where
         if done.status in {1, 2} and not step.writes:
             assert sorted(_content(folder)) == before, where
 

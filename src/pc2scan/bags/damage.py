@@ -78,10 +78,6 @@ class Damage(NamedTuple):
             return f"from log time {stamp_text(first)} on"
         return f"before log time {stamp_text(last)}" if last is not None else ""
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types."""
-        return self._asdict() | {"path": str(self.path)}
-
 
 def count_details(counts: Iterable[tuple[str, int, int]]) -> str:
     """List topics whose number of messages differs from the declared one: name, declared and found number.

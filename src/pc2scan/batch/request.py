@@ -16,7 +16,7 @@ from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
 from pc2scan.remote.urls import is_url
 from pc2scan.requests import conversion_of, output_of
-from pc2scan.text import json_value
+from pc2scan.result import json_value
 
 from .identity import Identity, identity_of
 

@@ -144,7 +144,7 @@ class _StagedQueue(Queue):
     def done(self, result: Result) -> Result | None:
         """Begin to upload a result, and return None; a result that needs no upload is returned."""
         copy = self._copies[result.key]
-        if (result.error or {}).get("class") == ScratchError.__name__ and not copy.alone:
+        if (result.error or {}).get("kind") == ScratchError.__name__ and not copy.alone:
             with self._lock:
                 self._release(copy)
                 self._waiting.append(_Copy(copy.job, copy.folder.with_name(f"{copy.folder.name}_alone"), alone=True))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.errors import leading, visible
-from pc2scan.text import Shown, Table, count, counted, csv_cell, duration, size
+from pc2scan.result import BEGINNING, Part, Result
+from pc2scan.tables import Table, csv_cell
+from pc2scan.text import count, counted, duration, size
 from pc2scan.version import __version__
 
 if TYPE_CHECKING:
@@ -48,7 +50,7 @@ _COLUMNS = (
 
 #: The first bytes of reports, by suffix. Only a file that begins with them is replaced by another report.
 BEGINNINGS = {
-    ".json": b'{\n  "pc2scan": "',
+    ".json": BEGINNING,
     ".csv": (",".join(heading for heading, _ in _COLUMNS)).encode(),
     ".md": b"# Batch of pc2scan",
 }
@@ -68,17 +70,13 @@ class Facts(NamedTuple):
         """Read a report; all are zero if it is empty."""
         topics = report.get("topics", ())
         warnings = len(report.get("warnings", ()))
-        if "format" in report:
-            skipped = sum(report["skipped_reasons"].values())
-            return cls(sum(topic["written"] for topic in topics), 0, skipped, tuple(report["damage"]), warnings)
+        skipped = report.get("skipped_count", 0)
+        damage = tuple(place["what"] for place in report.get("damage", ()))
+        if report.get("kind") == "export":
+            return cls(sum(topic["written"] for topic in topics), 0, skipped, damage, warnings)
         converted = [topic for topic in topics if topic["action"] == "converted"]
-        return cls(
-            sum(topic["messages_out"] for topic in converted),
-            sum(topic["empty_scans"] for topic in converted),
-            report.get("skipped_count", 0),
-            tuple(place["what"] for place in report.get("damage", ())),
-            warnings,
-        )
+        scans, empty = (sum(topic[name] for topic in converted) for name in ("messages_out", "empty_scans"))
+        return cls(scans, empty, skipped, damage, warnings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -169,7 +167,7 @@ class Outcome:
 
 
 @dataclass(slots=True, repr=False)
-class BatchReport(Shown):
+class BatchReport(Result):
     """The report of a batch.
 
     Attributes
@@ -189,6 +187,11 @@ class BatchReport(Shown):
     warnings
         Warnings.
     """
+
+    kind: ClassVar[str] = "batch"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("destination", "dry_run", "counts", "unchanged", "workers", "seconds", "estimate_seconds", "recordings"),
+    )
 
     destination: Path | str
     outcomes: list[Outcome] = field(default_factory=list)
@@ -219,10 +222,20 @@ class BatchReport(Shown):
         counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
         return f"<BatchReport on {str(self.destination)!r}: {counts or 'nothing'}, exit status {self.exit_status}>"
 
-    def tables(self, most: int | None = _MAX_SHOWN) -> Iterator[str | Table]:
-        """Yield the recordings, bad outcomes first, and the total."""
-        ordered = sorted(self.outcomes, key=lambda outcome: outcome.rank)
-        listed = ordered[:most]
+    @property
+    def recordings(self) -> list[dict[str, Any]]:
+        """The rows of the report's table, bad outcomes first."""
+        return [{heading: getattr(each, name) for heading, name in _COLUMNS} for each in self._ordered()]
+
+    def _ordered(self) -> list[Outcome]:
+        return sorted(self.outcomes, key=lambda outcome: outcome.rank)
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the recordings, bad outcomes first, and the total; ``verbose``: all recordings."""
+        if self.dry_run:
+            yield "dry run, nothing is written"
+        ordered = self._ordered()
+        listed = ordered if verbose else ordered[:_MAX_SHOWN]
         if listed:
             yield Table(
                 ("recording", "outcome", "scans", "empty", "written", "why", "remark"),
@@ -244,9 +257,10 @@ class BatchReport(Shown):
                 worst = ordered[len(listed)].outcome
                 yield f"and {more:,} more, {worst} or better (`report` lists all)"
             yield ""
-        yield from self._total()
+        yield from self.total()
 
-    def _total(self) -> Iterator[str]:
+    def total(self) -> Iterator[str]:
+        """Yield the numbers of recordings, scans and bytes."""
         counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
         would = "would be: " if self.dry_run else ""
         yield f"{counted(len(self.outcomes), 'recording')}{f': {would}{counts}' if counts else ''}" + (
@@ -270,41 +284,12 @@ class BatchReport(Shown):
         else:
             yield f"{leading(str(self.destination))}: nothing to do ({duration(self.seconds)})"
 
-    def _shown(self) -> Iterator[str | Table]:
-        if self.dry_run:
-            yield "dry run, nothing is written"
-            yield ""
-        yield from self.tables()
-        yield f"exit status {self.exit_status}"
-        yield from (f"warning: {warning}" for warning in self.warnings)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as JSON's types."""
-        return {
-            "pc2scan": __version__,
-            "exit_status": self.exit_status,
-            "destination": str(self.destination),
-            "dry_run": self.dry_run,
-            "counts": self.counts,
-            "unchanged": self.unchanged,
-            "workers": self.workers,
-            "seconds": round(self.seconds, 3),
-            "estimate_seconds": self.estimate_seconds,
-            "warnings": self.warnings,
-            "recordings": [
-                {heading: getattr(each, name) for heading, name in _COLUMNS}
-                for each in sorted(self.outcomes, key=lambda outcome: outcome.rank)
-            ],
-        }
-
 
 def report_text(report: BatchReport, suffix: str) -> str:
     """Return a report as the text of a file; ``suffix`` is a key of `BEGINNINGS`."""
     if suffix == ".json":
-        import json  # noqa: PLC0415  # only where it is asked for
-
-        return json.dumps(report.as_dict(), indent=2) + "\n"
-    rows = [list(line.values()) for line in report.as_dict()["recordings"]]
+        return report.as_json()
+    rows = [list(line.values()) for line in report.recordings]
     headings = [heading for heading, _ in _COLUMNS]
     if suffix == ".csv":
         cells = [[csv_cell(cell) if isinstance(cell, str) else str(cell) for cell in row] for row in rows]
@@ -315,7 +300,7 @@ def report_text(report: BatchReport, suffix: str) -> str:
 def _markdown(report: BatchReport, headings: Sequence[str], rows: Sequence[Sequence[Any]]) -> Iterator[str]:
     yield f"{BEGINNINGS['.md'].decode()} {__version__}"
     yield ""
-    yield from (f"{visible(line)}\n" for part in report.tables(0) if isinstance(line := part, str) and line)
+    yield from (f"{visible(line)}\n" for line in report.total())
     yield f"| {' | '.join(headings)} |"
     yield f"|{'---|' * len(headings)}"
     for row in rows:

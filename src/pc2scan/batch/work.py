@@ -243,7 +243,7 @@ def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Ide
 
 def died(job: Job, why: str, *, attempts: int, seconds: float) -> Result:
     """Return the result of a job whose process died."""
-    error = {"class": "ProcessDied", "message": why, "place": None, "hint": None, "exit_status": 1}
+    error = Pc2ScanError(why).as_dict() | {"kind": "ProcessDied"}
     started = now()
     identity = identity_of(map(Path, job.sources))
     return Result(
@@ -268,11 +268,6 @@ def _checksum_of_sources(sources: list[Path]) -> str:
 def _unexpected(err: Exception) -> dict[str, Any]:
     import traceback  # noqa: PLC0415  # a bug, or memory that is not there
 
-    return {
-        "class": type(err).__name__,
-        "message": f"{type(err).__name__}: {err}" if str(err) else type(err).__name__,
-        "place": None,
-        "hint": None,
-        "exit_status": 1,
-        "traceback": "".join(traceback.format_exception(err)),
-    }
+    kind = type(err).__name__
+    text = "".join(traceback.format_exception(err))
+    return Pc2ScanError(f"{kind}: {err}" if str(err) else kind).as_dict() | {"kind": kind, "traceback": text}

@@ -12,7 +12,7 @@ import typer
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
 
-from .render import say, show_parts, warn
+from .render import say, show, warn
 from .spelling import as_typed
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from pc2scan.batch.manifest import Record
     from pc2scan.batch.plan import Plan
-    from pc2scan.batch.summary import BatchReport
     from pc2scan.batch.watch import BatchProgress
 
 
@@ -70,7 +69,7 @@ def batch(
         except KeyboardInterrupt:
             say("hint: run the same command again to continue it", err=True)
             raise
-    _show_report(report, quiet=quiet, verbose=verbose)
+    show(report, quiet=quiet, verbose=verbose)
     raise typer.Exit(report.exit_status)
 
 
@@ -122,15 +121,6 @@ def _show_text(text: str) -> None:
     """Print the tables of a conversion."""
     for line in text.split("\n"):
         say(as_typed(line), err=True)
-
-
-def _show_report(report: BatchReport, *, quiet: bool, verbose: bool) -> None:
-    for warning in report.warnings:
-        warn(warning)
-    if not quiet:
-        if report.dry_run:
-            say("dry run, nothing is written")
-        show_parts(report.tables(None) if verbose else report.tables())
 
 
 @contextmanager

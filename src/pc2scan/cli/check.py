@@ -9,12 +9,7 @@ import typer
 
 from pc2scan.options.call import Options
 
-from .damage import show_damage
-from .render import print_json, say, warn
-from .spelling import as_typed
-
-#: Maximum number of a topic's frames that are shown.
-_SHOWN = 5
+from .render import show
 
 
 def check(
@@ -52,13 +47,6 @@ def check(
                 frames=frames,
                 progress=progress,
             )
-        if options.as_json:
-            print_json(result.as_dict())
-        else:
-            for line in result.lines():
-                say(as_typed(line))
-            for warning in result.warnings:
-                warn(warning)
-        show_damage(result.damage)
+        show(result, as_json=options.as_json)
         write_junit(of_check(result))
     raise typer.Exit(result.exit_status)

@@ -10,10 +10,10 @@ import typer
 from pc2scan.errors import Pc2ScanError
 from pc2scan.options.call import Options
 
+from .next_command import next_line
 from .options import Destination
-from .outcome import conclude, show, show_next
 from .progress import progress_bar
-from .render import warn
+from .render import say, show, warn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -48,11 +48,11 @@ def convert(
         options.check()
         conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
-        from pc2scan.pipeline.report import Failure
         from pc2scan.pipeline.run import report_failure
         from pc2scan.remote.urls import shown_path
+        from pc2scan.result import Failure
 
-        report_failure(Failure(err, [shown_path(source) for source in sources], destination), sources, form, files)
+        report_failure(Failure([err], [shown_path(source) for source in sources], destination), sources, form, files)
         raise
 
     from pc2scan.pipeline.run import run
@@ -67,12 +67,10 @@ def convert(
         result = run(
             sources, named, conversion.options, form, also_read=conversion.files, progress=progress, warn=warned
         )
-    if not options.quiet:
-        show(result, verbose=options.verbose)
-    end = conclude(result, verbose=options.verbose, shown=shown)
+    show(result, quiet=options.quiet, verbose=options.verbose, known=shown)
     if not options.quiet and not result.dry_run:
-        show_next(result)
-    raise end
+        say(next_line(result))
+    raise typer.Exit(result.exit_status)
 
 
 def _ros_arguments(words: Iterable[Path]) -> tuple[list[Path], dict[str, list[str]]]:

@@ -9,8 +9,7 @@ import typer
 
 from pc2scan.options.call import Options
 
-from .render import print_json, say
-from .spelling import as_typed
+from .render import show
 
 
 def diff(
@@ -47,9 +46,5 @@ def diff(
         from pc2scan.look.compared import compared_view
 
         compared_view(a, a if b is None else b, options.view, topics=pairs, rules=rules, summary=str(result))
-    if options.as_json:
-        print_json(result.as_dict())
-    elif not options.quiet:
-        for line in str(result).split("\n"):
-            say(as_typed(line))
+    show(result, as_json=options.as_json, quiet=options.quiet)
     raise typer.Exit(result.exit_status)

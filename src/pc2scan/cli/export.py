@@ -9,11 +9,9 @@ import typer
 
 from pc2scan.options.call import Options
 
-from .damage import show_damage
 from .options import PathType
 from .progress import progress_bar
-from .render import print_json, say, show_parts, warn
-from .spelling import as_typed
+from .render import show, warn
 
 
 def export(
@@ -58,13 +56,5 @@ def export(
             also_read=asked.files,
             progress=progress,
         )
-    if options.as_json:
-        print_json(report.as_dict())
-    else:
-        show_parts([report.table()])
-        for text in report.remarks():
-            say(as_typed(text), err=True)
-        for text in report.warnings:
-            warn(text)
-    show_damage(report.damage)
+    show(report, as_json=options.as_json)
     raise typer.Exit(report.exit_status)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import signal
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, Pc2ScanError
 
@@ -38,21 +38,13 @@ def show_failure(err: Pc2ScanError, words: Sequence[str]) -> int:
             err.hint = "pc2scan repair makes a sound recording of what is readable"
     show_error(err)
     if "--json" in (words[: words.index("--")] if "--" in words else words):
+        from pc2scan.result import Failure
+
         from .render import print_json
 
-        print_json({"error": _as_dict(err), "exit_status": status})
+        err.message, err.hint = as_typed(err.message), None if err.hint is None else as_typed(err.hint)
+        print_json(Failure([err]).as_dict() | {"exit_status": status})
     return status
-
-
-def _as_dict(err: Pc2ScanError) -> dict[str, Any]:
-    return {
-        "class": type(err).__name__,
-        "message": as_typed(err.message),
-        "path": None if err.path is None else str(err.path),
-        "topic": err.topic,
-        "stamp_ns": err.stamp_ns,
-        "hint": None if err.hint is None else as_typed(err.hint),
-    }
 
 
 def end_without_output(err: OSError, words: Sequence[str]) -> int:

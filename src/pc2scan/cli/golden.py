@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,11 +11,8 @@ from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.text import counted
 
-from .render import print_json, say, warn
+from .render import say, show, show_parts, warn
 from .spelling import as_typed
-
-if TYPE_CHECKING:
-    from pc2scan.golden.result import CaseResult, GoldenReport
 
 
 def golden(
@@ -62,9 +59,12 @@ def golden(
         for name, case in cases:
             result = check_case(name, case, run_command, update=options.update)
             report.cases.append(result)
-            if not options.as_json:
-                _show(result, quiet=options.quiet)
-        _conclude(report, as_json=options.as_json)
+            if not options.as_json and not (options.quiet and result.outcome == "passed"):
+                show_parts(result.body())
+        if options.as_json:
+            show(report, as_json=True)
+        else:
+            show_parts(report.conclusion())
         write_junit(of_golden(report))
     raise typer.Exit(report.exit_status)
 
@@ -86,21 +86,3 @@ def _init(folder: Path, options: Options) -> None:
     for name, size in made.files:
         say(f"{made.folder / name}  {counted(size, 'byte')}")
     say(as_typed(f"next: look at {made.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}"))
-
-
-def _conclude(report: GoldenReport, *, as_json: bool) -> None:
-    if as_json:
-        print_json(report.as_dict())
-        return
-    counted = [f"{number} {outcome.value}" for outcome, number in report.counts.items() if number]
-    say(f"{', '.join(counted)} in {report.seconds:.1f} s")
-    if report.exit_status == 1:
-        say("hint: if this is intended, --update makes it the expected output")
-
-
-def _show(result: CaseResult, *, quiet: bool) -> None:
-    if result.outcome == "passed" and quiet:
-        return
-    say(f"{result.outcome.value:<8}{result.name}")
-    for line in result.lines:
-        say(as_typed(f"    {line}"))

@@ -9,13 +9,8 @@ import typer
 
 from pc2scan.options.call import Options
 
-from .damage import show_damage
 from .progress import progress_bar
-from .render import print_json, say, warn
-from .spelling import as_typed
-
-#: Maximum number of reasons for skipping that are shown.
-_SHOWN = 5
+from .render import show, warn
 
 
 def map(  # noqa: A001  # the function of a command has its name
@@ -66,16 +61,5 @@ def map(  # noqa: A001  # the function of a command has its name
             also_read=asked.files,
             progress=progress,
         )
-    if options.as_json:
-        print_json(made.as_dict())
-    else:
-        for line in made.lines():
-            say(as_typed(line))
-    for note in made.notes:
-        warn(note)
-    for skipped in made.skipped[:_SHOWN]:
-        say(f"skipped: {skipped}", err=True)
-    if len(made.skipped) > _SHOWN:
-        say(f"skipped: for {len(made.skipped) - _SHOWN:,} more reasons (--json lists them)", err=True)
-    show_damage(made.damage)
+    show(made, as_json=options.as_json)
     raise typer.Exit(made.exit_status)

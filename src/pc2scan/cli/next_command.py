@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 _NAMED = 3
 
 
-def next_command(report: Report) -> str:
+def next_line(report: Report) -> str:
+    """Return the last line of a conversion: ``next: COMMAND``."""
+    return f"next: {_next_command(report)}"
+
+
+def _next_command(report: Report) -> str:
     """Return the command: quoted for a shell, and right for the destination's container and ROS version."""
     destination = _destination(report)
     if report.all_empty:

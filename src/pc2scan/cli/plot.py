@@ -9,9 +9,8 @@ import typer
 
 from pc2scan.options.call import Options
 
-from .damage import DAMAGED, show_damage
 from .fonts import fonts_noted_elsewhere
-from .render import warn
+from .render import show, warn
 
 
 def plot(
@@ -47,7 +46,5 @@ def plot(
             overwrite=options.overwrite,
             also_read=asked.files,
         )
-    for note in drawn.notes:
-        warn(note)
-    show_damage(drawn.damage)
-    raise typer.Exit(DAMAGED if drawn.damage else 0)
+    show(drawn)
+    raise typer.Exit(drawn.exit_status)

@@ -1,23 +1,25 @@
-"""Prints lines, errors, tables and JSON. All text of the commands is printed here, so that it is safe to show."""
+"""Prints lines, errors, results and JSON. All text of the commands is printed here, so that it is safe to show."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 from typing import TYPE_CHECKING
 
 import typer
 
 from pc2scan.errors import visible
-from pc2scan.text import Table, cells
+from pc2scan.result import Call
+from pc2scan.tables import Table
 
-from .fitting import table_lines
 from .screen import Screen
-from .spelling import as_typed
+from .spelling import as_typed, call_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Container, Iterable
 
     from pc2scan.errors import Pc2ScanError
+    from pc2scan.result import Part, Result
 
 
 def say(text: str = "", *, err: bool = False) -> None:
@@ -56,19 +58,48 @@ def print_json(document: object) -> None:
         typer.echo(text)
 
 
-def show_table(shown: Table) -> None:
-    """Print a table on standard output, fitted to its width.
+def show(
+    result: Result,
+    *,
+    as_json: bool = False,
+    quiet: bool = False,
+    verbose: bool = False,
+    known: Container[str] = (),
+) -> None:
+    """Show a result: what was found or done on standard output, remarks about it on standard error.
+
+    Parameters
+    ----------
+    as_json
+        Whether to print the result as JSON instead.
+    quiet
+        Whether to print nothing on standard output.
+    verbose
+        Whether to show everything.
+    known
+        Warnings that were shown while it was made.
+    """
+    if as_json:
+        print_json(result.as_dict())
+    elif not quiet:
+        show_parts(result.body(verbose=verbose))
+        show_parts(f"note: {note}" for note in result.notes)
+    for remark in result.remarks(verbose=verbose):
+        if remark.label != "warning" or remark.text not in known:
+            say(as_typed(str(remark)), err=True)
+
+
+def show_parts(parts: Iterable[Part]) -> None:
+    """Print parts of a result on standard output, with options as they are typed, and tables fitted to its width.
 
     Rich is not used, because to import it takes a third of the time in which a small recording is converted.
     """
-    for line in table_lines(cells(shown, ascii_only=_ascii_only()), shown.left, getattr(sys.stdout, "width", None)):
-        say(line)
-
-
-def show_parts(parts: Iterable[str | Table]) -> None:
-    """Print the parts of a result, with options as they are typed."""
     for part in parts:
         if isinstance(part, Table):
-            show_table(part._replace(rows=[[as_typed(cell) for cell in row] for row in part.rows]))
+            shown = part._replace(rows=[[as_typed(cell) for cell in row] for row in part.rows])
+            for line in shown.lines(getattr(sys.stdout, "width", None), ascii_only=_ascii_only()):
+                say(line)
+        elif isinstance(part, Call):
+            say(f"  {shlex.join(call_words(part))}")
         else:
-            say(as_typed(part))
+            say(as_typed(str(part)))

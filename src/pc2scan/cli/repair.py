@@ -9,9 +9,9 @@ import typer
 
 from pc2scan.options.call import Options
 
+from .next_command import next_line
 from .options import Destination
-from .outcome import conclude, show, show_next
-from .render import print_json
+from .render import say, show
 
 
 def repair(
@@ -37,11 +37,7 @@ def repair(
     silent = options.quiet or options.as_json
     with progress_bar(enabled=not silent) as progress:
         result = run([source], named, ConvertOptions(repair=True, verify=options.verify), form, progress=progress)
-    if options.as_json:
-        print_json(result.as_dict())
-    elif not options.quiet:
-        show(result)
-    end = conclude(result)
+    show(result, as_json=options.as_json, quiet=options.quiet)
     if not silent:
-        show_next(result)
-    raise end
+        say(next_line(result))
+    raise typer.Exit(result.exit_status)

@@ -7,12 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import leading
 from pc2scan.options.call import Options
-from pc2scan.text import size
 
-from .damage import DAMAGED, show_damage
-from .render import say, warn
+from .render import show, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,13 +59,10 @@ def view(
         overwrite=options.overwrite,
         also_read=asked.files,
     )
-    for note in page.notes:
-        warn(note)
-    say(f"{leading(str(path))}: {size(len(page.html))}")
+    show(page)
     if options.open_page:
         _open(path)
-    show_damage(page.damage)
-    raise typer.Exit(DAMAGED if page.damage else 0)
+    raise typer.Exit(page.exit_status)
 
 
 def _beside(sources: Sequence[Path]) -> Path:

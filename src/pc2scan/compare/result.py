@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
-from pc2scan.text import Shown, Table, counted
+from pc2scan.result import Part, Result
+from pc2scan.text import counted
 
 from .summary import summary
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(slots=True, repr=False)
-class Difference(Shown):
+class Difference(Result):
     """The differences between two recordings.
 
     Attributes
@@ -28,6 +29,9 @@ class Difference(Shown):
     left_aside
         Topics that were not compared, because they are neither scans nor clouds.
     """
+
+    kind: ClassVar[str] = "difference"
+    json_names: ClassVar[tuple[str, ...]] = ("same", "a", "b", "topics", "left_aside")
 
     a: str
     b: str
@@ -44,17 +48,6 @@ class Difference(Shown):
         """0 same, 1 different."""
         return 0 if self.same else 1
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types; infinities and NaNs are text."""
-        return {
-            "same": self.same,
-            "exit_status": self.exit_status,
-            "a": self.a,
-            "b": self.b,
-            "topics": [topic.as_dict() for topic in self.topics],
-            "left_aside": self.left_aside,
-        }
-
     def text(self, names: tuple[str, str] = ("A", "B")) -> str:
         """Summarize the differences in a few lines; ``names`` are the names of the two sides."""
         return "\n".join(summary(self.topics, self.left_aside, names))
@@ -65,5 +58,6 @@ class Difference(Shown):
         found = f"{apart} of {topics} different" if apart else f"{topics} equal"
         return f"<Difference of {self.a!r} and {self.b!r}: {found}>"
 
-    def _shown(self) -> Iterator[str | Table]:
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the differences of each topic, and a verdict."""
         yield from summary(self.topics, self.left_aside)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
-
-from pc2scan.text import json_value
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 if TYPE_CHECKING:
     from .difference import MessageDifference
@@ -94,6 +92,13 @@ class ValuesFound:
         return self.changed + self.shifted
 
 
+class WorstPair(NamedTuple):
+    """The pair of messages with the most differing beams or points, and their number."""
+
+    times: MessageTimes
+    differing: int
+
+
 @dataclass(slots=True)
 class TopicDifference:
     """The differences between a topic of A and one of B.
@@ -115,8 +120,13 @@ class TopicDifference:
     changes, values
         Differences within pairs, by name.
     worst
-        The pair with the most differing beams or points, and their number.
+        The pair that differs most; None if all are equal.
     """
+
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("topic_a", "topic_b", "msgtype", "same", "allow_beams", "messages_a", "messages_b", "matched", "differing"),
+        *("elements", "missing", "extra", "moved", "changes", "values", "worst"),
+    )
 
     topic_a: str | None
     topic_b: str | None
@@ -132,7 +142,7 @@ class TopicDifference:
     moved: Unpaired = field(default_factory=Unpaired)
     changes: dict[str, ChangeFound] = field(default_factory=dict)
     values: dict[str, ValuesFound] = field(default_factory=dict)
-    worst: tuple[MessageTimes, int] | None = None
+    worst: WorstPair | None = None
     _worst_rank: tuple[int, float] = (0, 0.0)
 
     @property
@@ -178,7 +188,7 @@ class TopicDifference:
             rank = max(rank, (array.differing, worst.difference if worst else 0.0))
         if rank > self._worst_rank:
             self._worst_rank = rank
-            self.worst = (times, rank[0])
+            self.worst = WorstPair(times, rank[0])
 
     def change(self, name: str, times: MessageTimes, a: str, b: str) -> None:
         """Count a change; the first of its name is kept as the example."""
@@ -187,49 +197,3 @@ class TopicDifference:
             self.changes[name] = ChangeFound(name, 1, times, a, b)
         else:
             found.messages += 1
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types."""
-        return {
-            "topic_a": self.topic_a,
-            "topic_b": self.topic_b,
-            "msgtype": self.msgtype,
-            "same": self.same,
-            "messages_a": self.messages_a,
-            "messages_b": self.messages_b,
-            "matched": self.matched,
-            "differing": self.differing,
-            "elements": self.elements,
-            **{
-                name: {"count": unpaired.count, "first": [asdict(times) for times in unpaired.first]}
-                for name, unpaired in (("missing", self.missing), ("extra", self.extra), ("moved", self.moved))
-            },
-            "changes": [
-                {"name": c.name, "messages": c.messages, **asdict(c.times), "a": c.a, "b": c.b}
-                for c in self.changes.values()
-            ],
-            "values": [
-                {
-                    "name": v.name,
-                    "messages": v.messages,
-                    "changed": v.changed,
-                    "shifted": v.shifted,
-                    "whole_shifts": v.whole_shifts,
-                    "allowed": self.allows(v),
-                    "worst": None if v.worst is None else _worst_dict(v.worst),
-                }
-                for v in self.values.values()
-            ],
-            "worst": None if self.worst is None else {**asdict(self.worst[0]), "differing": self.worst[1]},
-        }
-
-
-def _worst_dict(worst: WorstValue) -> dict[str, Any]:
-    return {
-        **asdict(worst.times),
-        "index": worst.index,
-        "angle": None if worst.angle is None else json_value(worst.angle),
-        "a": json_value(worst.a),
-        "b": json_value(worst.b),
-        "difference": json_value(worst.difference),
-    }

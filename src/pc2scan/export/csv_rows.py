@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.text import csv_cell
+from pc2scan.tables import csv_cell
 
 from .beams import SameBeams, has_intensities
 from .digits import float32_text, float32_texts, planar

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.errors import stamp_text, visible
-from pc2scan.pipeline.report import MAX_LISTED, Skipped
-from pc2scan.text import Shown, Table, count, counted, listed
+from pc2scan.result import MAX_LISTED, SHOWN, Part, Remark, Result, Skipped, listed
+from pc2scan.tables import Table
+from pc2scan.text import count, counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pc2scan.bags.damage import Damage
-
-#: How many reasons for skipping are shown.
-_SHOWN = 5
 
 
 @dataclass(slots=True)
@@ -48,7 +46,7 @@ class ExportedTopic:
 
 
 @dataclass(repr=False)
-class ExportReport(Shown):
+class ExportReport(Result):
     """The report of an export; ``print`` shows it as a table.
 
     Attributes
@@ -73,6 +71,11 @@ class ExportReport(Shown):
         Damaged places of the sources.
     """
 
+    kind: ClassVar[str] = "export"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("sources", "destination", "format", "topics", "skipped", "skipped_count", "skipped_reasons"),
+    )
+
     sources: list[str]
     destination: str
     format: str
@@ -90,6 +93,11 @@ class ExportReport(Shown):
         return sum(topic.written for topic in self.topics)
 
     @property
+    def skipped_count(self) -> int:
+        """How many messages were skipped."""
+        return sum(self.skipped_reasons.values())
+
+    @property
     def exit_status(self) -> int:
         """The command's exit status: 3 if messages were skipped or a source is damaged, else 0."""
         return 3 if self.skipped_reasons or self.damage else 0
@@ -102,26 +110,8 @@ class ExportReport(Shown):
         if len(self.skipped) < MAX_LISTED:
             self.skipped.append(entry)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as JSON's types."""
-        return {
-            "sources": self.sources,
-            "destination": self.destination,
-            "format": self.format,
-            "topics": [{name: getattr(topic, name) for name in ExportedTopic.__slots__} for topic in self.topics],
-            "skipped": [
-                {name: getattr(entry, name) for name in ("topic", "log_time_ns", "stamp_ns", "reason", "hint")}
-                for entry in self.skipped
-            ],
-            "skipped_reasons": dict(self.skipped_reasons),
-            "notes": self.notes,
-            "warnings": self.warnings,
-            "damage": [str(place) for place in self.damage],
-            "exit_status": self.exit_status,
-        }
-
-    def table(self) -> Table:
-        """Return what was written, by topic."""
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield what was written, by topic."""
         rows = []
         for topic in self.topics:
             poses = f"{topic.base_frame} in {topic.pose_frame}" if topic.pose_frame else ""
@@ -130,18 +120,16 @@ class ExportReport(Shown):
                 span = f"{stamp_text(topic.first_ns)} to {stamp_text(topic.last_ns)}"
             rows.append([topic.topic, topic.path or "", count(topic.written), count(topic.skipped), poses, span])
         columns = ("topic", "file", "written", "skipped", "poses", "stamps")
-        return Table(columns, rows, left=("topic", "file", "poses", "stamps"))
+        yield Table(columns, rows, left=("topic", "file", "poses", "stamps"))
 
-    def remarks(self) -> Iterator[str]:
-        """Yield notes, and why messages were skipped."""
-        yield from listed(self.notes, "note", _SHOWN)
-        yield from listed([*map(self.explained, self.skipped_reasons.most_common())], "skipped", _SHOWN)
+    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield why messages were skipped, damage and warnings."""
+        reasons = [*map(self.explained, self.skipped_reasons.most_common())]
+        yield from listed("skipped", reasons, None if verbose else SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
-            yield f"hint: {hint}"
-
-    def _shown(self) -> Iterator[str | Table]:
-        yield self.table()
-        yield from self.remarks()
+            yield Remark("hint", hint)
+        yield from self.damage_remarks(verbose=verbose)
+        yield from self.warning_remarks()
 
     def explained(self, found: tuple[str, int]) -> str:
         """Return why messages were skipped, with the first of them."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
-from pc2scan.text import Shown, Table, TextEnum
+from pc2scan.result import Part, Result
+from pc2scan.text import TextEnum, duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,26 +37,31 @@ class CaseResult:
         None if nothing was compared.
     """
 
+    json_names: ClassVar[tuple[str, ...]] = ("name", "outcome", "text", "difference", "seconds")
+
     name: str
     outcome: CaseOutcome
     lines: tuple[str, ...] = ()
     difference: Difference | None = None
     seconds: float = 0.0
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types."""
-        return {
-            "name": self.name,
-            "outcome": self.outcome.value,
-            "text": "\n".join(self.lines),
-            "difference": None if self.difference is None else self.difference.as_dict(),
-            "seconds": round(self.seconds, 3),
-        }
+    @property
+    def text(self) -> str:
+        """The lines as one text."""
+        return "\n".join(self.lines)
+
+    def body(self) -> Iterator[str]:
+        """Yield the outcome, and the differences or the error."""
+        yield f"{self.outcome.value:<8}{self.name}"
+        yield from (f"    {line}" for line in self.lines)
 
 
 @dataclass(slots=True, repr=False)
-class GoldenReport(Shown):
+class GoldenReport(Result):
     """The results of a folder of cases."""
+
+    kind: ClassVar[str] = "golden"
+    json_names: ClassVar[tuple[str, ...]] = ("folder", "counts", "cases", "seconds")
 
     folder: str
     cases: list[CaseResult] = field(default_factory=list)
@@ -82,17 +88,14 @@ class GoldenReport(Shown):
     def _counted(self) -> str:
         return ", ".join(f"{number} {outcome.value}" for outcome, number in self.counts.items() if number) or "no cases"
 
-    def _shown(self) -> Iterator[str | Table]:
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the cases, and how many have which outcome."""
         for case in self.cases:
-            yield f"{case.outcome.value:<8}{case.name}"
-            yield from (f"    {line}" for line in case.lines)
-        yield self._counted()
+            yield from case.body()
+        yield from self.conclusion()
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types."""
-        return {
-            "folder": self.folder,
-            "exit_status": self.exit_status,
-            **{outcome.value: number for outcome, number in self.counts.items()},
-            "cases": [case.as_dict() for case in self.cases],
-        }
+    def conclusion(self) -> Iterator[str]:
+        """Yield how many cases have which outcome."""
+        yield f"{self._counted()} in {duration(self.seconds)}"
+        if self.exit_status == 1:
+            yield "hint: if this is intended, `update=True` makes it the expected output"

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
@@ -14,7 +14,8 @@ from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.text import Shown, Table, counted, did_you_mean, json_value, listed
+from pc2scan.result import Part, Result
+from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from .findings import Finding
 
 
-#: How many frames, and how many damaged places, are shown as text.
+#: How many frames are shown as text.
 _MAX_SHOWN = 5
 
 #: How many scans are between two calls of the progress function.
@@ -147,7 +148,7 @@ class TopicCheck:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Check(Shown):
+class Check(Result):
     """The result of checking a recording's scans.
 
     Attributes
@@ -163,6 +164,8 @@ class Check(Shown):
     damage
         The damage of the recordings; a defect.
     """
+
+    kind: ClassVar[str] = "check"
 
     sources: tuple[str, ...]
     asked: tuple[str, ...]
@@ -219,7 +222,7 @@ class Check(Shown):
         """
         return int(not self.accepted or self.unusable or (not self.asked and self.defects > 0))
 
-    def lines(self) -> Iterator[str]:
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the results by topic, and which consumers would not accept what."""
         for topic in self.topics:
             yield from topic.lines(self.asked)
@@ -248,22 +251,6 @@ class Check(Shown):
 
     def __repr__(self) -> str:
         return f"<Check of {', '.join(map(repr, self.sources))}: {self._conclusion()}>"
-
-    def _shown(self) -> Iterator[str | Table]:
-        yield from self.lines()
-        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
-        yield from (f"warning: {warning}" for warning in self.warnings)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types; infinite numbers and NaN are text."""
-        return {
-            "exit_status": self.exit_status,
-            "sources": list(self.sources),
-            "asked": list(self.asked),
-            "topics": [json_value(asdict(topic)) for topic in self.topics],
-            "warnings": list(self.warnings),
-            "damage": [place.as_dict() for place in self.damage],
-        }
 
 
 def check(

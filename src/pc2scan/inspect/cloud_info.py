@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from pc2scan.core.level import thinned
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
-from pc2scan.text import counted, json_value
+from pc2scan.text import counted
 from pc2scan.tf.mounting import mounting
 
 from .spread import Spread, count_range, finite, spread_of, spread_table
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
-    from pc2scan.text import Table
+    from pc2scan.result import Part
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import Frames
@@ -93,8 +93,8 @@ class CloudInfo:
     mounting: Mounting | None = None
     problems: tuple[str, ...] = ()
 
-    def shown(self) -> Iterator[str | Table]:
-        """Yield the text of `Info` about the clouds."""
+    def body(self) -> Iterator[Part]:
+        """Yield the parts of `Info` about the clouds."""
         yield f"{leading(self.topic)}: {counted(self.sampled, 'cloud')} sampled"
         yield from (f"  cannot be described: {problem}" for problem in self.problems)
         if not self.fields:
@@ -119,13 +119,6 @@ class CloudInfo:
             for low, high, number in reversed(list(edges)):
                 bar = "#" * round(_BAR * number / most)
                 yield f"  {low:9.2f} to {high:8.2f} m {number / total:6.1%} {bar}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types."""
-        found = asdict(self)
-        if self.mounting is not None:
-            found["mounting"] = {**json_value(self.mounting), "warning": self.mounting.warning}
-        return found
 
 
 class CloudLook:

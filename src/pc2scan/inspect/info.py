@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.core.params import ProjectionParams
@@ -14,7 +14,9 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.remote.urls import is_url
-from pc2scan.text import Shown, Table, count, counted, json_value, listed, size, stamp
+from pc2scan.result import Call, Part, Result
+from pc2scan.tables import Table
+from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Frames
 from pc2scan.tf.reading import read_some_transforms, read_transforms
@@ -24,7 +26,7 @@ from .sampling import sampled
 from .scan_info import ScanInfo, ScanLook
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -32,9 +34,6 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, Summary
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
-
-#: How many damaged places are shown as text.
-_MAX_SHOWN = 5
 
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
@@ -99,8 +98,8 @@ class ImuInfo:
     usable: bool
     text: str
 
-    def shown(self) -> Iterator[str]:
-        """Yield the text of `Info` about the IMU."""
+    def body(self) -> Iterator[str]:
+        """Yield the parts of `Info` about the IMU."""
         if self.usable:
             yield f"{leading(self.topic)}: `imu={self.topic}` makes scans level"
             yield f"  frame   {self.frame!r}"
@@ -110,8 +109,31 @@ class ImuInfo:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Info(Shown):
-    """The content of a recording of one or several sources."""
+class Info(Result):
+    """The content of a recording of one or several sources.
+
+    Attributes
+    ----------
+    files
+        The sources.
+    start_ns, end_ns
+        The log times of the first and the last message; None without messages.
+    messages
+        How many there are, of all topics.
+    topics, clouds, scans, imus
+        The topics, and what is known about those with clouds, scans, and an IMU's messages.
+    proposals
+        Conversions that suit the clouds.
+    warnings
+        Which transforms cannot be used if a target frame was given, and clouds that are not level.
+    damage
+        The damage that was found. If opening the recording finds any, all of it is read and counted.
+    """
+
+    kind: ClassVar[str] = "info"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("files", "start_ns", "end_ns", "duration_ns", "messages", "topics", "clouds", "scans", "imus", "proposals"),
+    )
 
     files: tuple[FileInfo, ...]
     start_ns: int | None
@@ -120,11 +142,9 @@ class Info(Shown):
     topics: tuple[TopicInfo, ...]
     clouds: tuple[CloudInfo, ...] = field(default=())
     scans: tuple[ScanInfo, ...] = field(default=())
-    #: By topic, for topics with clouds.
     imus: tuple[ImuInfo, ...] = field(default=())
-    #: The damage that was found. If opening the recording finds any, all of it is read and counted.
+    proposals: tuple[Call, ...] = field(default=())
     damage: tuple[Damage, ...] = field(default=())
-    #: Which transforms cannot be used, and why, if a target frame was given.
     warnings: tuple[str, ...] = field(default=())
 
     @property
@@ -136,8 +156,13 @@ class Info(Shown):
         paths = ", ".join(repr(file.path) for file in self.files)
         return f"<Info of {paths}: {counted(len(self.topics), 'topic')}, {counted(self.messages, 'message')}>"
 
-    def overview(self) -> Iterator[str | Table]:
-        """Yield files, times and topics, and the clouds and scans of each topic."""
+    @property
+    def exit_status(self) -> int:
+        """The exit status of the command: 1 if no cloud can be moved into the target frame, else 0."""
+        return int(bool(self.clouds) and all(c.target_frame and c.problems and c.x is None for c in self.clouds))
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield files, times and topics, the clouds and scans of each topic, and conversions that suit them."""
         for file in self.files:
             kind = " ".join(filter(None, (file.container, file.storage, file.profile)))
             yield f"{leading(file.path)}: {kind}, {'+'.join(file.compression) or 'empty'}, {size(file.size_bytes)}"
@@ -163,43 +188,20 @@ class Info(Shown):
             ],
             left=("topic", "type", ""),
         )
-        for cloud in self.clouds:
+        described: list[CloudInfo | ScanInfo | ImuInfo] = [*self.clouds, *self.scans, *self.imus]
+        for each in described:
             yield ""
-            yield from cloud.shown()
-        for scans in self.scans:
+            yield from each.body()
+        if self.proposals:
             yield ""
-            yield from scans.shown()
-        for imu in self.imus:
-            yield ""
-            yield from imu.shown()
-
-    def _shown(self) -> Iterator[str | Table]:
-        yield from self.overview()
-        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
-        mountings = [(cloud, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None]
-        if any(mounting.heights for _, mounting in mountings):
-            yield ""
-            yield from (f"{leading(cloud.topic)}: {ground_text(mounting)}" for cloud, mounting in mountings)
+            mountings = ((cloud.topic, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None)
+            yield from (f"{leading(topic)}: {_ground_text(mounting)}" for topic, mounting in mountings)
             yield ""
             yield "ready to convert:"
-            for cloud, mounting in mountings:
-                if mounting.heights is not None:
-                    yield f"  pc2scan.convert(..., {', '.join(_keywords(cloud, mounting))})"
-        yield from (f"warning: {warning}" for warning in self.warnings)
-        yield from (f"warning: {mounting.warning}" for _, mounting in mountings if mounting.warning)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types."""
-        return {
-            **asdict(self),
-            "scans": [json_value({**asdict(scan), "consumers": dict(scan.consumers)}) for scan in self.scans],
-            "clouds": [cloud.as_dict() for cloud in self.clouds],
-            "duration_ns": self.duration_ns,
-            "damage": [damage.as_dict() for damage in self.damage],
-        }
+            yield from self.proposals
 
 
-def ground_text(mounting: Mounting) -> str:
+def _ground_text(mounting: Mounting) -> str:
     """Return where floor and ceiling are, as text."""
     ground, heights = mounting.ground, mounting.heights
     if heights is None or heights.floor is None:
@@ -211,27 +213,49 @@ def ground_text(mounting: Mounting) -> str:
     return f"floor at z = {floor:.2f} m in frame {frame!r}{ceiling}{sensor}"
 
 
-def _keywords(cloud: CloudInfo, mounting: Mounting) -> Iterator[str]:
-    """Yield the arguments of a conversion that suits a topic's clouds."""
-    from pc2scan.tf.mounting import without_sensor  # noqa: PLC0415  # only for this text
+def _proposals(
+    clouds: Sequence[CloudInfo], topics: Sequence[TopicInfo], sources: Sequence[str], given: Mapping[str, Any]
+) -> Iterator[Call]:
+    """Yield a conversion for each topic's clouds, with heights that suit them, in a level frame.
 
-    heights = mounting.heights
-    assert heights is not None  # called only if they are known
-    target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
-    yield f"topics={cloud.topic!r}"
-    if mounting.static_tf:
-        yield f"static_tf={mounting.static_tf!r}"
-    if target:
-        yield f"target_frame={target!r}"
-    yield f"min_height={heights.low:g}"
-    yield f"max_height={heights.high:g}"
-    if cloud.zero_share:
-        option, value = without_sensor(mounting.frame, target)
-        yield f"{option}={value if option == 'range_min' else repr(value)}"
+    Parameters
+    ----------
+    clouds, topics, sources
+        Of the recording.
+    given
+        Options about frames that were given; the conversion needs them, too.
+    """
+    from pc2scan.tf.mounting import without_sensor  # noqa: PLC0415  # only with clouds
+
+    has_scans = any(topic.topic == "/scan" for topic in topics)
+    for cloud in clouds:
+        mounting = cloud.mounting
+        heights = None if mounting is None else mounting.heights
+        if mounting is None or heights is None:
+            continue
+        target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
+        options: dict[str, Any] = {}
+        if len(clouds) > 1 or has_scans:
+            options["topics"] = f"{cloud.topic}:={cloud.topic.rstrip('/')}/scan" if has_scans else cloud.topic
+        options |= given
+        if mounting.static_tf:
+            options["static_tf"] = (*given.get("static_tf", ()), mounting.static_tf)
+        if target:
+            options["target_frame"] = target
+        options["min_height"], options["max_height"] = float(f"{heights.low:g}"), float(f"{heights.high:g}")
+        if cloud.zero_share:
+            option, value = without_sensor(mounting.frame, target)
+            options[option] = float(value) if option == "range_min" else value
+        yield Call("convert", tuple(sources), options)
 
 
 def info(
-    sources: Sequence[Path], *, samples: int = 10, target_frame: str = "", frames: FrameOptions | None = None
+    sources: Sequence[Path],
+    *,
+    samples: int = 10,
+    target_frame: str = "",
+    frames: FrameOptions | None = None,
+    given: Mapping[str, Any] | None = None,
 ) -> Info:
     """Inspect a recording.
 
@@ -245,6 +269,8 @@ def info(
         Frame that the clouds are transformed into first, as in a conversion; empty for their own.
     frames
         The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
+    given
+        The options that gave ``frames``: the proposals have them, too.
 
     Raises
     ------
@@ -260,7 +286,9 @@ def info(
         with nearby([*sources, *asked.tf_from]) as near:
             here = near.paths[: len(sources)]
             read = replace(asked, tf_from=tuple(near.paths[len(sources) :]))
-            found: Info = near.names.of(info(here, samples=samples, target_frame=target_frame, frames=read))
+            found: Info = near.names.of(
+                info(here, samples=samples, target_frame=target_frame, frames=read, given=given)
+            )
         return found
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
@@ -276,6 +304,7 @@ def info(
         tolerance_ns = ProjectionParams().tolerance_ns
         places = Frames(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
         clouds, scans = _samples(reader, topics, samples, start_ns, end_ns, places, buffer)
+        warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
             start_ns,
@@ -285,6 +314,7 @@ def info(
             clouds,
             scans,
             tuple(_imu(reader, topic.topic) for topic in topics if clouds and topic.msgtype == IMU and topic.messages),
+            tuple(_proposals(clouds, topics, [str(r.path) for r in readers], given or {})),
             tuple(reader.damage),
             tuple(warnings),
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.verdicts import Scan
     from pc2scan.model import RawMessage
-    from pc2scan.text import Table
+    from pc2scan.result import Part
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +78,11 @@ class ScanInfo:
     long_share: float = 0.0
     range: Spread | None = None
     empty: int = 0
-    consumers: tuple[tuple[str, Outcome], ...] = ()
+    consumers: dict[str, Outcome] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
 
-    def shown(self) -> Iterator[str | Table]:
-        """Yield the text of `Info` about the scans."""
+    def body(self) -> Iterator[Part]:
+        """Yield the parts of `Info` about the scans."""
         rate = "" if self.rate_hz is None else f", {self.rate_hz:.2f} Hz"
         yield f"{leading(self.topic)}: {counted(self.sampled, 'scan')} sampled{rate}"
         for problem in self.problems:
@@ -118,7 +118,7 @@ class ScanInfo:
             yield ""
             yield spread_table({"range": self.range})
         outcomes: dict[str, list[str]] = {}
-        for consumer, outcome in self.consumers:
+        for consumer, outcome in self.consumers.items():
             outcomes.setdefault(outcome, []).append(consumer)
         yield ""
         yield "  consumers"
@@ -199,6 +199,6 @@ class ScanLook:
             long_share=sum(scan.long for scan in self._scans) / total,
             range=spread_of(np.concatenate(self._returns, dtype=np.float64)),
             empty=sum(not scan.returns for scan in self._scans),
-            consumers=tuple(self._worst.items()),
+            consumers=self._worst,
             problems=problems,
         )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.text import Table
+from pc2scan.tables import Table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

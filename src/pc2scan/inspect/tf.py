@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import open_recordings
-from pc2scan.errors import TransformError, stamp_text
+from pc2scan.errors import TransformError, leading, stamp_text
 from pc2scan.remote.urls import is_url
-from pc2scan.text import Shown, Table, count, listed
+from pc2scan.result import Part, Result
+from pc2scan.tables import Table
+from pc2scan.text import count
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -22,12 +24,13 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.summary import FrameInfo, Tree
 
-#: How many damaged places are shown as text.
-_MAX_SHOWN = 5
+#: Maximum indentation of the drawing, because a chain may have a million frames, and maximum number of its lines.
+_MAX_DEPTH = 60
+_MAX_LINES = 500
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class FrameTree(Shown):
+class FrameTree(Result):
     """The frames of a recording.
 
     Attributes
@@ -36,18 +39,21 @@ class FrameTree(Shown):
         Statistics of each child frame.
     trees
         Connected frames; more than one tree means that some frames are disconnected.
-    warnings
-        Which transforms cannot be used, and why.
     buffer
         For lookups.
+    warnings
+        Which transforms cannot be used, and why.
     damage
         The damage in the parts of the recordings that were read.
     """
 
+    kind: ClassVar[str] = "frames"
+    json_names: ClassVar[tuple[str, ...]] = ("frames", "trees")
+
     frames: tuple[FrameInfo, ...]
     trees: tuple[Tree, ...]
-    warnings: tuple[str, ...]
     buffer: TransformBuffer
+    warnings: tuple[str, ...] = ()
     damage: tuple[Damage, ...] = ()
 
     def lookup(self, target: str, source: str, stamp_ns: int = 0) -> Rigid:
@@ -80,16 +86,30 @@ class FrameTree(Shown):
     def __repr__(self) -> str:
         return f"<FrameTree of {len(self.frames)} transforms in {len(self.trees)} trees>"
 
-    def _shown(self) -> Iterator[str | Table]:
-        for number, tree in enumerate(self.trees, 1):
-            several = f"tree {number} of {len(self.trees)}, not connected with the others, " * (len(self.trees) > 1)
-            yield f"{several}from {', '.join(tree.roots or tree.frames[:1])}: {len(tree.frames)} frames"
-        yield ""
-        yield self.table()
-        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
-        yield from (f"warning: {warning}" for warning in self.warnings)
+    @property
+    def exit_status(self) -> int:
+        """The exit status of the command: 0."""
+        return 0
 
-    def table(self) -> Table:
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield a drawing of each tree, and the table of frames."""
+        if not self.frames:
+            yield "no transforms"
+        children: dict[str, list[FrameInfo]] = {}
+        for frame in self.frames:
+            for parent in frame.parents:
+                children.setdefault(parent, []).append(frame)
+        for number, tree in enumerate(self.trees, 1):
+            if number > 1:
+                yield ""
+            if len(self.trees) > 1:
+                yield f"part {number} of {len(self.trees)}, not connected with the others:"
+            yield from _drawing(tree.roots or tree.frames[:1], children)
+        if self.frames:
+            yield ""
+            yield self._table()
+
+    def _table(self) -> Table:
         """Return a table with a row for each frame that has a parent."""
         return Table(
             ("child", "parent", "kind", "transforms", "Hz", "first", "last", "largest gap"),
@@ -111,14 +131,81 @@ class FrameTree(Shown):
             left=("child", "parent", "kind", "largest gap"),
         )
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types."""
-        return {
-            "frames": [asdict(frame) for frame in self.frames],
-            "trees": [asdict(tree) for tree in self.trees],
-            "warnings": list(self.warnings),
-            "damage": [damage.as_dict() for damage in self.damage],
-        }
+
+@dataclass(frozen=True, slots=True)
+class Lookup(Result):
+    """The transform that takes points in the frame ``source`` to the frame ``target``.
+
+    Attributes
+    ----------
+    target, source
+        The frames.
+    stamp_ns
+        The time; None for the latest that all frames on the way have.
+    transform
+        The transform.
+    """
+
+    kind: ClassVar[str] = "transform"
+    json_names: ClassVar[tuple[str, ...]] = ("target", "source", "stamp_ns", "translation", "rotation", "rpy")
+
+    target: str
+    source: str
+    stamp_ns: int | None
+    transform: Rigid
+    damage: tuple[Damage, ...] = ()
+
+    @property
+    def exit_status(self) -> int:
+        """The exit status of the command: 0."""
+        return 0
+
+    @property
+    def translation(self) -> list[float]:
+        """x, y and z, metres."""
+        found: list[float] = self.transform.translation.tolist()
+        return found
+
+    @property
+    def rotation(self) -> list[float]:
+        """The quaternion: x, y, z, w."""
+        found: list[float] = self.transform.quaternion.tolist()
+        return found
+
+    @property
+    def rpy(self) -> tuple[float, float, float]:
+        """Roll, pitch and yaw, radians."""
+        return self.transform.rpy
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield translation and rotation."""
+        when = "at the latest common time" if self.stamp_ns is None else f"at {stamp_text(self.stamp_ns)}"
+        roll, pitch, yaw = (angle + 0.0 for angle in self.rpy)
+        yield f"{leading(self.target)} from {self.source} {when}"
+        yield "  translation  x {:.6f}  y {:.6f}  z {:.6f} m".format(*self.translation)
+        yield "  quaternion   x {:.9f}  y {:.9f}  z {:.9f}  w {:.9f}".format(*self.rotation)
+        yield f"  rotation     roll {roll:.6f}  pitch {pitch:.6f}  yaw {yaw:.6f} rad"
+
+
+def _drawing(roots: Sequence[str], children: Mapping[str, Sequence[FrameInfo]]) -> list[str]:
+    """Return a tree as indented lines. It uses a stack, because a hostile tree may be very deep, and ends loops."""
+    lines: list[str] = []
+    seen: set[str] = set()
+    stack = [(root, 0, "") for root in reversed(roots)]
+    while stack:
+        name, depth, kind = stack.pop()
+        if len(lines) >= _MAX_LINES:
+            lines.append("... and more")
+            break
+        again = name in seen
+        lines.append(f"{'  ' * min(depth, _MAX_DEPTH)}{leading(name)}{kind}{' (see above)' if again else ''}")
+        if again:
+            continue
+        seen.add(name)
+        stack += [
+            (frame.child, depth + 1, " (static)" if frame.static else "") for frame in reversed(children.get(name, ()))
+        ]
+    return lines
 
 
 def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> FrameTree:
@@ -150,4 +237,4 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
         readers = open_recordings(read, stack)
         buffer, warnings = read_transforms(readers, options)
         damage = tuple(damage for reader in readers for damage in reader.damage)
-    return FrameTree(buffer.infos, buffer.trees, tuple(warnings), buffer, damage)
+    return FrameTree(buffer.infos, buffer.trees, buffer, tuple(warnings), damage)

@@ -83,6 +83,7 @@ def clouds_page(
     description = {
         "kind": "clouds",
         "notes": notes,
+        "warnings": taken.warnings,
         "params": _shown(taken.params),
         "base": _shown(base),
         "defaults": _shown(ProjectionParams()),

@@ -18,9 +18,10 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.inspect.scan_frames import BASE_FRAMES
+from pc2scan.result import Skipped
 from pc2scan.text import counted, did_you_mean
 
-from .map_result import Map, NotDrawn
+from .map_result import Map
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -203,8 +204,11 @@ class Drawing:
             duration=(stamps[-1] - stamps[0]) / 1e9,
             scans=dict(self.scans),
             converted=converted,
-            skipped=tuple(NotDrawn(topic, reason, count) for (topic, reason), count in self.skipped.most_common()),
-            notes=tuple(further),
+            skipped=tuple(
+                Skipped(topic, None, None, reason, messages=number)
+                for (topic, reason), number in self.skipped.most_common()
+            ),
+            warnings=tuple(further),
             damage=damage,
         )
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from pc2scan.arguments import path_of
 from pc2scan.core.occupancy import FREE, OCCUPIED, Occupancy
 from pc2scan.files.text_output import files_output
-from pc2scan.text import Shown, duration, json_value, listed
+from pc2scan.result import Part, Remark, Result, skipped_remarks
+from pc2scan.text import duration
 
 from .map_files import image_of, map_paths, yaml_of
 from .map_picture import picture_of
@@ -22,26 +23,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.text import Table
-
-#: How many reasons for skipping, and damaged places, are shown as text.
-_MAX_SHOWN = 5
-
-
-@dataclass(frozen=True, slots=True)
-class NotDrawn:
-    """Messages of a topic that are not in the map, for one reason."""
-
-    topic: str
-    reason: str
-    count: int
-
-    def __str__(self) -> str:
-        return f"{self.count:,} of {self.topic}: {self.reason}"
+    from pc2scan.result import Skipped
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True, repr=False)
-class Map(Shown):
+class Map(Result):
     """A map of a recording by its recorded odometry. Notebooks show its picture.
 
     Attributes
@@ -63,12 +49,18 @@ class Map(Shown):
     converted
         Whether the scans were made of clouds.
     skipped
-        The scans that are not in the map, and why.
-    notes
-        Warnings about the map.
+        Why scans are not in the map, and how many.
+    warnings
+        What may be wrong with the map.
     damage
         The damage in the parts of the recording that were read.
     """
+
+    kind: ClassVar[str] = "map"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("preview", "frame", "robot_frame", "resolution", "origin", "width", "height", "occupied", "free", "scans"),
+        *("converted", "distance", "duration", "skipped", "skipped_count"),
+    )
 
     cells: NDArray[np.int8]
     resolution: float
@@ -79,9 +71,9 @@ class Map(Shown):
     duration: float
     scans: dict[str, int]
     converted: bool
-    skipped: tuple[NotDrawn, ...]
-    notes: tuple[str, ...]
-    damage: tuple[Damage, ...]
+    skipped: tuple[Skipped, ...] = ()
+    warnings: tuple[str, ...] = ()
+    damage: tuple[Damage, ...] = ()
 
     @property
     def exit_status(self) -> int:
@@ -118,54 +110,54 @@ class Map(Shown):
             deliver(contents_of(self, path))
         return path
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON's types."""
-        height, width = self.cells.shape
-        return {
-            "exit_status": self.exit_status,
-            "preview": "by recorded odometry, no SLAM",
-            "frame": self.frame,
-            "robot_frame": self.robot_frame,
-            "resolution": self.resolution,
-            "origin": list(self.origin),
-            "width": width,
-            "height": height,
-            "occupied": self._share(OCCUPIED),
-            "free": self._share(FREE),
-            "scans": self.scans,
-            "converted": self.converted,
-            "distance": json_value(self.distance),
-            "duration": self.duration,
-            "skipped": [{"topic": s.topic, "reason": s.reason, "count": s.count} for s in self.skipped],
-            "notes": list(self.notes),
-            "damage": [place.as_dict() for place in self.damage],
-        }
+    #: What the map is.
+    preview: ClassVar[str] = "by recorded odometry, no SLAM"
 
-    def _share(self, value: int) -> float:
-        return float(np.count_nonzero(self.cells == value) / self.cells.size)
+    @property
+    def width(self) -> int:
+        """Cells along x."""
+        return int(self.cells.shape[1])
+
+    @property
+    def height(self) -> int:
+        """Cells along y."""
+        return int(self.cells.shape[0])
+
+    @property
+    def occupied(self) -> float:
+        """The share of occupied cells."""
+        return float(np.count_nonzero(self.cells == OCCUPIED) / self.cells.size)
+
+    @property
+    def free(self) -> float:
+        """The share of free cells."""
+        return float(np.count_nonzero(self.cells == FREE) / self.cells.size)
+
+    @property
+    def skipped_count(self) -> int:
+        """How many scans are not in the map."""
+        return sum(entry.messages for entry in self.skipped)
 
     def __repr__(self) -> str:
-        height, width = self.cells.shape
-        return f"<pc2scan.Map of {width} x {height} cells of {self.resolution:g} m in {self.frame!r}>"
+        return f"<pc2scan.Map of {self.width} x {self.height} cells of {self.resolution:g} m in {self.frame!r}>"
 
-    def lines(self) -> Iterator[str]:
-        """Yield the text about the map, without skipped scans and damage."""
-        height, width = self.cells.shape
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the size of the map, its scans, and the robot's way."""
         yield (
-            f"map: {width:,} x {height:,} cells of {self.resolution:g} m "
-            f"({width * self.resolution:.1f} x {height * self.resolution:.1f} m), "
-            f"{self._share(OCCUPIED):.1%} occupied, {self._share(FREE):.1%} free"
+            f"map: {self.width:,} x {self.height:,} cells of {self.resolution:g} m "
+            f"({self.width * self.resolution:.1f} x {self.height * self.resolution:.1f} m), "
+            f"{self.occupied:.1%} occupied, {self.free:.1%} free"
         )
         of = ", ".join(f"{count:,} of {topic}" for topic, count in self.scans.items())
         yield f"scans: {of}{' (made of clouds)' if self.converted else ''}"
         yield f"robot: {self.robot_frame} drove {self.distance:.1f} m in {self.frame}, in {duration(self.duration)}"
         yield "This is a preview by the recorded odometry: no SLAM, nothing is matched or corrected."
 
-    def _shown(self) -> Iterator[str | Table]:
-        yield from self.lines()
-        yield from listed([str(each) for each in self.skipped], "skipped", _MAX_SHOWN)
-        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
-        yield from (f"warning: {note}" for note in self.notes)
+    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield why scans were skipped, damage and warnings."""
+        yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
+        yield from self.damage_remarks(verbose=verbose)
+        yield from self.warning_remarks()
 
 
 def contents_of(made: Map, path: Path) -> list[bytes]:

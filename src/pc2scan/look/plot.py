@@ -5,22 +5,25 @@ from __future__ import annotations
 import io
 import math
 import warnings
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from pc2scan.core import kernel
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import rule_of
-from pc2scan.errors import UsageError, visible
+from pc2scan.errors import UsageError, leading, visible
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import file_output
+from pc2scan.result import Part, Result
+from pc2scan.text import size
 
 from .opened import opened, title_of
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -54,19 +57,36 @@ _MOST_POINTS = 40_000
 _OUTLIERS = 0.01
 
 
-class Plotted(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Plotted(Result):
     """What is known about a figure.
 
     Attributes
     ----------
+    path
+        Its file.
+    bytes
+        The size of the file.
     notes
-        Notes about the options and the figure.
+        Notes about the figure.
+    warnings
+        What is not as the options ask.
     damage
         The damage in the parts of the recording that were read.
     """
 
-    notes: list[str]
-    damage: tuple[Damage, ...]
+    kind: ClassVar[str] = "figure"
+    json_names: ClassVar[tuple[str, ...]] = ("path", "bytes")
+
+    path: str
+    bytes: int
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    damage: tuple[Damage, ...] = ()
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the file and its size."""
+        yield f"{leading(self.path)}: {size(self.bytes)}"
 
 
 def plot(
@@ -127,8 +147,9 @@ def plot(
         taken = take_shots(
             recording.reader, recording.buffer, options, count=clouds, at_ns=at_ns, others=recording.others
         )
-        deliver(_figure(taken, title_of(sources), kind))
-        return Plotted(taken.notes, recording.damage)
+        figure = _figure(taken, title_of(sources), kind)
+        deliver(figure)
+        return Plotted(str(destination), len(figure), tuple(taken.notes), tuple(taken.warnings), recording.damage)
 
 
 def _figure(taken: Shots, title: str, kind: str) -> bytes:

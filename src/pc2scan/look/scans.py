@@ -111,8 +111,8 @@ def scans_page(
     if not moments:
         why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
-    notes = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
-    return {"kind": "scans", "notes": notes, "moments": moments, "findings": []}, blobs
+    warnings = [f"Not shown: {counted(len(failed), 'scan')}; {failed[0]}."] if failed else []
+    return {"kind": "scans", "notes": [], "warnings": warnings, "moments": moments, "findings": []}, blobs
 
 
 def _messages(

@@ -77,11 +77,12 @@ class Shot:
 
 
 class Shots(NamedTuple):
-    """Clouds, the parameters with all measured values, and notes for the user."""
+    """Clouds, the parameters with all measured values, and notes and warnings for the user."""
 
     shots: list[Shot]
     params: ProjectionParams
     notes: list[str]
+    warnings: list[str]
 
 
 def take_shots(
@@ -141,9 +142,9 @@ def take_shots(
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
-    if failed:
-        notes.append(f"Not shown: {len(failed)} of {counted(len(failed) + len(shots), 'cloud')}; {failed[0]}.")
-    return Shots(shots, params, notes)
+    number = counted(len(failed) + len(shots), "cloud")
+    warnings = [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
+    return Shots(shots, params, notes, warnings)
 
 
 def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: Sequence[Reader] | None) -> Frames:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.arguments import path_of
-from pc2scan.errors import UsageError
+from pc2scan.errors import UsageError, leading
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import text_output
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.result import Part, Result
+from pc2scan.text import size
 from pc2scan.tf.options import FrameOptions
 
 from .clouds import clouds_page
@@ -21,7 +23,7 @@ from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -34,7 +36,7 @@ _MOST_CLOUDS = 1_000
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Page:
+class Page(Result):
     """A page. Notebooks show it in their cell.
 
     Attributes
@@ -42,14 +44,32 @@ class Page:
     html
         The whole HTML file.
     notes
-        The notes that the page shows above the pictures, and notes about the options.
+        What the page says above the pictures.
+    warnings
+        What is not as the options ask.
     damage
         The damage in the parts of the recording that were read.
+    path
+        Its file; empty if it is not written.
     """
 
+    kind: ClassVar[str] = "page"
+    json_names: ClassVar[tuple[str, ...]] = ("path", "bytes")
+
     html: str
-    notes: tuple[str, ...]
-    damage: tuple[Damage, ...]
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    damage: tuple[Damage, ...] = ()
+    path: str = ""
+
+    @property
+    def bytes(self) -> int:
+        """The size of the file."""
+        return len(self.html.encode())
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the file and its size."""
+        yield f"{leading(self.path) or 'a page'}: {size(self.bytes)}"
 
     def __repr__(self) -> str:
         return f"<pc2scan.Page of {len(self.html):,} characters>"
@@ -118,7 +138,7 @@ def view(
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
         page = page_of(sources, options, clouds=clouds, at=at, preset=preset, command=command)
         deliver(page.html)
-    return page
+    return replace(page, path=str(destination))
 
 
 def page_of(
@@ -169,8 +189,11 @@ def page_of(
             )
             frames = FrameOptions(tf_topics=options.frames.tf_topics, tf_from=options.frames.tf_from)
             described["findings"] = findings(check(sources, topics=asked, frames=frames))
+        notes, warnings = described["notes"], described.pop("warnings")
+        # The page shows both.
+        described["notes"] = [*notes, *warnings]
         described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
-        return Page(html(described, blobs), tuple(described["notes"]), recording.damage)
+        return Page(html(described, blobs), tuple(notes), tuple(warnings), recording.damage)
 
 
 def _subtitle(reader: Reader) -> str:

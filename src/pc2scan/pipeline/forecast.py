@@ -6,11 +6,11 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from pc2scan.errors import MessageError
+from pc2scan.result import Skipped
 
 from .beforehand import Unconnected
 from .declarations import Declarations
 from .first_clouds import Candidate
-from .report import Skipped
 from .routes import count_skipped, open_routes
 
 if TYPE_CHECKING:

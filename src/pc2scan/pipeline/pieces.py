@@ -20,9 +20,9 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.rosbag2.writer import joined_info, write_info
 from pc2scan.bags.zstd import SUFFIXES
 from pc2scan.errors import OutputError
+from pc2scan.result import MAX_LISTED
 from pc2scan.tf.stored import store_transforms
 
-from .report import MAX_LISTED
 from .run import opened_plan, span_of
 from .tally import conclude
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.formats import FORMATS
 from pc2scan.core.rule import REJECTIONS, Rejection
-from pc2scan.errors import leading, stamp_text
-from pc2scan.text import Shown, Table, count, json_value, listed, size
-from pc2scan.version import __version__
+from pc2scan.errors import leading
+from pc2scan.options.table import PARAMETERS
+from pc2scan.options.values import in_words
+from pc2scan.result import MAX_LISTED, Part, Remark, Result, Skipped, recovery_text, skipped_remarks
+from pc2scan.tables import Table
+from pc2scan.text import count, duration, size
 
 from .report_warnings import loss_warning, param_notes, topic_notes, topic_warnings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.core.params import ProjectionParams
@@ -23,87 +26,20 @@ if TYPE_CHECKING:
     from .scan_spec import ScanSpec
     from .topic_report import TopicReport
 
-#: The beginning of every report as JSON: such a file may be replaced by another report.
-BEGINNING = b'{\n  "pc2scan": "'
-
-#: How many skipped messages are listed one by one; all of them are counted.
-MAX_LISTED = 100
-
-#: How many damaged places, and skipped messages, are shown as text.
-_MAX_SHOWN = 5
-
-
-class Failure(NamedTuple):
-    """A conversion that failed before its options were resolved.
-
-    Attributes
-    ----------
-    error
-        The error.
-    sources, destination
-        Paths as they were given; None for no destination.
-    """
-
-    error: Pc2ScanError
-    sources: list[str]
-    destination: str | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON's types: some of the keys of a report."""
-        return {
-            "pc2scan": __version__,
-            "exit_status": self.error.exit_status,
-            "error": self.error.as_dict(),
-            "sources": self.sources,
-            "destination": self.destination,
-        }
-
-    def as_json(self) -> str:
-        """Return it as the text of a report's file."""
-        return _json(self.as_dict())
-
-
-class Skipped(NamedTuple):
-    """A message that was not converted.
-
-    Attributes
-    ----------
-    topic, log_time_ns, stamp_ns
-        The message; ``stamp_ns`` is None if its header cannot be read.
-    reason
-        The reason, with numbers.
-    hint
-        What the user can do; empty if unknown.
-    targets
-        The topics of the destination that miss its result.
-    """
-
-    topic: str
-    log_time_ns: int
-    stamp_ns: int | None
-    reason: str
-    hint: str = ""
-    targets: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        when = (
-            f"log time {stamp_text(self.log_time_ns)}"
-            if self.stamp_ns is None
-            else f"stamp {stamp_text(self.stamp_ns)}"
-        )
-        return f"{self.topic}, {when}: {self.reason}"
+#: The text for the frame of scans without a target frame.
+_OWN = "each message's own"
 
 
 @dataclass(slots=True, repr=False)
-class Report(Shown):
+class Report(Result):
     """The report of a conversion.
 
     Attributes
     ----------
     sources, destination
         Paths as they were given; empty if the run failed before the destination was known.
-    error
-        The error of a run that failed and wrote nothing; None if it did not fail.
+    errors
+        The error of a run that failed and wrote nothing; empty if it did not fail.
     dry_run
         Whether it was a dry run: counts and sizes are estimates, and points are those of the first messages.
     container, ros_version
@@ -132,6 +68,12 @@ class Report(Shown):
         Whether the report's file could not be written; the recording is written nevertheless.
     """
 
+    kind: ClassVar[str] = "report"
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("sources", "destination", "files", "dry_run", "container", "ros_version", "scans", "topics", "skipped"),
+        *("skipped_count", "messages_read", "messages_declared", "bytes_read", "bytes_written", "seconds"),
+    )
+
     sources: list[str]
     destination: str
     scans: tuple[ScanSpec, ...]
@@ -144,7 +86,7 @@ class Report(Shown):
     messages_read: int = 0
     messages_declared: int | None = None
     undelivered: bool = False
-    error: Pc2ScanError | None = None
+    errors: list[Pc2ScanError] = field(default_factory=list)
     dry_run: bool = False
     container: str = ""
     ros_version: int = 0
@@ -184,8 +126,8 @@ class Report(Shown):
         source is damaged, messages are missing in the destination, or the report is not written. If the run failed: the
         status of its error.
         """
-        if self.error is not None:
-            return self.error.exit_status
+        if self.errors:
+            return self.errors[0].exit_status
         if self.all_empty:
             return 4
         return 3 if self.damage or self.skipped_count or self._lost_topics() or self.undelivered else 0
@@ -226,97 +168,77 @@ class Report(Shown):
         converted = sum(topic.messages_out for topic in self.topics if topic.action == "converted")
         return f"<Report on {self.destination!r}: {converted:,} messages converted, exit status {self.exit_status}>"
 
-    def tables(self) -> Iterator[str | Table]:
-        """Yield the table of topics, the table of points, and the notes."""
-        yield Table(
-            ("topic", "to", "in", "out", "skipped", "what"),
-            [
-                (
-                    topic.topic,
-                    topic.target or "-",
-                    *map(count, (topic.messages_in, topic.messages_out, topic.skipped)),
-                    topic.action + " (cloud kept)" * topic.clouds_kept + (topic.note and f": {topic.note}"),
-                )
-                for topic in self.topics
-            ],
-            left=("topic", "to", "what"),
-        )
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the parameters (of a dry run, or if ``verbose``), the topics, the points and the destination."""
+        if self.dry_run:
+            yield f"dry run, nothing is written: {', '.join(self.sources)}"
+            yield ""
+        for spec in self.scans:
+            names = [
+                name
+                for name in PARAMETERS
+                if verbose or (self.dry_run and spec.origins.get(name, "default") != "default")
+            ]
+            if spec.name and names:
+                yield f"{leading(spec.name)}:"
+            if names:
+                rows = [
+                    (name, in_words(getattr(spec.params, name)), spec.origins.get(name, "default")) for name in names
+                ]
+                yield Table(("parameter", "value", "from"), rows, left=("parameter", "from"))
+                yield ""
+        yield self._topics()
         if converted := [topic for topic in self.topics if topic.action == "converted"]:
             yield ""
-            reasons = self.rejections.values()
-            yield Table(
-                ("on", "points", "used", *(reason.heading for reason in reasons), "empty"),
-                [
-                    (
-                        topic.target or "-",
-                        *map(count, (topic.points.total, topic.points.used)),
-                        *(count(topic.points.rejected.get(reason.name, 0)) for reason in reasons),
-                        count(topic.empty_scans),
-                    )
-                    for topic in converted
-                ],
-                left=("on",),
-            )
+            yield self._points(converted)
         yield ""
-        yield from (f"note: {note}" for note in self.notes)
-
-    def _shown(self) -> Iterator[str | Table]:
-        if self.dry_run:
-            yield "dry run, nothing is written"
-            yield ""
-        yield from self.tables()
         written, read = size(self.bytes_written), size(self.bytes_read)
-        yield f"{self.written_to}: {written} from {read}, exit status {self.exit_status}"
-        yield from listed([str(place) for place in self.damage], "damaged", _MAX_SHOWN)
-        yield from listed([str(entry) for entry in self.skipped], "skipped", _MAX_SHOWN)
-        if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
-            yield f"hint: {hint}"
-        yield from (f"warning: {warning}" for warning in self.warnings)
+        if self.dry_run:
+            frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in self.scans]
+            named = ", ".join(dict.fromkeys(frames))
+            yield f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"
+            yield f"{self.written_to}: {FORMATS[self.container].readable_one}, about {written} from {read}"
+        else:
+            yield f"{self.written_to}: {written} from {read} in {duration(self.seconds)}"
+        if self.container == "mcap":
+            # Shown because the file's name does not say which ROS version it is for.
+            hint = ": `profile=ros2` for ros2 tools" if converted and self.ros_version == 1 else ""
+            yield f"MCAP, ROS {self.ros_version} profile{hint}"
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the report as JSON's types; the keys are documented in docs/report.md."""
-        return {
-            "pc2scan": __version__,
-            "exit_status": self.exit_status,
-            "error": None if self.error is None else self.error.as_dict(),
-            "sources": self.sources,
-            "destination": self.destination or None,
-            "files": self.files,
-            "dry_run": self.dry_run,
-            "container": self.container or None,
-            "ros_version": self.ros_version or None,
-            **_spec_as_dict(self.scans[0]),
-            "scans": [{"name": spec.name, **_spec_as_dict(spec)} for spec in self.scans if spec.name],
-            "topics": [topic.as_dict() for topic in self.topics],
-            "skipped": [entry._asdict() for entry in self.skipped],
-            "skipped_count": self.skipped_count,
-            "damage": [damage.as_dict() for damage in self.damage],
-            "messages_read": self.messages_read,
-            "messages_declared": self.messages_declared,
-            "warnings": self.warnings,
-            "notes": self.notes,
-            "bytes_read": self.bytes_read,
-            "bytes_written": self.bytes_written,
-            "seconds": round(self.seconds, 3),
-        }
+    def _topics(self) -> Table:
+        """Return what happened to each topic."""
+        rows = [
+            (
+                topic.topic,
+                topic.target or "-",
+                *map(count, (topic.messages_in, topic.messages_out, topic.skipped)),
+                topic.action + " (cloud kept)" * topic.clouds_kept + (topic.note and f": {topic.note}"),
+            )
+            for topic in self.topics
+        ]
+        return Table(("topic", "to", "in", "out", "skipped", "what"), rows, left=("topic", "to", "what"))
 
-    def as_json(self) -> str:
-        """Return the report as the text of its file."""
-        return _json(self.as_dict())
+    def _points(self, converted: Sequence[TopicReport]) -> Table:
+        """Return how many points of each topic are used, and why the others are not."""
+        reasons = self.rejections.values()
+        rows = [
+            (
+                topic.target or "-",
+                *map(count, (topic.points.total, topic.points.used)),
+                *(count(topic.points.rejected.get(reason.name, 0)) for reason in reasons),
+                count(topic.empty_scans),
+            )
+            for topic in converted
+        ]
+        columns = ("on", "points", "used", *(reason.heading for reason in reasons), "empty")
+        return Table(columns, rows, left=("on",))
 
-
-def _spec_as_dict(spec: ScanSpec) -> dict[str, Any]:
-    """Return the parameters and options of an output as JSON's types."""
-    from .stages.filters import as_dict  # noqa: PLC0415  # only reports in JSON need it
-
-    return {
-        "params": json_value(asdict(spec.params)),
-        "param_origins": dict(spec.origins),
-        "filters": [json_value(as_dict(each)) for each in spec.filters],
-    }
-
-
-def _json(document: dict[str, Any]) -> str:
-    import json  # noqa: PLC0415  # only where it is asked for
-
-    return json.dumps(document, indent=2) + "\n"
+    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield skipped messages, damage and what was recovered, and warnings."""
+        # Topics that are skipped completely are not counted here: they have their own warning.
+        single = sum(topic.skipped for topic in self.topics if topic.action != "skipped")
+        yield from skipped_remarks(self.skipped, single, targets=len(self.scans) > 1, verbose=verbose)
+        yield from self.damage_remarks(verbose=verbose)
+        if self.damage:
+            yield Remark("recovered", recovery_text(self.damage, self.messages_read, self.messages_declared))
+        yield from self.warning_remarks()

@@ -203,7 +203,7 @@ def _joined_warnings(topic: TopicReport) -> Iterator[str]:
 def _are_left_long(topic: TopicReport, counts: SourceCounts) -> bool:
     """Whether messages in a row are in no scan for so long that the leading topic is silent, or far from them."""
     every_ns = topic.spec.combining.every_ns if topic.spec else 0
-    return counts.left.last_ns - counts.left.first_ns > _NOTABLE_SILENCE_NS + every_ns
+    return counts.left.last_stamp_ns - counts.left.first_stamp_ns > _NOTABLE_SILENCE_NS + every_ns
 
 
 def _unmatched(topic: TopicReport, counts: SourceCounts) -> str:

@@ -34,6 +34,7 @@ from pc2scan.files.staging import check_destination, staged
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
+from pc2scan.result import Failure
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads
@@ -45,7 +46,7 @@ from .first_clouds import FirstClouds
 from .idle import doubts, refuse_unusable
 from .plan import make_plan
 from .prepare import prepared
-from .report import Failure, Report
+from .report import Report
 from .routes import (
     bind,
     carry_extras,
@@ -110,7 +111,7 @@ def run(
         try:
             _run(files, options, output, stack, report, progress, warn)
         except Exception as err:
-            report.error = err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")
+            report.errors = [err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")]
             report.seconds = time.monotonic() - began
             files.deliver_failure(report)
             raise
@@ -212,7 +213,7 @@ def _run_at_urls(
         except Pc2ScanError as err:
             if write_report is not None:
                 to = None if destination is None else shown_path(destination)
-                write_report(Failure(err, [shown_path(source) for source in sources], to).as_json())
+                write_report(Failure([err], [shown_path(source) for source in sources], to).as_json())
             raise
         if write_report is not None:
             write_report(report.as_json())

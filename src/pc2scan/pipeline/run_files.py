@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.source import changed_while_read, state_of
-
-from .report import BEGINNING
+from pc2scan.result import BEGINNING, Result
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from pc2scan.files.records import Record
     from pc2scan.tf.options import FrameOptions
 
-    from .report import Failure, Report
+    from .report import Report
 
 
 class OutputOptions(NamedTuple):
@@ -119,11 +118,11 @@ class RunFiles:
             report.undelivered = True
             report.warnings.append(f"{err.path}: the report is not written: {err.message}; {report.destination} is")
 
-    def deliver_failure(self, report: Report | Failure) -> None:
+    def deliver_failure(self, report: Result) -> None:
         """Write the report of a run that failed, if possible; the error itself is raised in any case."""
         if self._output.report is None or self._output.dry_run:
             return
-        if report.error is not None and report.error.path == self._output.report:
+        if any(error.path == self._output.report for error in report.errors):
             # The error may be that this file cannot be written.
             return
         with suppress(DestinationError, OutputError), ExitStack() as stack:

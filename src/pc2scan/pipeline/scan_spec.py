@@ -128,6 +128,17 @@ class ScanSpec:
         self._check_deskewing()
         self._check_combining()
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return the parameters of the projection, their origins and the filters, for reports."""
+        from .stages.filters import as_dict  # noqa: PLC0415  # only reports in JSON need it
+
+        return {
+            "name": self.name,
+            "params": self.params,
+            "param_origins": dict(self.origins),
+            "filters": [as_dict(each) for each in self.filters],
+        }
+
     def _check_stages(self) -> None:
         if self.reverse and self.keep_used:
             raise UsageError("`keep_used` keeps points of clouds, but `reverse` converts scans")

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from pc2scan.errors import MessageError, UnwritableError
 from pc2scan.model import StoredChunk, own, owned
+from pc2scan.result import Skipped
 
 from .conversion import Converted
 from .first_clouds import Candidate, Sampled
-from .report import Report, Skipped
 from .scheduler import Later, schedule
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .combine.joint import Arrived, MadeScan
     from .levelling import LevelFrames
     from .options import ConvertOptions
+    from .report import Report
     from .routes import OpenRoute, Output
     from .topic_report import TopicReport
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.core.counts import PointCounts
 
@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from .combine.counts import SourceCounts
     from .combine.rebinned import Rebinned
     from .scan_spec import ScanSpec
-
-#: Attributes of a topic's entry that JSON has in another form, or does not have.
-_NOT_AS_THEY_ARE = {"points", "motions", "tilts", "spec", "joined", "rebinned"}
 
 
 @dataclass(slots=True)
@@ -63,6 +60,11 @@ class TopicReport:
         The request that the output was made by; None if the topic is not converted.
     """
 
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("topic", "msgtype", "target", "action", "note", "messages_in", "messages_out", "skipped", "empty_scans"),
+        *("removed_beams", "clouds_kept", "lost", "advice", "scan", "motion", "tilt", "joined", "rebinned", "points"),
+    )
+
     topic: str
     msgtype: str
     target: str | None
@@ -82,6 +84,11 @@ class TopicReport:
     lost: bool = False
     advice: str = ""
     spec: ScanSpec | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def scan(self) -> str:
+        """The name of its output in a scans file; empty without one."""
+        return self.spec.name if self.spec else ""
 
     @property
     def motion(self) -> dict[str, float] | None:
@@ -139,15 +146,3 @@ class TopicReport:
         self.messages_in += count
         if self.lost:
             self.skipped += count
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as JSON's types; the keys are documented in docs/report.md."""
-        return {
-            **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in _NOT_AS_THEY_ARE},
-            "scan": self.spec.name if self.spec else "",
-            "motion": self.motion,
-            "tilt": self.tilt,
-            "joined": None if self.joined is None else self.joined.as_dict(),
-            "rebinned": None if self.rebinned is None else self.rebinned._asdict(),
-            "points": self.points.as_dict(),
-        }

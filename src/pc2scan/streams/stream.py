@@ -16,8 +16,8 @@ from pc2scan.bags.units import in_time_order
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.pipeline.beforehand import refuse_no_messages
 from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.report import MAX_LISTED, Skipped
 from pc2scan.pipeline.run import span_of
+from pc2scan.result import MAX_LISTED, Skipped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Sequence

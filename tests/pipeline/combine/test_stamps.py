@@ -154,7 +154,7 @@ def test_what_is_lost_while_the_lead_is_silent_is_said(
     assert not any("messages of /rear are" in each for each in report.notes)
     assert not any("messages of /front" in each for each in report.warnings)
     (entry,) = (topic for topic in report.as_dict()["topics"] if topic["topic"] == "/rear")
-    assert entry["joined"]["longest_unmatched"]["messages"] == int(expected.partition("; ")[2].partition(" ")[0])
+    assert entry["joined"]["longest_unmatched"]["number"] == int(expected.partition("; ")[2].partition(" ")[0])
 
 
 def test_a_lead_without_messages_is_named_as_the_cause(tmp_path: Path) -> None:

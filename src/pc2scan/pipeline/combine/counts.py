@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 #: How many jumps of a topic are listed; all of them are counted.
 _MAX_LISTED = 3
@@ -27,18 +27,13 @@ class Jump(NamedTuple):
 class Run(NamedTuple):
     """Scans or messages in a row, of one clock: the stamps of the first and the last, and their number."""
 
-    first_ns: int
-    last_ns: int
+    first_stamp_ns: int
+    last_stamp_ns: int
     number: int
 
     def and_one(self, stamp_ns: int) -> Run:
         """Return the run with one more."""
-        return Run(self.first_ns if self.number else stamp_ns, stamp_ns, self.number + 1)
-
-    def as_dict(self, what: str) -> dict[str, int] | None:
-        """Return the run as JSON types; None if there is none."""
-        first, last, number = self
-        return {"first_stamp_ns": first, "last_stamp_ns": last, what: number} if number else None
+        return Run(self.first_stamp_ns if self.number else stamp_ns, stamp_ns, self.number + 1)
 
 
 NO_RUN = Run(0, 0, 0)
@@ -60,6 +55,10 @@ class SourceCounts:
         The first jumps of its stamps, and the number of all.
     """
 
+    json_names: ClassVar[tuple[str, ...]] = (
+        *("messages", "used", "unmatched", "scans_without", "jumped", "jumps", "longest_silence", "longest_unmatched"),
+    )
+
     messages: int = 0
     used: int = 0
     unmatched: int = 0
@@ -69,15 +68,15 @@ class SourceCounts:
     jumps: list[Jump] = field(default_factory=list)
     jumped: int = 0
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the counts as JSON types."""
-        names = ("messages", "used", "unmatched", "scans_without", "jumped")
-        return {
-            **{name: getattr(self, name) for name in names},
-            "jumps": [jump._asdict() for jump in self.jumps],
-            "longest_silence": self.silence.as_dict("scans"),
-            "longest_unmatched": self.left.as_dict("messages"),
-        }
+    @property
+    def longest_silence(self) -> Run | None:
+        """The longest run of scans without a message of this topic; None if each scan has one."""
+        return self.silence if self.silence.number else None
+
+    @property
+    def longest_unmatched(self) -> Run | None:
+        """The longest run of messages in no scan; None if all are used."""
+        return self.left if self.left.number else None
 
     def lack(self, stamp_ns: int, before: Run) -> Run:
         """Count a scan without a message of this topic; return the run of them that goes on."""

@@ -1,11 +1,19 @@
-"""Fits tables into a width: drops empty columns, then wraps text, then drops columns on the right."""
+"""Tables: as lines that fit a terminal, as HTML for notebooks, and cells for CSV files.
+
+To fit a width, empty columns are dropped, then text is wrapped, then columns on the right are dropped.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+from .errors import leading, visible
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
+
+#: Maximum number of characters of a cell, because one long name would widen every line. Names in ROS have at most 255.
+_MAX_CELL = 255
 
 #: The space between columns, and the smaller one for tables that do not fit otherwise.
 _GAP, _NARROW_GAP = 3, 2
@@ -16,7 +24,58 @@ _NARROWEST, _LONGEST_WORD = 12, 24
 _NOTHING = frozenset({"", "-"})
 
 
-def table_lines(cells: Sequence[Sequence[str]], left: Collection[str], width: int | None) -> Iterator[str]:
+class Table(NamedTuple):
+    """A table: headings, cells as text, and the headings of columns that are aligned to the left."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    left: Sequence[str] = ()
+
+    def cells(self, *, ascii_only: bool = False) -> list[list[str]]:
+        """Return the headings and the cells, which have names of untrusted recordings, as safe text."""
+        rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in self.rows)
+        return [list(self.columns), *([leading(cell) for cell in row[:1]] + row[1:] for row in rows)]
+
+    def lines(self, width: int | None = None, *, ascii_only: bool = False) -> Iterator[str]:
+        """Yield the lines of the table as text, at most ``width`` columns wide."""
+        return fitted(self.cells(ascii_only=ascii_only), self.left, width)
+
+    def html(self) -> Iterator[str]:
+        """Yield the table as HTML."""
+        styles = [f' style="text-align: {"left" if name in self.left else "right"}"' for name in self.columns]
+
+        def row(tag: str, cells: Sequence[str]) -> str:
+            parts = (f"<{tag}{style}>{escaped(cell)}</{tag}>" for style, cell in zip(styles, cells, strict=True))
+            return f"<tr>{''.join(parts)}</tr>"
+
+        yield f"<table><thead>{row('th', self.columns)}</thead><tbody>"
+        yield from (row("td", cells) for cells in self.rows)
+        yield "</tbody></table>"
+
+
+def escaped(text: str) -> str:
+    """Return text for HTML, with control characters made visible."""
+    from html import escape  # noqa: PLC0415  # only notebooks need it
+
+    return escape(visible(text))
+
+
+def csv_cell(text: str) -> str:
+    r"""Return text as a cell of a CSV file: visible, in quotes if necessary, and never a formula.
+
+    Spreadsheets compute a cell that begins with ``=``, ``+``, ``-`` or ``@``, and names come from untrusted recordings.
+    No frame or topic of ROS begins with one of these, so the character is escaped like a control character.
+
+    >>> print(csv_cell("base_link"), csv_cell("a,b"), csv_cell("=cmd|' /C calc'!A0"))
+    base_link "a,b" \x3dcmd|' /C calc'!A0
+    """
+    if text[:1] in ("=", "+", "-", "@"):
+        text = f"\\x{ord(text[0]):02x}{text[1:]}"
+    text = visible(text, None)
+    return '"' + text.replace('"', '""') + '"' if "," in text or '"' in text else text
+
+
+def fitted(cells: Sequence[Sequence[str]], left: Collection[str], width: int | None) -> Iterator[str]:
     """Yield the lines of a table.
 
     Parameters
@@ -81,7 +140,7 @@ def _longest_word(text: str) -> int:
 
 
 def _broken(text: str, width: int) -> list[str]:
-    from textwrap import wrap  # imported here because few tables are too wide
+    from textwrap import wrap  # noqa: PLC0415  # few tables are too wide
 
     # Names of topics and types may be broken after a slash.
     spaced = text if " " in text else text.replace("/", "/ ")

@@ -1,0 +1,345 @@
+"""Results: data with one description, from which text, HTML, JSON and the command's output are made.
+
+A result is a data class. ``body`` and ``remarks`` describe it; ``print``, notebooks and the command show these parts.
+`as_dict` has its attributes: the schema of the JSON is ``pc2scan/results.schema.json``.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
+from os import PathLike, fspath
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
+
+from .errors import Pc2ScanError, stamp_text, visible
+from .tables import Table, escaped
+from .text import counted, stamp
+from .version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from .bags.damage import Damage
+
+#: How many damaged places, and reasons for skipping, are shown; JSON has all.
+SHOWN = 5
+
+#: How many skipped messages are listed one by one; all of them are counted.
+MAX_LISTED = 100
+
+#: The beginning of every result as JSON: such a file may be replaced by another one.
+BEGINNING = b'{\n  "pc2scan": "'
+
+
+class Remark(NamedTuple):
+    """A line beside the result, such as ``warning: ...``; commands print it on standard error."""
+
+    label: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.label}: {self.text}"
+
+
+class Call(NamedTuple):
+    """A call of pc2scan that a result proposes; shown as Python, or as a command line.
+
+    Attributes
+    ----------
+    command
+        The command, and the function.
+    sources
+        The recordings.
+    options
+        Its options, by their names in Python.
+    """
+
+    command: str
+    sources: Sequence[str]
+    options: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        sources = list(self.sources)
+        words = [repr(sources[0] if len(sources) == 1 else sources)]
+        words += [f"{name}={value!r}" for name, value in self.options.items()]
+        return f"pc2scan.{self.command}({', '.join(words)})"
+
+
+#: A part of a result: a line of text (an empty line separates parts), a table, a call, or a remark.
+Part: TypeAlias = str | Table | Call | Remark
+
+
+class Skipped(NamedTuple):
+    """A message that was skipped, or several with one reason.
+
+    Attributes
+    ----------
+    topic, log_time_ns, stamp_ns
+        The message; a time is None if it is unknown.
+    reason
+        The reason, with numbers.
+    hint
+        What the user can do; empty if unknown.
+    targets
+        The topics of the destination that miss its result.
+    messages
+        How many messages were skipped for this reason, this one included.
+    """
+
+    topic: str
+    log_time_ns: int | None
+    stamp_ns: int | None
+    reason: str
+    hint: str = ""
+    targets: tuple[str, ...] = ()
+    messages: int = 1
+
+    def __str__(self) -> str:
+        if self.stamp_ns is not None:
+            return f"{self.topic}, stamp {stamp_text(self.stamp_ns)}: {self.reason}"
+        when = "" if self.log_time_ns is None else f", log time {stamp_text(self.log_time_ns)}"
+        return f"{self.topic}{when}: {self.reason}"
+
+
+class Result:
+    """A result of a command.
+
+    Attributes
+    ----------
+    kind
+        Its name in JSON.
+    json_names
+        The attributes that JSON has after the common ones; empty means all fields.
+    errors
+        Why it failed; empty if it did not.
+    warnings
+        Problems that did not stop it.
+    notes
+        Values that were measured, or chosen by default.
+    damage
+        Damaged places in the parts of the recordings that were read.
+    """
+
+    __slots__ = ()
+
+    kind: ClassVar[str]
+    json_names: ClassVar[tuple[str, ...]] = ()
+
+    errors: Sequence[Pc2ScanError] = ()
+    warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    damage: Sequence[Damage] = ()
+
+    @property
+    def exit_status(self) -> int:
+        """The exit status of the command; 3 if a recording is damaged, else 0."""
+        return 3 if self.damage else 0
+
+    @abstractmethod
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield what was found or done; ``verbose`` for everything."""
+
+    def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield what is not as it should be; ``verbose`` for every damaged place."""
+        yield from self.damage_remarks(verbose=verbose)
+        yield from self.warning_remarks()
+
+    def damage_remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield the damaged places."""
+        yield from listed("damaged", self.damage, None if verbose else SHOWN)
+
+    def warning_remarks(self) -> Iterator[Remark]:
+        """Yield the warnings."""
+        yield from (Remark("warning", warning) for warning in self.warnings)
+
+    def parts(self) -> Iterator[Part]:
+        """Yield everything that is shown."""
+        yield from self.body()
+        yield from (Remark("note", note) for note in self.notes)
+        yield from self.remarks()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON's types; infinities and NaNs are text."""
+        common = ("exit_status", "errors", "warnings", "notes", "damage")
+        names = [name for name in self.json_names or _names(self) if name not in common]
+        values = {name: json_value(getattr(self, name)) for name in (*common, *names)}
+        return {"pc2scan": __version__, "kind": self.kind, **values}
+
+    def as_json(self) -> str:
+        """Return it as the text of a JSON file."""
+        import json  # noqa: PLC0415  # only where it is asked for
+
+        return json.dumps(self.as_dict(), indent=2) + "\n"
+
+    def __str__(self) -> str:
+        lines: list[str] = []
+        for part in self.parts():
+            lines += part.lines() if isinstance(part, Table) else [visible(str(part))]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Return the HTML that notebooks show."""
+        parts: list[str] = []
+        lines: list[str] = []
+        for part in [*self.parts(), Table((), ())]:
+            if not isinstance(part, Table):
+                lines.append(escaped(str(part)))
+                continue
+            # Without empty lines at the ends: HTML has space around tables anyway.
+            if text := "\n".join(lines).strip("\n"):
+                parts.append(f"<pre>{text}</pre>")
+            lines.clear()
+            parts += part.html() if part.columns else []
+        return f"<div>{''.join(parts)}</div>"
+
+
+@dataclass(slots=True)
+class Failure(Result):
+    """A command that failed before there was a result.
+
+    Attributes
+    ----------
+    errors
+        The error.
+    sources, destination
+        Paths as they were given; None for no destination.
+    """
+
+    kind: ClassVar[str] = "failure"
+
+    errors: list[Pc2ScanError] = field(default_factory=list)
+    sources: list[str] = field(default_factory=list)
+    destination: str | None = None
+
+    @property
+    def exit_status(self) -> int:
+        """That of the error."""
+        return self.errors[0].exit_status
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the errors."""
+        yield from (Remark("error", str(error)) for error in self.errors)
+
+
+def json_value(value: Any) -> Any:
+    """Return a value as JSON's types: infinities and NaNs are text, objects are dictionaries of their attributes.
+
+    >>> json_value({"range_max": float("inf"), "angles": (0.5, float("nan"))})
+    {'range_max': 'inf', 'angles': [0.5, 'nan']}
+    """
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, dict):
+        return {key: json_value(part) for key, part in value.items()}
+    if isinstance(value, PathLike):
+        return fspath(value)
+    if hasattr(value, "as_dict"):
+        return json_value(value.as_dict())
+    if is_dataclass(value) or hasattr(value, "_fields"):
+        return {name: json_value(getattr(value, name)) for name in _names(value)}
+    return [json_value(part) for part in value]
+
+
+def _names(value: Any) -> tuple[str, ...]:
+    """Return the names that an object has in JSON: those that its class lists, or its fields."""
+    if listed_names := getattr(value, "json_names", ()):
+        return tuple(listed_names)
+    named = value._fields if hasattr(value, "_fields") else (each.name for each in fields(value))
+    return tuple(name for name in named if not name.startswith("_"))
+
+
+def listed(label: str, entries: Sequence[object], most: int | None) -> Iterator[Remark]:
+    """Yield a remark for each of the first entries, and one with the number of the others."""
+    yield from (Remark(label, str(entry)) for entry in entries[:most])
+    if most is not None and len(entries) > most:
+        yield Remark(label, f"{len(entries) - most:,} more")
+
+
+def skipped_remarks(
+    skipped: Sequence[Skipped], total: int, *, targets: bool = False, verbose: bool = False
+) -> Iterator[Remark]:
+    """Yield the reasons for which messages were skipped, with a hint for the first.
+
+    Parameters
+    ----------
+    skipped
+        The messages that are listed.
+    total
+        How many messages were skipped.
+    targets
+        Whether to name the topics of the destination.
+    verbose
+        Whether to yield all reasons.
+    """
+    reasons: dict[tuple[str, str, tuple[str, ...]], list[Skipped]] = {}
+    for entry in skipped:
+        reasons.setdefault((entry.topic, entry.reason, entry.targets), []).append(entry)
+    shown = 0
+    for (topic, reason, missing), entries in list(reasons.items())[: None if verbose else SHOWN]:
+        first, count = entries[0], sum(entry.messages for entry in entries)
+        if first.stamp_ns is not None:
+            of = f"{topic}, stamp {stamp(first.stamp_ns)}"
+        elif first.log_time_ns is not None:
+            of = f"{topic}, log time {stamp(first.log_time_ns)}"
+        else:
+            of = f"{count:,} of {topic}"
+        if count > 1 and not of.endswith(topic):
+            of += f" and {count - 1:,} more"
+        to = f" (for {', '.join(missing)})" if targets and missing else ""
+        yield Remark("skipped", f"{of}{to}: {reason}")
+        # A message counts once for each output that lacks it, like in the counts of the topics.
+        shown += count * max(1, len(missing))
+    if total > shown:
+        yield Remark("skipped", f"{total - shown:,} more")
+    if hint := next((entry.hint for entry in skipped if entry.hint), ""):
+        yield Remark("hint", hint)
+
+
+def recovery_text(damage: Sequence[Damage], read: int, declared: int | None) -> str:
+    """Return how much was recovered of damaged recordings, and what is missing.
+
+    Parameters
+    ----------
+    damage
+        Their damaged places.
+    read, declared
+        How many messages were read, and how many the recordings declare; None if that is unknown.
+    """
+    found = counted(read, "message")
+    if declared is not None and declared > read:
+        found = f"{read:,} of the {declared:,} messages that the source declares"
+    missing = [place for place in damage if place.loses]
+    lost = _lost(missing) if missing else "no bytes are known to be lost"
+    span = _spanned(missing) if missing else "no message is known to be missing"
+    return f"{found}; {lost}; {span}"
+
+
+def _lost(damage: Sequence[Damage]) -> str:
+    """Return how much is missing in all damaged places together."""
+    from .text import size  # noqa: PLC0415
+
+    if stored := sum(place.bytes_lost for place in damage):
+        return f"{size(stored)} lost"
+    counts = [place.messages_lost for place in damage if place.messages_lost is not None]
+    if len(counts) == len(damage):
+        return f"{counted(sum(counts), 'message')} lost"
+    return "it is unknown how much is lost"
+
+
+def _spanned(damage: Iterable[Damage]) -> str:
+    """Return the times between which messages may be missing, for all damaged places together."""
+    places = list(damage)
+    first = min((place.first_ns for place in places if place.first_ns is not None), default=None)
+    lasts = [place.last_ns for place in places]
+    last = None if None in lasts else max((time for time in lasts if time is not None), default=None)
+    if first is None:
+        return "it is unknown at which times messages are missing"
+    return f"messages may be missing from log time {stamp_text(first)} " + (
+        "on" if last is None else f"to {stamp_text(last)}"
+    )
