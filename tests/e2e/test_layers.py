@@ -259,10 +259,7 @@ LOADED_BY_CONVERT = {
     "pc2scan.bags.chunked": "entries segments spans",
     "pc2scan.bags.mcap": "record_types records writer",
     "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
-    "pc2scan.cli": (
-        "app completion convert interrupts next_command options progress "
-        "render screen spelling usage"
-    ),
+    "pc2scan.cli": ("app completion convert interrupts next_command options progress render screen spelling usage"),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
     "pc2scan.files": (
         "borrowed compression crc32 limits ownership places run_lock same_file source staging system write_ahead"
