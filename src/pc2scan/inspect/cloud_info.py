@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.core.level import thinned
+from pc2scan.core.percentiles import percentiles
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
@@ -239,7 +240,7 @@ def _measure(result: CloudInfo, points: NDArray[np.float64], zeros: int) -> None
         result.range = spread_of(np.hypot(x[valid], y[valid]))
     heights = finite(z[valid])
     if heights.size:
-        low, high = np.percentile(heights, [0.5, 99.5])
+        low, high = percentiles(heights, 0.5, 99.5)
         # Wide enough that the edges of the bars are different numbers.
         least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
         if high - low < least:

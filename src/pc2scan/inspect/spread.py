@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pc2scan.core.percentiles import percentiles
 from pc2scan.tables import Table
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def spread_of(values: NDArray[np.floating[Any]]) -> Spread | None:
     known = finite(values)
     if not known.size:
         return None
-    return Spread(*(float(value) for value in np.percentile(known, [0, 5, 50, 95, 100])))
+    return Spread(*percentiles(known, 0, 5, 50, 95, 100))
 
 
 def spread_table(spreads: Mapping[str, Spread]) -> Table:

@@ -111,8 +111,9 @@ def trees_of(names: Sequence[str], offsets: NDArray[np.int64], parents: NDArray[
         return frame
 
     counts = np.diff(offsets)
-    edges = np.repeat(np.arange(len(names)), counts) * len(names) + parents
-    for edge in np.unique(edges).tolist():
+    edges = np.sort(np.repeat(np.arange(len(names)), counts) * len(names) + parents)
+    # Not np.unique, which imports numpy.ma.
+    for edge in edges[np.diff(edges, prepend=-1) != 0].tolist():
         child, parent = divmod(edge, len(names))
         toward[representative(child)] = representative(parent)
     members: dict[int, list[int]] = {}
