@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 #: Calls, and what mypy finds wrong with each; empty: nothing.
 CALLS = {
-    'pc2scan.convert("a", min_height=1)': "",
+    'pc2scan.convert("a", min_height=1, max_height="50cm")': "",
     'pc2scan.convert("a", "b.mcap", target_frame="base_link", angle_min="-90deg", scan_time="auto")': "",
     'pc2scan.convert(["a", Path("b")], topics=["/points:=/scan"], keep="/tf*", start=datetime.now(timezone.utc))': "",
     'pc2scan.convert("a", where=["ring < 8"], static_tf=pc2scan.StaticTransform.parse("a b 0 0 0 0 0 0"))': "",
@@ -37,7 +37,7 @@ CALLS = {
     'pc2scan.diff("a", "b", rtol=1e-5, atol={"ranges": 1e-3}, ignore=["seq"])': "",
     'pc2scan.golden("cases", "drive", update=True)': "",
     'pc2scan.convert("a", min_hieght=1)': 'Unexpected keyword argument "min_hieght" for "convert"; did you mean',
-    'pc2scan.convert("a", min_height="x")': 'Argument "min_height" to "convert" has incompatible type "str"',
+    'pc2scan.convert("a", min_height=["x"])': 'Argument "min_height" to "convert" has incompatible type "list[str]"',
     'pc2scan.convert("a", overwrite="no")': 'Argument "overwrite" to "convert" has incompatible type "str"',
     'pc2scan.convert("a", target_frame=5)': 'Argument "target_frame" to "convert" has incompatible type "int"',
     'pc2scan.convert("a", each=True)': 'Unexpected keyword argument "each" for "convert"',

@@ -8,7 +8,7 @@ from typing import Annotated, TypedDict
 
 from pc2scan.core.presets import PRESETS
 
-from .option import FRAME_NAMES, Metres, Names, Option, Path, Progress, Quantity, Time, Tolerance, topics_of
+from .option import FRAME_NAMES, Names, Option, Path, Progress, Quantity, Time, Tolerance, topics_of
 from .running import MAX_JOBS
 from .values import Count, Flag, Moment, Moments, Number, Object, PathName, Switch, Text, Texts, Tolerances
 
@@ -221,7 +221,7 @@ class MapDrawing(TypedDict, total=False):
 
     resolution: Annotated[Quantity, Option(Number("m"), "Side of a cell: 0.05, or 5cm.", default=0.05, common=True)]
     max_range: Annotated[
-        Metres,
+        Quantity,
         Option(
             Number("m"),
             "Returns beyond this range mark no cell as occupied; the cells up to it are cleared.",
@@ -231,7 +231,7 @@ class MapDrawing(TypedDict, total=False):
         ),
     ]
     clear_to: Annotated[
-        Metres,
+        Quantity,
         Option(
             Number("m"),
             "Up to which range beams without a return clear cells. 0: not at all, like in gmapping and slam_toolbox.",

@@ -14,7 +14,6 @@ from .option import (
     RUN,
     SINGLE,
     Channels,
-    Metres,
     Names,
     Option,
     Path,
@@ -326,7 +325,7 @@ class ReverseOptions(Reversal, total=False):
         ),
     ]
     range_cutoff: Annotated[
-        Metres | None, Option(Number("m"), "Use only returns closer than this.", default_text="the scan's range_max")
+        Quantity | None, Option(Number("m"), "Use only returns closer than this.", default_text="the scan's range_max")
     ]
 
 

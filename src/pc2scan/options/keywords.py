@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import re
 from functools import wraps
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from pc2scan.arguments import refuse_unknown
 
@@ -47,6 +48,9 @@ _OF_RESULTS = {
     "tf": {"lookup": "`FrameTree.lookup` returns a transform", "at": "`FrameTree.lookup` has it"},
 }
 
+#: The modules in the names of types.
+_MODULES = re.compile(r"\b[a-z_0-9.]+\.(?=[A-Z])|\bdatetime\.(?=datetime|timedelta)")
+
 #: The width of the lists in docstrings.
 _WIDTH = 112
 
@@ -88,7 +92,9 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
         for option in ordered
     ]
     checked.__signature__ = inspect.signature(function).replace(parameters=[*own, *listed])  # type: ignore[attr-defined]
-    checked.__doc__ = (function.__doc__ or "").replace(_PLACE, "".join(map(_described, ordered)))
+    checked.__doc__ = (function.__doc__ or "").replace(
+        _PLACE, "".join(_described(option, types[option.name]) for option in ordered)
+    )
     return checked
 
 
@@ -96,12 +102,13 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
 _PLACE = "    **options\n"
 
 
-def _described(option: Option) -> str:
-    """Return an option's entry in a docstring."""
+def _described(option: Option, kind: Any) -> str:
+    """Return an option's entry in a docstring, with the type of its values."""
     words = f"{option.help} {option.value.note}".split()
     if option.default_text:
         words += f"Default: {option.default_text}.".split()
-    text, line = f"    {option.name}\n       ", 7
+    shown = kind if isinstance(kind, str) else inspect.formatannotation(kind)
+    text, line = f"    {option.name} : {_MODULES.sub('', shown)}\n       ", 7
     for word in words:
         if line + len(word) >= _WIDTH:
             text, line = f"{text}\n       ", 7

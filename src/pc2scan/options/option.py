@@ -17,13 +17,11 @@ if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.tf.static import StaticTransform
 
-    Metres: TypeAlias = float | np.floating[Any] | np.integer[Any]
     Quantity: TypeAlias = str | float | np.floating[Any] | np.integer[Any]
     Time: TypeAlias = str | float | datetime | timedelta | np.datetime64 | np.timedelta64 | np.number[Any]
     Transforms: TypeAlias = str | StaticTransform | Iterable[str | StaticTransform]
     Channels: TypeAlias = str | Iterable[str] | UnprojectParams
 else:
-    Metres = float
     Quantity = str | float
     Time = str | float | datetime | timedelta
     Transforms = str | Iterable[str]

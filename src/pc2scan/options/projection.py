@@ -16,7 +16,6 @@ from .option import (
     SINGLE,
     SLAM,
     TOPICS,
-    Metres,
     Names,
     Option,
     Parameter,
@@ -43,7 +42,7 @@ class Projection(TypedDict, total=False):
         Parameter(Number("s"), "How far a stamp may be before the first or after the last recorded transform."),
     ]
     min_height: Annotated[
-        Metres,
+        Quantity,
         Parameter(
             Number("m"),
             "Lowest z of the points used, in the target frame, inclusive. The default, the smallest positive number, "
@@ -52,7 +51,7 @@ class Projection(TypedDict, total=False):
         ),
     ]
     max_height: Annotated[
-        Metres, Parameter(Number("m"), "Highest z of the points used, in the target frame, inclusive.", common=True)
+        Quantity, Parameter(Number("m"), "Highest z of the points used, in the target frame, inclusive.", common=True)
     ]
     angle_min: Annotated[
         Quantity,
@@ -67,8 +66,10 @@ class Projection(TypedDict, total=False):
             "Time between scans, copied into the scan. auto: the median interval of the recorded stamps.",
         ),
     ]
-    range_min: Annotated[Metres, Parameter(Number("m"), "Shortest horizontal distance of the points used, inclusive.")]
-    range_max: Annotated[Metres, Parameter(Number("m"), "Longest horizontal distance of the points used, inclusive.")]
+    range_min: Annotated[
+        Quantity, Parameter(Number("m"), "Shortest horizontal distance of the points used, inclusive.")
+    ]
+    range_max: Annotated[Quantity, Parameter(Number("m"), "Longest horizontal distance of the points used, inclusive.")]
     use_inf: Annotated[
         bool,
         Parameter(
@@ -76,7 +77,7 @@ class Projection(TypedDict, total=False):
         ),
     ]
     inf_epsilon: Annotated[
-        Metres, Parameter(Number("m"), "Added to `range_max` for beams without a return, if `use_inf` is off.")
+        Quantity, Parameter(Number("m"), "Added to `range_max` for beams without a return, if `use_inf` is off.")
     ]
     queue_size: Annotated[
         int,
@@ -132,7 +133,7 @@ class Projection(TypedDict, total=False):
         ),
     ]
     surface_depth: Annotated[
-        Metres,
+        Quantity,
         Parameter(
             Number("m"),
             "For `reduce=surface`: returns at most this far behind the closest one are on the same surface.",
