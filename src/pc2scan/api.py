@@ -5,17 +5,15 @@ The options are those of the table, `pc2scan.options.table`, which also has the 
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from . import commands
 from .arguments import names_in, path_of, paths_in
 from .errors import UsageError
 from .options.call import Options
-from .options.frames import frames_of
 from .options.keywords import takes_options
 from .options.table import options_of
-from .pipeline.options import ConvertOptions
-from .requests import conversion_of, destination_of, first_output, output_of, selection_of
+from .requests import conversion_of, selection_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -88,22 +86,8 @@ def convert(
     >>> report.exit_status  # doctest: +SKIP
     0
     """
-    notes: list[str] = []
     asked = Options("convert", options)
-    conversion = conversion_of(asked, notes.append)
-    from .pipeline.run import run  # noqa: PLC0415
-
-    path, folder = destination_of(destination)
-    done = run(
-        paths_in("sources", sources),
-        path,
-        conversion.options,
-        output_of(asked, folder=folder),
-        also_read=conversion.files,
-        progress=asked.progress,
-    )
-    done.warnings += notes
-    return done
+    return commands.convert(paths_in("sources", sources), destination, asked, progress=asked.progress)
 
 
 @takes_options
@@ -143,16 +127,12 @@ def batch(
     >>> result.counts  # doctest: +SKIP
     {'failed': 2, 'converted': 998}
     """
-    from .batch.options import BatchOptions  # noqa: PLC0415
-    from .batch.run import run_batch  # noqa: PLC0415
     from .batch.watch import Watch  # noqa: PLC0415
 
     asked = Options("batch", options)
     watch = Watch() if asked.progress is None else Watch(progress=asked.progress)
     names = [str(path) for path in paths_in("sources", sources)]
-    return run_batch(
-        names, path_of("destination", destination), asked.of_conversions, BatchOptions.of(asked), watch=watch
-    )
+    return commands.batch(names, path_of("destination", destination), asked, watch)
 
 
 @takes_options
@@ -185,17 +165,8 @@ def repair(
     OutputError
         If the destination cannot be written.
     """
-    from .pipeline.run import run  # noqa: PLC0415
-
     asked = Options("repair", options)
-    path, folder = destination_of(destination)
-    return run(
-        [path_of("source", source)],
-        path,
-        ConvertOptions(repair=True, verify=asked.verify),
-        output_of(asked, folder=folder),
-        progress=asked.progress,
-    )
+    return commands.repair(path_of("source", source), destination, asked, progress=asked.progress)
 
 
 @takes_options
@@ -223,15 +194,7 @@ def info(
     RecordingError
         If a source cannot be read.
     """
-    from .inspect.info import info as look  # noqa: PLC0415
-
-    asked = Options("info", options)
-    return look(
-        paths_in("sources", sources),
-        samples=asked.samples,
-        target_frame=asked.target_frame,
-        frames=frames_of(asked),
-    )
+    return commands.info(paths_in("sources", sources), Options("info", options))
 
 
 @takes_options
@@ -266,22 +229,7 @@ def view(
     >>> import pc2scan
     >>> pc2scan.view("drive.bag", preset="slam_toolbox", min_height=-0.3).save("page.html")  # doctest: +SKIP
     """
-    notes: list[str] = []
-    asked = Options("view", options)
-    conversion = first_output(conversion_of(asked, notes.append).options, "shown", notes.append)
-    from .cli.command_line import convert_words  # noqa: PLC0415
-    from .look.view import page_of  # noqa: PLC0415
-
-    paths = paths_in("sources", sources)
-    page = page_of(
-        paths,
-        conversion,
-        clouds=asked.clouds,
-        at=asked.at,
-        preset=asked.preset or "",
-        command=convert_words(paths, conversion, "scans.mcap"),
-    )
-    return replace(page, warnings=(*notes, *page.warnings))
+    return commands.view(paths_in("sources", sources), None, Options("view", options))
 
 
 @takes_options
@@ -321,20 +269,7 @@ def plot(
     >>> import pc2scan
     >>> pc2scan.plot("drive.bag", "figure.png", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
-    notes: list[str] = []
-    asked = Options("plot", options)
-    conversion = first_output(conversion_of(asked, notes.append).options, "shown", notes.append)
-    from .look.plot import plot as draw  # noqa: PLC0415
-
-    drawn = draw(
-        paths_in("sources", sources),
-        path_of("destination", destination),
-        conversion,
-        clouds=asked.clouds,
-        at=asked.at,
-        overwrite=asked.overwrite,
-    )
-    return replace(drawn, warnings=(*notes, *drawn.warnings))
+    return commands.plot(paths_in("sources", sources), path_of("destination", destination), Options("plot", options))
 
 
 @takes_options
@@ -374,14 +309,8 @@ def map(  # noqa: A001  # the command's name
     >>> import pc2scan
     >>> pc2scan.map("drive.bag", min_height=0.1, max_height=1.5).save("map.yaml")  # doctest: +SKIP
     """
-    notes: list[str] = []
     asked = Options("map", options)
-    conversion = first_output(conversion_of(asked, notes.append).options, "drawn", notes.append)
-    from .look.map import map_of  # noqa: PLC0415
-    from .look.map_options import MapOptions  # noqa: PLC0415
-
-    made = map_of(paths_in("sources", sources), conversion, MapOptions.of(asked), progress=asked.progress)
-    return replace(made, warnings=(*notes, *made.warnings))
+    return commands.map(paths_in("sources", sources), None, asked, write=False, progress=asked.progress)
 
 
 @takes_options
@@ -409,17 +338,7 @@ def check(
     RecordingError
         If a source cannot be read.
     """
-    from .inspect.check import check as look  # noqa: PLC0415
-
-    asked = Options("check", options)
-    return look(
-        paths_in("sources", sources),
-        consumers=asked.consumers,
-        topics=asked.topics,
-        odom_frame=asked.odom_frame,
-        base_frame=asked.base_frame,
-        frames=frames_of(asked),
-    )
+    return commands.check(paths_in("sources", sources), Options("check", options))
 
 
 @takes_options
@@ -447,9 +366,7 @@ def tf(
     UsageError
         If several namespaces have transforms and ``tf_topics`` is empty.
     """
-    from .inspect.tf import frame_tree  # noqa: PLC0415
-
-    return frame_tree(paths_in("sources", sources), frames_of(Options("tf", options)))
+    return commands.tf(paths_in("sources", sources), Options("tf", options))
 
 
 @takes_options
@@ -483,21 +400,13 @@ def golden(
     While a case runs, the output of this process is captured, and on SIGTERM temporary files are removed first.
     """
     from .cli.in_process import run_command  # noqa: PLC0415
-    from .golden.case import case_folders  # noqa: PLC0415
-    from .golden.check import check_case  # noqa: PLC0415
-    from .golden.init import make_case  # noqa: PLC0415
-    from .golden.result import GoldenReport  # noqa: PLC0415
 
     path, asked = path_of("folder", folder), Options("golden", options)
     if asked.init is not None:
-        part = {"start": asked.start, "end": asked.end, "topics": asked.topics, "params": asked.params_file}
-        make_case(path, asked.init, run_command, **part)
+        commands.new_case(path, asked, run_command)
     elif asked.given.keys() - {"update"}:
         raise UsageError("`start`, `end`, `topics` and `params_file` have no effect without init=SRC")
-    report = GoldenReport(str(path))
-    for name, case in case_folders(path, pattern):
-        report.cases.append(check_case(name, case, run_command, update=asked.update))
-    return report
+    return commands.golden(path, pattern, asked, run_command)
 
 
 @takes_options
@@ -532,20 +441,7 @@ def diff(
     >>> found = pc2scan.diff("expected.bag", "scans.mcap", rtol=1e-5)  # doctest: +SKIP
     >>> assert found.same, found  # doctest: +SKIP
     """
-    from .compare.diff import TopicPair  # noqa: PLC0415
-    from .compare.diff import diff as compare  # noqa: PLC0415
-    from .compare.rules import Rules  # noqa: PLC0415
-
-    asked = Options("diff", options)
-    rules = Rules.of(asked)
-    pairs = [TopicPair.parse(topic) for topic in asked.topics]
-    first, second = path_of("a", a), None if b is None else path_of("b", b)
-    found = compare(first, second, topics=pairs, all_topics=asked.all_topics, rules=rules)
-    if asked.view is not None:
-        from .look.compared import compared_view  # noqa: PLC0415
-
-        compared_view(first, second or first, asked.view, topics=pairs, rules=rules, summary=str(found))
-    return found
+    return commands.diff(path_of("a", a), None if b is None else path_of("b", b), Options("diff", options))
 
 
 @takes_options
@@ -594,25 +490,8 @@ def export(
     >>> pc2scan.export("drive.bag", "scans.npz", pose_frame="odom")  # doctest: +SKIP
     >>> pc2scan.export("drive.bag", "scans.csv", preset="slam_toolbox", min_height=-0.3)  # doctest: +SKIP
     """
-    notes: list[str] = []
     asked = Options("export", options)
-    conversion = conversion_of(asked, notes.append)
-    from .export.run import ExportOptions, run  # noqa: PLC0415
-
-    path, folder = destination_of(destination)
-    place = path if path is not None else folder
-    assert place is not None
-    done = run(
-        paths_in("sources", sources),
-        place,
-        conversion.options,
-        ExportOptions.of(asked, conversion.options, asked.format),
-        in_folder=path is None,
-        also_read=conversion.files,
-        progress=asked.progress,
-    )
-    done.warnings += notes
-    return done
+    return commands.export(paths_in("sources", sources), destination, asked, progress=asked.progress)
 
 
 @takes_options

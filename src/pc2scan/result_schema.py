@@ -17,6 +17,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, ForwardRef, Literal, Union, get_args, get_origin
 
+from . import _HOMES
 from .batch.summary import BatchReport
 from .compare.result import Difference
 from .core.counts import PointCounts
@@ -156,7 +157,7 @@ def _types(cls: type) -> dict[str, Any]:
     for base in reversed(cls.__mro__):
         if not (is_dataclass(base) or hasattr(base, "_fields")):
             continue
-        known = _names(base.__module__)
+        known = _names(_home(base))
         own = {each.name for each in fields(base)} if is_dataclass(base) else set(base._fields)
         for name, text in inspect.get_annotations(base).items():
             if name in own:
@@ -175,8 +176,13 @@ def _type_of(cls: type, name: str) -> Any:
         return _evaluated(text, _names(attribute.fget.__module__))
     owner = next(base for base in cls.__mro__ if name in inspect.get_annotations(base))
     text = inspect.get_annotations(owner)[name]
-    kind = _evaluated(text, _names(owner.__module__))
+    kind = _evaluated(text, _names(_home(owner)))
     return get_args(kind)[0] if get_origin(kind) is ClassVar else kind
+
+
+def _home(cls: type) -> str:
+    """Return the name of a class's module; public classes say that it is the package."""
+    return f"pc2scan.{_HOMES[cls.__name__]}" if cls.__module__ == "pc2scan" else cls.__module__
 
 
 def _evaluated(annotation: Any, known: dict[str, Any]) -> Any:

@@ -57,17 +57,21 @@ ALLOWED = {
     "export": {"options", "streams", "pipeline", "core", "tf", "messages", "bags", "files"},
     "look": {"options", "streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
     "batch": {"options", "requests", "export", "pipeline", "core", "bags", "files", "remote"},
-    # `cli.in_process`: golden cases run the command. `cli.command_line`: pages show the one that means the same.
+    # `cli.in_process`: golden cases run the command.
     "requests": {"options", "pipeline", "core", "streams", "tf"},
+    "commands": {
+        *("batch", "requests", "options", "pipeline", "inspect", "compare", "golden", "export", "look", "remote"),
+    },
+    # Results, for types.
     "api": {
-        *("batch", "requests", "options", "pipeline", "inspect", "compare", "golden", "streams", "export", "look"),
-        *("core", "tf", "cli.in_process", "cli.command_line"),
+        *("commands", "requests", "options", "streams", "cli.in_process"),
+        *("batch", "pipeline", "inspect", "compare", "golden", "export", "look"),
     },
     # `bags.formats`: what containers are called. `bags.damage`: results have its data classes.
     # `files.staging`: what is complete when a command is interrupted.
     "cli": {
         *("batch", "options", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
-        *("bags.damage", "bags.formats", "files.staging", "files.junit", "remote.urls", "requests"),
+        *("bags.damage", "bags.formats", "files.staging", "files.junit", "remote.urls", "commands"),
     },
     "pytest_plugin": {"api", "cli", "golden"},
     "result_schema": {"batch", "compare", "core", "export", "golden", "inspect", "look", "pipeline"},
@@ -92,6 +96,7 @@ THIRD_PARTY = {
     "export": {"numpy"},
     "look": {"numpy", "matplotlib"},
     "api": set[str](),
+    "commands": set[str](),
     "requests": set[str](),
     "result_schema": set[str](),
     "cli": {"typer", "rich"},
@@ -250,7 +255,7 @@ def test_starting_is_cheap(code: str) -> None:
 #: as some thousand points.
 LOADED_BY_CONVERT = {
     "pc2scan": (
-        "arguments bags callable_package cli core errors files memory messages model options pipeline "
+        "arguments bags callable_package cli commands core errors files memory messages model options pipeline "
         "remote requests result tables text tf threads version"
     ),
     "pc2scan.bags": (

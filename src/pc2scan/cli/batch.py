@@ -49,23 +49,21 @@ def batch(
     If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
     failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command again.
     """
-    from pc2scan.batch.options import BatchOptions
-    from pc2scan.batch.run import run_batch
+    from pc2scan import commands
     from pc2scan.batch.watch import Watch
 
     quiet, verbose = options.quiet, options.verbose
-    how = BatchOptions.of(options)
     with _progress_bar(enabled=not quiet) as progress:
         watch = Watch(
             planned=lambda plan: _show_plan(plan, quiet=quiet),
             progress=progress,
-            done=lambda record: _show_record(record, quiet=quiet, dry_run=how.dry_run),
+            done=lambda record: _show_record(record, quiet=quiet, dry_run=options.dry_run),
             shown=_show_text if verbose and not quiet else None,
             warn=warn,
             inform=lambda text: None if quiet else say(as_typed(text), err=True),
         )
         try:
-            report = run_batch(sources, destination, options.of_conversions, how, origins=options.origins, watch=watch)
+            report = commands.batch(sources, destination, options, watch)
         except KeyboardInterrupt:
             say("hint: run the same command again to continue it", err=True)
             raise

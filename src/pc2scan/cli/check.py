@@ -29,24 +29,14 @@ def check(
 
     Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not all, 2 wrong usage.
     """
-    from pc2scan.inspect.check import check as look
-    from pc2scan.options.frames import frames_of
+    from pc2scan import commands
 
     from .junit_cases import junit_output, of_check
     from .progress import progress_bar
 
-    frames = frames_of(options)
-    with junit_output(options, "check", [*sources, *frames.tf_from]) as write_junit:
+    with junit_output(options, "check", [*sources, *options.tf_from]) as write_junit:
         with progress_bar(enabled=not options.as_json) as progress:
-            result = look(
-                sources,
-                consumers=options.consumers,
-                topics=options.topics,
-                odom_frame=options.odom_frame,
-                base_frame=options.base_frame,
-                frames=frames,
-                progress=progress,
-            )
+            result = commands.check(sources, options, progress=progress)
         show(result, as_json=options.as_json)
         write_junit(of_check(result))
     raise typer.Exit(result.exit_status)

@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.errors import Pc2ScanError
 from pc2scan.options.call import Options
 
 from .next_command import next_line
 from .options import Destination
 from .progress import progress_bar
-from .render import say, show, warn
+from .render import LiveWarnings, say, show
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
 
 def convert(
@@ -36,38 +35,15 @@ def convert(
     PointCloud2 becomes LaserScan, with the results of ROS's pointcloud_to_laserscan. All other topics are copied.
     Messages that cannot be converted are counted, listed, and reflected in the exit status.
     """
-    from pc2scan.requests import conversion_of, destination_of, named_files, output_of
+    from pc2scan import commands
 
     sources, further = _ros_arguments(sources)
     if further:
         options = options.with_further(further)
-    named, folder = destination_of(destination)
-    form = output_of(options, folder=folder)
-    files: Mapping[str, Path] = named_files(options)
-    try:
-        options.check()
-        conversion = conversion_of(options, warn)
-    except Pc2ScanError as err:
-        from pc2scan.pipeline.run import report_failure
-        from pc2scan.remote.urls import shown_path
-        from pc2scan.result import Failure
-
-        report_failure(Failure([err], [shown_path(source) for source in sources], destination), sources, form, files)
-        raise
-
-    from pc2scan.pipeline.run import run
-
-    shown: list[str] = []
-
-    def warned(text: str) -> None:
-        shown.append(text)
-        warn(text)
-
+    warn = LiveWarnings()
     with progress_bar(enabled=not options.quiet) as progress:
-        result = run(
-            sources, named, conversion.options, form, also_read=conversion.files, progress=progress, warn=warned
-        )
-    show(result, quiet=options.quiet, verbose=options.verbose, known=shown)
+        result = commands.convert(sources, destination, options, warn=warn, progress=progress)
+    show(result, quiet=options.quiet, verbose=options.verbose, known=warn)
     if not options.quiet and not result.dry_run:
         say(next_line(result))
     raise typer.Exit(result.exit_status)

@@ -29,22 +29,14 @@ def diff(
 
     Exit status: 0 the same, 1 different, 2 not comparable.
     """
-    from pc2scan.compare.diff import TopicPair
-    from pc2scan.compare.diff import diff as compare
-    from pc2scan.compare.rules import Rules
+    from pc2scan import commands
 
     from .junit_cases import junit_output, of_diff
     from .progress import progress_bar
 
-    rules = Rules.of(options)
-    pairs = [TopicPair.parse(topic) for topic in options.topics]
     with junit_output(options, "diff", [path for path in (a, b) if path is not None]) as write_junit:
         with progress_bar(enabled=not (options.as_json or options.quiet)) as progress:
-            result = compare(a, b, topics=pairs, all_topics=options.all_topics, rules=rules, progress=progress)
+            result = commands.diff(a, b, options, progress=progress)
         write_junit(of_diff(result))
-    if options.view is not None:
-        from pc2scan.look.compared import compared_view
-
-        compared_view(a, a if b is None else b, options.view, topics=pairs, rules=rules, summary=str(result))
     show(result, as_json=options.as_json, quiet=options.quiet)
     raise typer.Exit(result.exit_status)

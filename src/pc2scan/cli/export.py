@@ -11,7 +11,7 @@ from pc2scan.options.call import Options
 
 from .options import PathType
 from .progress import progress_bar
-from .render import show, warn
+from .render import LiveWarnings, show
 
 
 def export(
@@ -39,22 +39,10 @@ def export(
     like with `pc2scan convert`. Poses are interpolated like in tf2, and never extrapolated: messages without a pose at
     their stamp are skipped and counted, and the exit status is 3.
     """
-    from pc2scan.export.run import ExportOptions, run
-    from pc2scan.requests import conversion_of, destination_of
+    from pc2scan import commands
 
-    asked = conversion_of(options, warn)
-    named, folder = destination_of(destination)
-    place = named or folder
-    assert place is not None
+    warn = LiveWarnings()
     with progress_bar(enabled=not options.as_json) as progress:
-        report = run(
-            sources,
-            place,
-            asked.options,
-            ExportOptions.of(options, asked.options, options.format),
-            in_folder=named is None,
-            also_read=asked.files,
-            progress=progress,
-        )
-    show(report, as_json=options.as_json)
+        report = commands.export(sources, destination, options, warn=warn, progress=progress)
+    show(report, as_json=options.as_json, known=warn)
     raise typer.Exit(report.exit_status)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
-from pc2scan.text import counted
 
-from .render import say, show, show_parts, warn
-from .spelling import as_typed
+from .render import say, show, show_parts
+
+if TYPE_CHECKING:
+    from pc2scan.golden.result import CaseResult
 
 
 def golden(
@@ -44,23 +45,21 @@ def golden(
         return
     if options.given.keys() & {"start", "end", "topics", "params_file"}:
         raise UsageError("--start, --end, --topic and --params-file need --init", hint="a case has its own")
+    from pc2scan import commands
     from pc2scan.golden.case import case_folders
-    from pc2scan.golden.check import check_case, refuse_output_over_cases
-    from pc2scan.golden.result import GoldenReport
+    from pc2scan.golden.check import refuse_output_over_cases
 
     from .in_process import run_command
     from .junit_cases import junit_output, of_golden
 
-    report = GoldenReport(str(folder))
-    cases = case_folders(folder, pattern)
+    def show_case(case: CaseResult) -> None:
+        if not options.as_json and not (options.quiet and case.outcome == "passed"):
+            show_parts(case.body())
+
     if options.junit is not None:
-        refuse_output_over_cases(options.junit, "--junit", [case for _, case in cases])
+        refuse_output_over_cases(options.junit, "--junit", [case for _, case in case_folders(folder, pattern)])
     with junit_output(options, "golden") as write_junit:
-        for name, case in cases:
-            result = check_case(name, case, run_command, update=options.update)
-            report.cases.append(result)
-            if not options.as_json and not (options.quiet and result.outcome == "passed"):
-                show_parts(result.body())
+        report = commands.golden(folder, pattern, options, run_command, each=show_case)
         if options.as_json:
             show(report, as_json=True)
         else:
@@ -71,18 +70,13 @@ def golden(
 
 def _init(folder: Path, options: Options) -> None:
     """Make a case, and list its files."""
-    from pc2scan.golden.init import make_case
+    from pc2scan import commands
 
     from .in_process import run_command
     from .progress import progress_bar
 
-    part = {"start": options.start, "end": options.end, "topics": options.topics, "params": options.params_file}
     with progress_bar(enabled=not options.quiet) as progress:
-        made = make_case(folder, options.init, run_command, progress=progress, **part)
-    for warning in made.warnings:
-        warn(warning)
-    if options.quiet:
-        return
-    for name, size in made.files:
-        say(f"{made.folder / name}  {counted(size, 'byte')}")
-    say(as_typed(f"next: look at {made.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}"))
+        case = commands.new_case(folder, options, run_command, progress=progress)
+    show(case, quiet=options.quiet)
+    if not options.quiet:
+        say(f"next: look at {case.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}")

@@ -11,9 +11,6 @@ from pc2scan.options.call import Options
 
 from .render import show
 
-#: Options that a proposed conversion needs, too.
-_FRAMES = ("tf_topics", "tf_from", "static_tf", "source_frame")
-
 
 def info(
     sources: Annotated[
@@ -30,15 +27,8 @@ def info(
     increment, limits, the share of returns, and the consumers that accept them. Then the heights of floor and ceiling,
     whether the clouds are tilted, upside down or in a camera's optical frame, and a convert command for them.
     """
-    from pc2scan.inspect.info import info as look
-    from pc2scan.options.frames import frames_of
+    from pc2scan import commands
 
-    result = look(
-        sources,
-        samples=options.samples,
-        target_frame=options.target_frame,
-        frames=frames_of(options),
-        given={name: options.given[name] for name in _FRAMES if name in options.given},
-    )
+    result = commands.info(sources, options)
     show(result, as_json=options.as_json)
     raise typer.Exit(result.exit_status)

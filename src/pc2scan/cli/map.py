@@ -10,7 +10,7 @@ import typer
 from pc2scan.options.call import Options
 
 from .progress import progress_bar
-from .render import show, warn
+from .render import LiveWarnings, show
 
 
 def map(  # noqa: A001  # the function of a command has its name
@@ -42,24 +42,10 @@ def map(  # noqa: A001  # the function of a command has its name
 
     Exit status: 0 done, 1 failed, 2 wrong usage, 3 written, but with scans skipped or from a damaged source.
     """
-    from pc2scan.requests import conversion_of, first_output
+    from pc2scan import commands
 
-    asked = conversion_of(options, warn)
-    conversion = first_output(asked.options, "drawn", warn)
-
-    from pc2scan.look.map import write_map
-    from pc2scan.look.map_options import MapOptions
-
+    warn = LiveWarnings()
     with progress_bar(enabled=not options.as_json) as progress:
-        made = write_map(
-            sources,
-            destination,
-            options.png,
-            conversion,
-            MapOptions.of(options),
-            overwrite=options.overwrite,
-            also_read=asked.files,
-            progress=progress,
-        )
-    show(made, as_json=options.as_json)
-    raise typer.Exit(made.exit_status)
+        result = commands.map(sources, destination, options, warn=warn, progress=progress)
+    show(result, as_json=options.as_json, known=warn)
+    raise typer.Exit(result.exit_status)

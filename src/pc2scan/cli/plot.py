@@ -10,7 +10,7 @@ import typer
 from pc2scan.options.call import Options
 
 from .fonts import fonts_noted_elsewhere
-from .render import show, warn
+from .render import LiveWarnings, show
 
 
 def plot(
@@ -29,22 +29,10 @@ def plot(
 
     Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, use `pc2scan view`.
     """
-    from pc2scan.requests import conversion_of, first_output
+    from pc2scan import commands
 
-    asked = conversion_of(options, warn)
-    conversion = first_output(asked.options, "shown", warn)
-
-    from pc2scan.look.plot import plot as draw
-
+    warn = LiveWarnings()
     with fonts_noted_elsewhere():
-        drawn = draw(
-            sources,
-            destination,
-            conversion,
-            clouds=options.clouds,
-            at=options.at,
-            overwrite=options.overwrite,
-            also_read=asked.files,
-        )
-    show(drawn)
+        drawn = commands.plot(sources, destination, options, warn=warn)
+    show(drawn, known=warn)
     raise typer.Exit(drawn.exit_status)

@@ -45,6 +45,15 @@ def warn(text: str) -> None:
     say(as_typed(f"warning: {text}"), err=True)
 
 
+class LiveWarnings(list[str]):
+    """The warnings that were shown while a command ran."""
+
+    def __call__(self, text: str) -> None:
+        """Show a warning."""
+        self.append(text)
+        warn(text)
+
+
 def print_json(document: object) -> None:
     """Print JSON on standard output."""
     import json

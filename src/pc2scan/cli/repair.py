@@ -26,17 +26,13 @@ def repair(
 
     The exit status is 0 if nothing was damaged (DST is then a complete copy), 3 if something was. SRC is never changed.
     """
-    from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.run import run
-    from pc2scan.requests import destination_of, output_of
+    from pc2scan import commands
 
     from .progress import progress_bar
 
-    named, folder = destination_of(destination)
-    form = output_of(options, folder=folder)
     silent = options.quiet or options.as_json
     with progress_bar(enabled=not silent) as progress:
-        result = run([source], named, ConvertOptions(repair=True, verify=options.verify), form, progress=progress)
+        result = commands.repair(source, destination, options, progress=progress)
     show(result, as_json=options.as_json, quiet=options.quiet)
     if not silent:
         say(next_line(result))

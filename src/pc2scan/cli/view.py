@@ -9,7 +9,7 @@ import typer
 
 from pc2scan.options.call import Options
 
-from .render import show, warn
+from .render import LiveWarnings, show, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,28 +38,12 @@ def view(
     parameters. It computes the same scans as `pc2scan convert`, to the bit, and shows the command line and parameter
     files for them. Of a recording without clouds, it shows the scans.
     """
-    from pc2scan.requests import conversion_of, first_output
-
-    asked = conversion_of(options, warn)
-    conversion = first_output(asked.options, "shown", warn)
-
-    from pc2scan.look.view import view as write
-
-    from .command_line import convert_words
+    from pc2scan import commands
 
     path = destination or _beside(sources)
-    page = write(
-        sources,
-        path,
-        conversion,
-        clouds=options.clouds,
-        at=options.at,
-        preset=options.preset or "",
-        command=convert_words(sources, conversion, "scans.mcap"),
-        overwrite=options.overwrite,
-        also_read=asked.files,
-    )
-    show(page)
+    warn = LiveWarnings()
+    page = commands.view(sources, path, options, warn=warn)
+    show(page, known=warn)
     if options.open_page:
         _open(path)
     raise typer.Exit(page.exit_status)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics
@@ -18,11 +19,13 @@ from pc2scan.options.moment import bound_of
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import run
 from pc2scan.pipeline.run_files import OutputOptions
+from pc2scan.result import Part, Result
+from pc2scan.text import counted
 
 from .check import check_case
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
@@ -37,12 +40,19 @@ _ALSO_READ = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", "sensor_msgs/msg/Imu
 _LARGE_BYTES = 10_000_000
 
 
-class NewCase(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class NewCase(Result):
     """A case that was made: its folder, its files with their sizes, and warnings."""
+
+    kind: ClassVar[str] = "case"
 
     folder: Path
     files: tuple[tuple[str, int], ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+    def body(self, *, verbose: bool = False) -> Iterator[Part]:
+        """Yield the files and their sizes."""
+        yield from (f"{self.folder / name}  {counted(size, 'byte')}" for name, size in self.files)
 
 
 def make_case(

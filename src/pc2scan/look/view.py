@@ -100,7 +100,7 @@ class Page(Result):
         return path
 
 
-def view(
+def write_page(
     sources: Sequence[Path],
     destination: Path,
     options: ConvertOptions,
