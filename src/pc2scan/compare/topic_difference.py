@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.text import json_value
 
 if TYPE_CHECKING:
-    from .difference import MessageDifference
+    from .messages import MessageDifference
 
 #: Maximum number of messages that are listed; all of them are counted.
 MAX_LISTED = 100

@@ -13,9 +13,7 @@ import numpy as np
 
 from pc2scan.errors import UnwritableError, UsageError, stamp_text
 
-from .beams import has_intensities
-from .digits import float32_text, float32_texts, planar
-from .text import TextFile
+from .files import TextFile, float32_text, float32_texts, has_intensities, planar
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.text import csv_cell
 
-from .beams import SameBeams, has_intensities
-from .digits import float32_text, float32_texts, planar
-from .text import TextFile
+from .files import SameBeams, TextFile, float32_text, float32_texts, has_intensities, planar
 
 if TYPE_CHECKING:
     from pathlib import Path

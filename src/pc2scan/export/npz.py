@@ -16,8 +16,7 @@ import numpy as np
 
 from pc2scan.errors import OutputError
 
-from .beams import SameBeams, has_intensities
-from .digits import planar
+from .files import SameBeams, has_intensities, planar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
