@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from pc2scan.bags.splitting import Cut, Part, SplitWriter, narrowed
 from pc2scan.errors import UnwritableError, UsageError
-from pc2scan.files.numbered import part_name
+from pc2scan.files.places import part_name
 from pc2scan.model import ChunkRule, Connection, StoredChunk
 from support.rosbag1_files import connection
 

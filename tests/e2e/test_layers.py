@@ -258,9 +258,7 @@ LOADED_BY_CONVERT = {
         "render screen spelling usage"
     ),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
-    "pc2scan.files": (
-        "borrowed compression crc32 limits ownership places run_lock same_file source staging system write_ahead"
-    ),
+    "pc2scan.files": ("buffers compression crc32 limits ownership places run_lock source staging system write_ahead"),
     "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.options": "call commands conversion frames option projection running table values",
     "pc2scan.pipeline": (

@@ -318,8 +318,8 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
     destination
         From `plan_destination`.
     staged_path
-        The path to write to; see `pc2scan.files.staging.staged`. For several files that are no directory: the
-        directory that they are written in; see `pc2scan.files.staged_parts.staged_parts`.
+        The path to write to; see `pc2scan.files.staging.staged_output`. For several files that are no directory: the
+        directory that they are written in; see `pc2scan.files.parts.staged_parts`.
     name
         The final name; a rosbag2 directory's files, and several files, are named after it.
     cut
@@ -342,7 +342,7 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
     assert writer is not None  # a destination without one is never planned
     if cut is None or destination.storage:
         return writer(staged_path, options)
-    from pc2scan.files.numbered import part_name  # noqa: PLC0415  # most recordings are one file
+    from pc2scan.files.places import part_name  # noqa: PLC0415  # most recordings are one file
 
     from .splitting import SplitWriter  # noqa: PLC0415
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import MissingError, RecordingError, UsageError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
 from pc2scan.files.places import working_names
-from pc2scan.files.source import opened_bytes
+from pc2scan.files.source import open_bytes
 from pc2scan.remote.urls import is_url, shown_path
 
 from .formats import FORMATS, ReadOptions, and_list
@@ -67,14 +67,14 @@ def sniff(path: Path) -> str:
             return _sniff_directory(path)
         if not stat.S_ISREG(mode):
             raise RecordingError("is neither a file nor a directory", path=path, hint="save it as a file first")
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             head = file.read(64)
     except FileNotFoundError as err:
         if is_url(path):
             raise UsageError(
                 "only convert, info and tf read URLs", path=shown_path(path), hint="download it, and convert the copy"
             ) from err
-        from pc2scan.files.nearby import missing_hint  # noqa: PLC0415  # only for errors
+        from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415  # only for errors
 
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
         hint = _interrupted(path) or missing_hint(path, suffixes)

@@ -11,7 +11,7 @@ from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files import compression
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError
 from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
-from pc2scan.files.source import opened_bytes
+from pc2scan.files.source import open_bytes
 from pc2scan.model import owned
 
 from .damage import RECOVER
@@ -37,7 +37,7 @@ SUFFIXES = (".zstd", ".zst")
 def is_zstd(path: Path) -> bool:
     """Whether a file is compressed as a whole, by its content."""
     try:
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             return file.read(4) == ZSTD_MAGIC
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
@@ -52,7 +52,7 @@ def unpacked_head(path: Path) -> bytes:
         If they cannot be decompressed.
     """
     try:
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             return compression.zstd_head(file, 64)
     except (OSError, CompressionError) as err:
         raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
@@ -75,10 +75,10 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
     RecordingError
         If there is not enough space for the result.
     """
-    from pc2scan.files.temporary import making_copy  # noqa: PLC0415  # few recordings are packed
+    from pc2scan.files.copies import copy_errors  # noqa: PLC0415  # few recordings are packed
 
     target = folder / without_suffix(path.name)
-    with making_copy(path, folder):
+    with copy_errors(path, folder):
         broken = _unpack(path, target)
         if broken is not None:
             offset, reason = broken
@@ -95,7 +95,7 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
 def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int, str] | None:
     """Write the decompressed file; returns the offset of the first piece that cannot be decompressed, and why."""
     offset = 0
-    with opened_bytes(path) as packed, target.open("wb") as out:
+    with open_bytes(path) as packed, target.open("wb") as out:
         complete = True
         decoder = compression.decoder("zstd")
         allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size

@@ -15,7 +15,7 @@ import numpy as np
 
 from pc2scan.errors import DecodeError, RecordingError, UsageError, stamp_text
 from pc2scan.files.limits import allowed_bytes
-from pc2scan.files.source import opened_bytes, opened_text
+from pc2scan.files.source import open_bytes, open_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import DATATYPES, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.model import Connection, RawMessage
@@ -72,7 +72,7 @@ class ScanText:
 def is_scan_text(path: Path) -> bool:
     """Whether a file begins like the text of `render_messages`."""
     try:
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             return file.read(len(_FIRST_LINE)) == _FIRST_LINE.encode()
     except OSError:
         # Opening it as a recording reports the error.
@@ -218,7 +218,7 @@ def open_scan_text(path: Path) -> ScanText:
         If it cannot be read, or `render_messages` does not write such text; the message names the line.
     """
     try:
-        with opened_text(path) as file:
+        with open_text(path) as file:
             text = file.read()
     except (OSError, UnicodeDecodeError) as err:
         raise RecordingError(f"cannot be read: {err}", path=path) from err

@@ -19,7 +19,7 @@ from pc2scan.errors import (
 )
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.records import read_record, write_record
-from pc2scan.files.staging import staged
+from pc2scan.files.staging import staged_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.report import Skipped
@@ -165,7 +165,7 @@ def run(
         stream.listener, stream.progress = report.warnings.append, progress
         # Before transforms are read, which may take long.
         partial = stack.enter_context(
-            staged(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
+            staged_output(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
         )
         poses = None
         if form.poses.wanted:

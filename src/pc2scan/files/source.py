@@ -11,7 +11,7 @@ from weakref import WeakValueDictionary
 
 from pc2scan.errors import OutputError, RecordingError
 
-from .borrowed import Borrowed, Buffers
+from .buffers import BorrowedBuffer, BufferPool
 from .system import BINARY, read_at
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def file_beside(path: Path, suffix: str) -> Path | None:
     return None
 
 
-def opened_bytes(path: Path) -> BinaryIO:
+def open_bytes(path: Path) -> BinaryIO:
     """Open a file for reading; special files are refused, as a FIFO would wait for a writer and a device has no end.
 
     Raises
@@ -83,8 +83,8 @@ def opened_bytes(path: Path) -> BinaryIO:
     return open(path, "rb", opener=_open_regular)
 
 
-def opened_text(path: Path) -> TextIOWrapper:
-    """Open a file of UTF-8 text as `opened_bytes` does."""
+def open_text(path: Path) -> TextIOWrapper:
+    """Open a file of UTF-8 text as `open_bytes` does."""
     return open(path, encoding="utf-8", opener=_open_regular)
 
 
@@ -131,7 +131,7 @@ class SourceFile:
         self.next_start: int | None = None
         self._fetch = on_demand.get(path)
         self._descriptor = -1
-        self._buffers = _shared.setdefault("", Buffers())
+        self._buffers = _shared.setdefault("", BufferPool())
         try:
             self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size - start
@@ -156,7 +156,7 @@ class SourceFile:
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
-        self._buffers = Buffers()
+        self._buffers = BufferPool()
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
@@ -201,13 +201,13 @@ class SourceFile:
             The bytes' place.
         callback
             Must copy the bytes that it keeps (`pc2scan.model.own`), because the buffer is overwritten afterwards; or
-            keep the buffer (`pc2scan.files.borrowed.keep`).
+            keep the buffer (`pc2scan.files.buffers.retain`).
         """
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
             return callback(memoryview(self.read(offset, length)))
         self._expect_inside(offset, length)
         try:
-            borrowed = Borrowed(self._buffers, length)
+            borrowed = BorrowedBuffer(self._buffers, length)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         view = memoryview(borrowed.buffer)[:length]
@@ -245,7 +245,7 @@ class SourceFile:
 
 
 #: The buffers. They are freed when no file is open any more.
-_shared: WeakValueDictionary[str, Buffers] = WeakValueDictionary()
+_shared: WeakValueDictionary[str, BufferPool] = WeakValueDictionary()
 
 
 class NewFile:

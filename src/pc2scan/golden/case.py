@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
-from pc2scan.files.nearby import missing_hint
 from pc2scan.files.ownership import InputPath
-from pc2scan.files.source import opened_text
+from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.source import open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.text import did_you_mean, nearest
 
@@ -172,7 +172,7 @@ def _settings_error(folder: Path, message: str, hint: str | None = None) -> Usag
 
 def _settings(path: Path) -> dict[str, Any]:
     try:
-        with opened_text(path) as file:
+        with open_text(path) as file:
             # One more than allowed, so that longer text is refused.
             text = file.read(MAX_CHARACTERS + 1)
     except FileNotFoundError:

@@ -255,9 +255,9 @@ def info(
     """
     asked = frames or FrameOptions()
     if any(map(is_url, (*sources, *asked.tf_from))):
-        from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
+        from pc2scan.remote.ranges import stand_ins  # noqa: PLC0415  # loads fsspec
 
-        with nearby([*sources, *asked.tf_from]) as near:
+        with stand_ins([*sources, *asked.tf_from]) as near:
             here = near.paths[: len(sources)]
             read = replace(asked, tf_from=tuple(near.paths[len(sources) :]))
             found: Info = near.names.of(info(here, samples=samples, target_frame=target_frame, frames=read))

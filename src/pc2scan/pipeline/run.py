@@ -29,8 +29,8 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
-from pc2scan.files.places import made_folder
-from pc2scan.files.staging import check_destination, staged
+from pc2scan.files.places import output_folder
+from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
@@ -180,10 +180,9 @@ def _run_at_urls(
     warn: Callable[[str], None] | None,
 ) -> Report:
     """Convert local copies of URLs, and upload the result."""
-    from pc2scan.remote.staging import Asked  # noqa: PLC0415  # loads fsspec
-    from pc2scan.remote.staging import staged as copied  # noqa: PLC0415
+    from pc2scan.remote.staging import RemoteRequest, local_copies  # noqa: PLC0415  # loads fsspec
 
-    asked = Asked(
+    request = RemoteRequest(
         sources,
         options.frames.tf_from,
         destination,
@@ -197,7 +196,7 @@ def _run_at_urls(
     with ExitStack() as stack:
         write_report = report_file(output, stack)
         try:
-            with copied(asked) as here:
+            with local_copies(request) as here:
                 done = run(
                     here.sources,
                     here.destination,
@@ -257,7 +256,7 @@ def _run(
     report.warnings += (*plan.warnings, *doubts(options))
     in_parts = files.numbered = output.cut is not None and not target.storage
     if in_parts:
-        from pc2scan.files.staged_parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
+        from pc2scan.files.parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
     if output.dry_run:
         report.dry_run = True
         files.open_report(stack)
@@ -268,15 +267,15 @@ def _run(
         _estimate(files, reader, plan, target, options, output, stack, report)
         return None
     if output.folder is not None:
-        stack.enter_context(made_folder(output.folder))
+        stack.enter_context(output_folder(output.folder))
     files.open_report(stack)
     if in_parts:
         staging = staged_parts(path, overwrite=output.overwrite, owned=output.owned, warn=report.warnings.append)
     elif piece is not None:
         # A process that was taken for lost may have completed it.
-        staging = staged(piece.folder, overwrite=True, record_in=recorded_in)
+        staging = staged_output(piece.folder, overwrite=True, record_in=recorded_in)
     else:
-        staging = staged(path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
+        staging = staged_output(path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
     with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
@@ -389,11 +388,11 @@ def _estimate(
         last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
         report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
         if files.numbered:
-            from pc2scan.files.numbered import parts_beside  # noqa: PLC0415
-            from pc2scan.files.staged_parts import staying  # noqa: PLC0415
+            from pc2scan.files.parts import unrecorded_warning  # noqa: PLC0415
+            from pc2scan.files.places import parts_beside  # noqa: PLC0415
 
             there = [part.name for part in parts_beside(target.path) if str(part) not in report.files]
-            report.warnings += staying(target.path.name, there)
+            report.warnings += unrecorded_warning(target.path.name, there)
 
 
 def robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:

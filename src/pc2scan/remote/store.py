@@ -7,16 +7,99 @@ import posixpath
 import secrets
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
+from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.source import changed_while_read
 
-from .pace import LEAST_BYTES, Pace, TooSlowError, finished
 from .urls import LIBRARIES, shown_url, url_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+
+#: The slowest transfer: so many bytes, or all that are left, arrive in so many seconds.
+LEAST_BYTES = 1 << 16
+SLOWEST_SECONDS = 60.0
+
+#: The share of these seconds that a request should take.
+_USUAL_SHARE = 0.25
+
+
+class TooSlowError(Exception):
+    """A transfer is too slow; the place that is read makes an error for users of it."""
+
+    def __init__(self) -> None:
+        super().__init__(f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds")
+
+
+class Pace:
+    """The time until which the next `LEAST_BYTES` of a transfer must have arrived.
+
+    Parameters
+    ----------
+    clock
+        Returns the time, seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
+        self._clock = clock
+        self._counted = 0
+        self._deadline = clock() + SLOWEST_SECONDS
+
+    def arrived(self, total: int) -> None:
+        """Note how many bytes have arrived since the beginning."""
+        if total - self._counted >= LEAST_BYTES:
+            self._counted = total
+            self._deadline = self._clock() + SLOWEST_SECONDS
+
+    def left(self) -> float:
+        """Return the seconds that are left.
+
+        Raises
+        ------
+        TooSlowError
+            If there are none.
+        """
+        left = self._deadline - self._clock()
+        if left <= 0:
+            raise TooSlowError
+        return left
+
+
+def request_size(size: int, seconds: float) -> int:
+    """Return how many bytes a request may ask for, given how long one of this size took.
+
+    >>> request_size(65_536, 0.1), request_size(65_536, 30)
+    (9830400, 32768)
+    """
+    return int(size * _USUAL_SHARE * SLOWEST_SECONDS / max(seconds, 1e-6))
+
+
+def call_in_time(fs: Any, name: str, *args: object, pace: Pace, **options: Any) -> Any:
+    """Call a method of a file system, and return its result.
+
+    Raises
+    ------
+    TooSlowError
+        If it does not keep the pace; it is cancelled then. File systems without a network take the time that they take.
+    """
+    if not fs.async_impl:
+        return getattr(fs, name)(*args, **options)
+    # fsspec has loaded both.
+    from asyncio import run_coroutine_threadsafe  # noqa: PLC0415
+    from concurrent.futures import wait  # noqa: PLC0415
+
+    future = run_coroutine_threadsafe(getattr(fs, f"_{name}")(*args, **options), fs.loop)
+    try:
+        while not future.done():
+            # An interruption by the user waits for as long.
+            wait([future], timeout=min(1, pace.left()))
+        return future.result()
+    finally:
+        future.cancel()
+
 
 #: Attributes that distinguish versions of an object, the best first. Stores differ in which of these they have.
 _VERSION = (
@@ -157,13 +240,13 @@ class RemotePath:
         if self.scheme in _GRADUAL:
             return True
         with self.reported():
-            return bool(finished(self._fs, "exists", self.key.strip("/").partition("/")[0], pace=Pace()))
+            return bool(call_in_time(self._fs, "exists", self.key.strip("/").partition("/")[0], pace=Pace()))
 
     def is_folder(self) -> bool:
         """Whether it is a folder: other keys begin with this one. True for the root of a store."""
         with self.reported():
             self._fs.invalidate_cache()
-            return not finished(self._fs, "isfile", self.key, pace=Pace())
+            return not call_in_time(self._fs, "isfile", self.key, pace=Pace())
 
     def child(self, below: str) -> RemotePath:
         """Return the place at a path relative to this folder."""
@@ -201,12 +284,12 @@ class RemotePath:
     def _exists(self, key: str) -> bool:
         with self.reported():
             self._fs.invalidate_cache()
-            return bool(finished(self._fs, "exists", key, pace=Pace()))
+            return bool(call_in_time(self._fs, "exists", key, pace=Pace()))
 
     def _info(self, key: str) -> dict[str, Any]:
         with self.reported():
             self._fs.invalidate_cache()
-            found: dict[str, Any] = finished(self._fs, "info", key, pace=Pace())
+            found: dict[str, Any] = call_in_time(self._fs, "info", key, pace=Pace())
         return found
 
     def files(self) -> dict[str, RemotePath] | None:
@@ -233,7 +316,7 @@ class RemotePath:
         """Read a range of bytes; None if it is longer than `LEAST_BYTES`, and the transfer too slow for it."""
         with self.reported():
             try:
-                data = bytes(finished(self._fs, "cat_file", self.key, start=start, end=stop, pace=Pace()))
+                data = bytes(call_in_time(self._fs, "cat_file", self.key, start=start, end=stop, pace=Pace()))
             except TooSlowError:
                 if stop - start > LEAST_BYTES:
                     return None
@@ -256,10 +339,10 @@ class RemotePath:
         pace = Pace()
         with self.reported():
             if self.scheme in _IN_BLOCKS:
-                self._fs.get_file(self.key, str(target), **_called(check))
+                self._fs.get_file(self.key, str(target), **_callback_options(check))
             else:
-                options = _called(check, pace.arrived)
-                finished(self._fs, "get_file", self.key, str(target), pace=pace, **options)
+                options = _callback_options(check, pace.arrived)
+                call_in_time(self._fs, "get_file", self.key, str(target), pace=pace, **options)
         if self.stated() != before:
             raise self.changed()
         arrived = target.stat().st_size
@@ -310,7 +393,7 @@ class RemotePath:
         if not self._exists(key):
             return
         with self.reported():
-            is_folder = finished(self._fs, "isdir", key, pace=Pace())
+            is_folder = call_in_time(self._fs, "isdir", key, pace=Pace())
         if is_folder:
             raise DestinationError("is a folder; folders in a store are never replaced", path=shown, hint=_OTHER_NAME)
         if not overwrite:
@@ -331,7 +414,7 @@ class RemotePath:
         """Upload a file. If the store shows unfinished uploads, the file has a temporary name until it is complete."""
         with self.reported(writes=True):
             if self.scheme not in _GRADUAL:
-                self._fs.put_file(str(source), key, **_called(check))
+                self._fs.put_file(str(source), key, **_callback_options(check))
                 return
             folder, _, name = key.rpartition("/")
             partial = f"{folder}/.pc2scan-{secrets.token_hex(4)}-{name}"
@@ -428,7 +511,7 @@ def _status(err: BaseException) -> int | None:
     return status if isinstance(status, int) else None
 
 
-def _called(check: Callable[[], None] | None, arrived: Callable[[int], None] | None = None) -> dict[str, Any]:
+def _callback_options(check: Callable[[], None] | None, arrived: Callable[[int], None] | None = None) -> dict[str, Any]:
     """Return the argument that lets fsspec call functions while it copies: ``arrived`` with the number of bytes."""
     if check is None and arrived is None:
         return {}

@@ -13,7 +13,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError
-from pc2scan.files.borrowed import Borrowed, Buffers
+from pc2scan.files.buffers import BorrowedBuffer, BufferPool
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.combine import conversion as combine
@@ -172,8 +172,8 @@ def test_messages_projected_for_another_scan_make_the_same(filters: Any, monkeyp
 
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None:
-    buffers = Buffers()
-    borrowed = Borrowed(buffers, 1 << 20)
+    buffers = BufferPool()
+    borrowed = BorrowedBuffer(buffers, 1 << 20)
     rows = np.frombuffer(
         memoryview(borrowed.buffer).toreadonly()[:960_000] if wrapped else borrowed.buffer, np.float32
     ).reshape(-1, 4)

@@ -34,7 +34,7 @@ from pc2scan.bags.formats import and_list, storages
 from pc2scan.bags.qos import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.records import Record
-from pc2scan.files.source import opened_text
+from pc2scan.files.source import open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 from pc2scan.model import Connection
 
@@ -112,7 +112,7 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
     try:
         if not os.path.lexists(path):
             return replace(_guessed_info(folder), is_guessed=True)
-        with opened_text(path) as file:
+        with open_text(path) as file:
             # One more than allowed, so that longer text is refused.
             text = file.read(MAX_CHARACTERS + 1)
         info = _parsed_info(load_yaml(text))

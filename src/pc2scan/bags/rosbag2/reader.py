@@ -14,9 +14,9 @@ from pc2scan.bags.folders import refuse_unrelated
 from pc2scan.bags.formats import ReadOptions, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.errors import DamageError, RecordingError, stamp_text
+from pc2scan.files.copies import private_folder
 from pc2scan.files.limits import ConnectionLimit
-from pc2scan.files.source import opened_bytes
-from pc2scan.files.temporary import private_folder
+from pc2scan.files.source import open_bytes
 
 from .metadata import METADATA_NAME, RECORD_NAME, located_file, read_info
 
@@ -244,7 +244,7 @@ class Rosbag2Reader(MergedReader):
 def _refuse_others(file: Path, storage: Format) -> None:
     """Raise if a file is not of the expected storage."""
     try:
-        with opened_bytes(file) as stream:
+        with open_bytes(file) as stream:
             head = stream.read(16)
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=file) from err

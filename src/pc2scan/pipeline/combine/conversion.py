@@ -20,7 +20,7 @@ from pc2scan.core.points import Points
 from pc2scan.core.project import Part, ProjectedScan, Projector, compact, packed
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
-from pc2scan.files.borrowed import Memory, keep
+from pc2scan.files.buffers import ReadBuffer, retain
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.messages.outputs import OF_CLOUDS
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
-    from pc2scan.files.borrowed import Kept
+    from pc2scan.files.buffers import RetainedMemory
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Converted, Measured, Step
@@ -490,19 +490,19 @@ def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTra
     return transform.as_float32() if isinstance(transform, Rigid) else transform
 
 
-def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
+def kept_together(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:
     """Return the memory that all these arrays are views of, which is kept; None if they must be copied."""
-    memory: Kept | None = None
-    whole: bytes | Memory | None = None
+    memory: RetainedMemory | None = None
+    whole: bytes | ReadBuffer | None = None
     for array in arrays:
         base: Any = array
-        while isinstance(base, np.ndarray | memoryview) and not isinstance(base, Memory):
+        while isinstance(base, np.ndarray | memoryview) and not isinstance(base, ReadBuffer):
             base = base.obj if isinstance(base, memoryview) else base.base
-        if whole is None and isinstance(base, bytes | Memory):
+        if whole is None and isinstance(base, bytes | ReadBuffer):
             whole = base
             # A message in a much larger chunk is copied, which takes less memory than keeping the chunk.
             spanned = sum(abs(step) * (count - 1) for step, count in zip(array.strides, array.shape, strict=True))
-            memory = keep(whole) if 2 * spanned >= len(base) else None
+            memory = retain(whole) if 2 * spanned >= len(base) else None
         if memory is None or base is not whole:
             return None
     return memory

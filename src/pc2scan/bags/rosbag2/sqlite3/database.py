@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files.temporary import making_copy, private_folder, sqlite_is_full
+from pc2scan.files.copies import copy_errors, private_folder, sqlite_is_full
 
 from .codes import CORRUPT, ERROR, FULL, IOERR_SHORT_READ, NOTADB, code_of
 from .logs import missing_bytes, side_logs, write_merged
@@ -241,6 +241,6 @@ class Database:
         """Copy the database with the pages of its logs; the copy is at most as large as both."""
         self._copy = private_folder(self.path)
         target = Path(self._copy.name, "merged.db3")
-        with making_copy(self.path, target.parent):
+        with copy_errors(self.path, target.parent):
             write_merged(self.path, self._logs, target)
         return target

@@ -13,28 +13,28 @@ _ROUNDED_TO = 1 << 20
 _MAX_KEPT = 64 << 20
 
 
-class Memory(bytearray):
+class ReadBuffer(bytearray):
     """A buffer, and the object that borrows it."""
 
     __slots__ = ("borrower",)
 
-    borrower: ref[Borrowed]
+    borrower: ref[BorrowedBuffer]
 
 
-class Buffers(list[Memory]):
+class BufferPool(list[ReadBuffer]):
     """The free buffers. All open files share them, so one for each reading thread is enough."""
 
-    def take(self, length: int) -> Memory:
+    def take(self, length: int) -> ReadBuffer:
         """Return a buffer of at least this size. The caller must append it to this list again."""
         # Not `if self`: another thread may take the buffer between the check and the call.
         with suppress(IndexError):
             buffer = self.pop()
             if len(buffer) >= length:
                 return buffer
-        return Memory(-(-length // _ROUNDED_TO) * _ROUNDED_TO)
+        return ReadBuffer(-(-length // _ROUNDED_TO) * _ROUNDED_TO)
 
 
-class Borrowed:
+class BorrowedBuffer:
     """A buffer that is borrowed until nothing refers to this object any more.
 
     Parameters
@@ -47,7 +47,7 @@ class Borrowed:
 
     __slots__ = ("__weakref__", "_buffers", "buffer")
 
-    def __init__(self, buffers: Buffers, length: int) -> None:
+    def __init__(self, buffers: BufferPool, length: int) -> None:
         self.buffer = buffers.take(length)
         self._buffers = buffers
         self.buffer.borrower = ref(self)
@@ -57,7 +57,7 @@ class Borrowed:
             self._buffers.append(self.buffer)
 
 
-class Kept:
+class RetainedMemory:
     """Memory that is neither overwritten nor freed while this object exists."""
 
     __slots__ = ("_owner", "size")
@@ -69,12 +69,12 @@ class Kept:
     def __init__(self, owner: object, size: int) -> None:
         self._owner = owner
         self.size = size
-        with Kept._lock:
-            Kept._bytes += size
+        with RetainedMemory._lock:
+            RetainedMemory._bytes += size
 
     def __del__(self) -> None:
-        with Kept._lock:
-            Kept._bytes -= self.size
+        with RetainedMemory._lock:
+            RetainedMemory._bytes -= self.size
 
     @classmethod
     def has_room(cls, size: int) -> bool:
@@ -82,7 +82,7 @@ class Kept:
         return cls._bytes + size <= _MAX_KEPT
 
 
-def keep(memory: bytes | Memory) -> Kept | None:
+def retain(memory: bytes | ReadBuffer) -> RetainedMemory | None:
     """Keep the memory of which data are a view.
 
     Parameters
@@ -92,11 +92,11 @@ def keep(memory: bytes | Memory) -> Kept | None:
 
     Returns
     -------
-    Kept | None
+    RetainedMemory | None
         An object to refer to as long as the data are used; None if the data must be copied, because they may be
         overwritten or too much is kept already.
     """
-    if not Kept.has_room(len(memory)):
+    if not RetainedMemory.has_room(len(memory)):
         return None
     owner = memory if isinstance(memory, bytes) else memory.borrower()
-    return Kept(owner, len(memory)) if owner is not None else None
+    return RetainedMemory(owner, len(memory)) if owner is not None else None

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError, name_list
 
-from .journal import Journal, undo
-from .numbered import part_number, parts_beside
-from .ownership import check_existing, exists_already, ruling
-from .places import JOURNAL, OLD, check_length, check_place
-from .records import Record, is_as_left, left_now
-from .staging import note_renaming, prepared, rename_file, sync
+from .ownership import check_existing, existing_error, ruling
+from .places import JOURNAL, OLD, check_length, check_place, part_number, parts_beside
+from .records import Record, file_state, is_unchanged
+from .recovery import Journal, restore_old_parts
+from .staging import note_renaming, rename_file, sync, temporary_path
 from .system import remove, sync_directory
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ def check_parts(dst: Path, *, overwrite: bool, owned: Record | None = None) -> N
             check_existing(part, overwrite=overwrite, owned=owned)
 
 
-def staying(name: str, kept: Sequence[str]) -> list[str]:
+def unrecorded_warning(name: str, kept: Sequence[str]) -> list[str]:
     """Return the warning about files with names of parts of the recording ``name`` that are none of its parts."""
     if not kept:
         return []
@@ -91,7 +90,7 @@ def staged_parts(
         check_parts(dst, overwrite=overwrite, owned=known)
         return overwrite
 
-    with prepared(dst, check, stays=lambda: done and owned is not None) as (partial, _):
+    with temporary_path(dst, check, stays=lambda: done and owned is not None) as (partial, _):
         try:
             partial.mkdir()
         except OSError as err:
@@ -102,7 +101,7 @@ def staged_parts(
         except OSError as err:
             raise OutputError(f"its parts cannot be renamed to their final names: {err.strerror}", path=dst) from err
         done = True
-        for text in staying(dst.name, kept):
+        for text in unrecorded_warning(dst.name, kept):
             warn(text)
 
 
@@ -115,10 +114,10 @@ def _commit(partial: Path, dst: Path, owned: Record | None, *, overwrite: bool) 
         new,
         owned,
         overwrite=overwrite,
-        as_left=lambda name, left: is_as_left(dst.with_name(name), left),
+        is_unchanged=lambda name, left: is_unchanged(dst.with_name(name), left),
     )
     if found.refused:
-        raise exists_already(dst.with_name(found.refused[0]))
+        raise existing_error(dst.with_name(found.refused[0]))
     for name in found.replaced:
         check_existing(dst.with_name(name), overwrite=True)
     aside = sorted((*found.replaced, *found.removed), key=part_number)
@@ -129,7 +128,7 @@ def _commit(partial: Path, dst: Path, owned: Record | None, *, overwrite: bool) 
                 path=dst.with_name(name + OLD),
                 hint="an interrupted run may have left it; move it away",
             )
-    _note(partial, Journal({name: left_now(partial / name) for name in new}, tuple(aside)))
+    _note(partial, Journal({name: file_state(partial / name) for name in new}, tuple(aside)))
     try:
         # Old and new parts are both moved with the first one last: what a killed run leaves shows how far it came.
         for name in reversed(aside):
@@ -139,7 +138,7 @@ def _commit(partial: Path, dst: Path, owned: Record | None, *, overwrite: bool) 
             rename_file(partial / name, dst.with_name(name))
         sync_directory(dst.parent)
     except BaseException:
-        undo(dst)
+        restore_old_parts(dst)
         raise
     for name in aside:
         remove(dst.with_name(name + OLD))

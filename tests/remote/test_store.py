@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from pc2scan.errors import RecordingError
 from pc2scan.files.source import on_demand
-from pc2scan.remote.pace import LEAST_BYTES, Pace, TooSlowError
-from pc2scan.remote.ranges import stand_in
+from pc2scan.remote.ranges import add_stand_in
+from pc2scan.remote.store import LEAST_BYTES, Pace, TooSlowError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -96,7 +96,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 
 def fetched(link: Link, target: Path) -> bytes:
-    stand_in(link, target, len(link.data))  # type: ignore[arg-type]
+    add_stand_in(link, target, len(link.data))  # type: ignore[arg-type]
     try:
         on_demand[target](0, len(link.data))
     finally:

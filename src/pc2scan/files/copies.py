@@ -33,7 +33,7 @@ def private_folder(path: Path) -> TemporaryDirectory[str]:
 
 
 @contextmanager
-def making_copy(path: Path, folder: Path) -> Iterator[None]:
+def copy_errors(path: Path, folder: Path) -> Iterator[None]:
     """Wrap errors of copying ``path`` to a private folder; they name the folder.
 
     Raises

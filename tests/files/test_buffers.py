@@ -5,20 +5,20 @@ from __future__ import annotations
 import gc
 from typing import TYPE_CHECKING
 
-from pc2scan.files import borrowed as borrowing
-from pc2scan.files.borrowed import Borrowed, Buffers, Kept, Memory, keep
+from pc2scan.files import buffers as buffers_module
+from pc2scan.files.buffers import BorrowedBuffer, BufferPool, ReadBuffer, RetainedMemory, retain
 
 if TYPE_CHECKING:
     import pytest
 
 
-def borrowed(buffers: Buffers) -> tuple[Borrowed, Memory]:
-    taken = Borrowed(buffers, 1 << 20)
+def borrowed(buffers: BufferPool) -> tuple[BorrowedBuffer, ReadBuffer]:
+    taken = BorrowedBuffer(buffers, 1 << 20)
     return taken, taken.buffer
 
 
 def test_a_buffer_is_free_again_when_nobody_refers_to_the_loan() -> None:
-    buffers = Buffers()
+    buffers = BufferPool()
     loan, memory = borrowed(buffers)
     assert not buffers
     del loan
@@ -27,11 +27,11 @@ def test_a_buffer_is_free_again_when_nobody_refers_to_the_loan() -> None:
 
 
 def test_what_is_kept_is_not_lent_before_the_last_keeper_ends() -> None:
-    buffers = Buffers()
+    buffers = BufferPool()
     loan, memory = borrowed(buffers)
     memory[:] = b"7" * len(memory)
     view = memoryview(memory)
-    kept = [keep(memory), keep(memory)]
+    kept = [retain(memory), retain(memory)]
     assert all(kept)
     del loan
     kept.pop()
@@ -44,15 +44,15 @@ def test_what_is_kept_is_not_lent_before_the_last_keeper_ends() -> None:
 
 
 def test_bytes_can_be_kept_and_there_is_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(borrowing, "_MAX_KEPT", Kept._bytes + 10)
-    first = keep(b"123456")
+    monkeypatch.setattr(buffers_module, "_MAX_KEPT", RetainedMemory._bytes + 10)
+    first = retain(b"123456")
     assert first is not None
-    assert keep(b"123456") is None
+    assert retain(b"123456") is None
     del first
-    assert keep(b"123456") is not None
+    assert retain(b"123456") is not None
 
 
 def test_a_buffer_that_is_lent_no_more_cannot_be_kept() -> None:
-    loan, memory = borrowed(Buffers())
+    loan, memory = borrowed(BufferPool())
     del loan
-    assert keep(memory) is None
+    assert retain(memory) is None
