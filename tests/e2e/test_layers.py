@@ -259,7 +259,7 @@ LOADED_BY_CONVERT = {
     ),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
     "pc2scan.files": ("buffers compression crc32 limits ownership places run_lock source staging system write_ahead"),
-    "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
+    "pc2scan.messages": "clouds definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.options": "call commands conversion frames option projection running table values",
     "pc2scan.pipeline": (
         "acceptance beforehand cloud_checks cloud_to_scan combine conversion declarations demands first_clouds idle "

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.reader import Reader
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
-from pc2scan.messages.schema import canonical
+from pc2scan.messages.schema import canonical_type
 from pc2scan.messages.transcode import transcoder
 from pc2scan.text import did_you_mean
 
@@ -352,7 +352,7 @@ def _compare(
     for one, other in pairs:
         entry = _entry(one, other, rules)
         result.topics.append(entry)
-        kinds = [sorted({canonical(c.msgtype) for c in stream.connections}) for stream in (one, other)]
+        kinds = [sorted({canonical_type(c.msgtype) for c in stream.connections}) for stream in (one, other)]
         if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
             entry.change("type", MessageTimes(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
         elif entry.msgtype in DECODED_TYPES:
@@ -366,7 +366,7 @@ def _compare(
 def _entry(one: TopicStream, other: TopicStream, rules: Rules) -> TopicDifference:
     names = [stream.connections[0].topic if stream.connections else None for stream in (one, other)]
     connection = (*one.connections, *other.connections)[0]
-    return TopicDifference(names[0], names[1], canonical(connection.msgtype), rules.allow_beams)
+    return TopicDifference(names[0], names[1], canonical_type(connection.msgtype), rules.allow_beams)
 
 
 def _compare_decoded(

@@ -11,8 +11,7 @@ import numpy as np
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, leading
-from pc2scan.messages.consumed import consumed_scan
-from pc2scan.messages.laserscan import decode_laserscan
+from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.text import agreeing, counted
 
 from .spread import Spread, count_range, spread_of, spread_table
@@ -159,7 +158,7 @@ class ScanLook:
         except DecodeError as err:
             self._problems[err.message] = None
             return
-        scan = consumed_scan(decoded)
+        scan = scan_for_consumers(decoded)
         self._scans.append(scan)
         first = self._first_of.setdefault(decoded.frame_id, scan)
         for consumer in CONSUMERS:

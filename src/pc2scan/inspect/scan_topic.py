@@ -12,7 +12,7 @@ import numpy as np
 from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
 from pc2scan.core.verdicts import OUTCOMES, Outcome, Scan, ScanTransforms, Verdict
-from pc2scan.messages.consumed import consumed_scan
+from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import agreeing, counted
 
 from .findings import Finding, Tally, few_unplaced, finding
@@ -118,7 +118,7 @@ class ScanTopic:
     def add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms | None = None) -> None:
         """Add the next scan; without ``placed``, transforms are not considered."""
         stamp_ns = message.stamp_ns
-        scan = consumed_scan(message)
+        scan = scan_for_consumers(message)
         self.scans += 1
         if self.first is None:
             self.first, self._spread = scan, _spread(message.ranges)

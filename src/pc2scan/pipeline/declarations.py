@@ -92,7 +92,7 @@ def _layout(connection: Connection) -> str:
     definition = connection.definition
     try:
         structs = schema.parse(definition, connection.msgtype)
-        return schema.rihs01(schema.closure(schema.canonical(connection.msgtype), structs.get))
+        return schema.rihs01(schema.closure(schema.canonical_type(connection.msgtype), structs.get))
     except MessageError:
         return b" ".join(re.sub(_COMMENT, b"", definition.data).split()).decode("utf-8", "replace")
 

@@ -226,11 +226,11 @@ def _prepare_passing(
         route.passing_handle = declared.add(connection)
         return
     # Imported only for recordings without definitions, or for another ROS version.
-    from pc2scan.messages.transcode import DEFAULT_DISTRO, defined, transcoder  # noqa: PLC0415
+    from pc2scan.messages.transcode import DEFAULT_DISTRO, transcoder, with_definition  # noqa: PLC0415
 
     distro = options.ros_distro or DEFAULT_DISTRO
     if connection.ros_version == target.ros_version:
-        route.passing_handle = declared.add(defined(connection, distro))
+        route.passing_handle = declared.add(with_definition(connection, distro))
         return
     if foreign:
         error: MessageError = MessageError(

@@ -240,9 +240,9 @@ class CombineToScan(Conversion):
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
-            from pc2scan.messages.beams import beams_of  # noqa: PLC0415  # most sources are clouds
+            from pc2scan.messages.beams import scan_points  # noqa: PLC0415  # most sources are clouds
 
-            points, _, rejected = beams_of(message)
+            points, _, rejected = scan_points(message)
         else:
             points = message
         stamp_ns, frames = points.stamp_ns, self._frames
@@ -453,10 +453,10 @@ class CombineToScan(Conversion):
 
     def _used(self, scan: LaserScan, parts: Sequence[Part], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
         """Return the points that the beams of a scan read."""
-        from pc2scan.messages.used_points import gathered  # noqa: PLC0415  # only where they are kept
+        from pc2scan.messages.used_points import gather_points  # noqa: PLC0415  # only where they are kept
 
         read = self._projector.read_together(parts)
-        return gathered(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
+        return gather_points(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
     def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinned:
         from .rebinned import rebinned  # noqa: PLC0415  # most sources are clouds
