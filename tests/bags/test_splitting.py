@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.splitting import Cut, Part, SplitWriter, narrowed
+from pc2scan.bags.splitting import Cut, RecordingPart, SplitWriter, narrowed
 from pc2scan.errors import UnwritableError, UsageError
 from pc2scan.files.places import part_name
 from pc2scan.model import ChunkRule, Connection, StoredChunk
@@ -64,7 +64,7 @@ class Files:
         self.writers: list[Written] = []
         self.finishing: list[int] = []
 
-        def open_part(path: Path) -> tuple[Written, Callable[[Part], None]]:
+        def open_part(path: Path) -> tuple[Written, Callable[[RecordingPart], None]]:
             self.writers.append(Written(path))
             return self.writers[-1], lambda part: self.finishing.append(sum(part.counts.values()))
 

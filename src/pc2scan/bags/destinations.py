@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pc2scan.files.records import Record
     from pc2scan.model import Summary, Writer
 
-    from .splitting import Cut, Part
+    from .splitting import Cut, RecordingPart
 
 _METADATA_VERSIONS = (8, 9)
 
@@ -346,7 +346,7 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
 
     from .splitting import SplitWriter  # noqa: PLC0415
 
-    def open_part(path: Path) -> tuple[Writer, Callable[[Part], None]]:
+    def open_part(path: Path) -> tuple[Writer, Callable[[RecordingPart], None]]:
         return writer(path, options), lambda _: None
 
     return SplitWriter(lambda number: staged_path / part_name(name, number), open_part, cut)

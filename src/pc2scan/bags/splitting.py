@@ -56,7 +56,7 @@ class Cut:
 
 
 @dataclass(slots=True)
-class Part:
+class RecordingPart:
     """One of the files.
 
     Attributes
@@ -130,7 +130,7 @@ class SplitWriter:
     def __init__(
         self,
         path_of: Callable[[int], Path],
-        open_part: Callable[[Path], tuple[Writer, Callable[[Part], None]]],
+        open_part: Callable[[Path], tuple[Writer, Callable[[RecordingPart], None]]],
         cut: Cut,
     ) -> None:
         self._path_of = path_of
@@ -143,7 +143,7 @@ class SplitWriter:
         #: By handle: the data to repeat, each with its sequence number.
         self._lasting: dict[int, Newest[tuple[bytes, int]]] = {}
         self._all_last: set[int] = set()
-        self.parts = [Part(path_of(cut.first))]
+        self.parts = [RecordingPart(path_of(cut.first))]
         self._writer, self._before_finish = open_part(self.parts[0].path)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
@@ -242,7 +242,7 @@ class SplitWriter:
             )
         self._before_finish(self.parts[-1])
         self._writer.finish()
-        part = Part(self._path_of(number))
+        part = RecordingPart(self._path_of(number))
         self._writer, self._before_finish = self._open_part(part.path)
         self.parts.append(part)
         if self._reserved:

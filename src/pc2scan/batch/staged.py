@@ -32,7 +32,7 @@ from .workers import Ended, Queue
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from pc2scan.remote.store import Object, RemotePath
+    from pc2scan.remote.store import RemotePath, StoredObject
 
     from .work import Job
     from .workers import Event
@@ -302,7 +302,7 @@ class _StagedQueue(Queue):
         is_numbered = target.name not in names
         made = parts_among(names, target.name) if is_numbered else names
         warnings = self._make_way(copy.job, folder, target.name, here, made, is_numbered=is_numbered)
-        objects: dict[str, Object] = {}
+        objects: dict[str, StoredObject] = {}
         done: list[str] = []
         try:
             # From the last part to the first: if the first part exists, all parts exist.

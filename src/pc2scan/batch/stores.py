@@ -30,7 +30,7 @@ from .results import is_numbered, whole
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from pc2scan.remote.store import Object, RemotePath
+    from pc2scan.remote.store import RemotePath, StoredObject
 
 _GLOB = frozenset("*?[")
 
@@ -192,7 +192,7 @@ class Stores:
             self._stand_in(place, path, place.stated())
         return str(path) + pattern
 
-    def _stand_in(self, place: RemotePath, path: Path, found: Object) -> None:
+    def _stand_in(self, place: RemotePath, path: Path, found: StoredObject) -> None:
         from pc2scan.remote.ranges import add_stand_in  # noqa: PLC0415  # loads fsspec
 
         if path in on_demand or (self._out is not None and path.is_relative_to(self._out)):
@@ -227,7 +227,7 @@ class Output:
     def __init__(self, place: RemotePath, folder: Path) -> None:
         self._place = place
         self.folder = folder
-        self._objects: dict[str, Object] | None = None
+        self._objects: dict[str, StoredObject] | None = None
         self._pushed: dict[str, bytes] = {}
         self._next = 0.0
         self._lost = Event()
@@ -340,7 +340,7 @@ class Output:
         )
 
 
-def identity_in(objects: Mapping[str, Object], output: str, left: Identity | None = None) -> Identity:
+def identity_in(objects: Mapping[str, StoredObject], output: str, left: Identity | None = None) -> Identity:
     """Return the identity of an output (a file, a folder, or numbered files) from a listing of the store.
 
     ``left`` says which files a numbered output has; without it, all with such names are listed.

@@ -75,7 +75,7 @@ class ProjectedScan:
     removed: dict[str, int] | None = None
 
 
-class Part(NamedTuple):
+class PointsPart(NamedTuple):
     """Points that are projected together with others: see `Projector.together`.
 
     Attributes
@@ -130,7 +130,7 @@ class Projector:
         # Whether ranges up to range_max may not be below it.
         self._is_limited = not self._limit > params.range_max
 
-    def together(self, parts: Sequence[Part]) -> ProjectedScan:
+    def together(self, parts: Sequence[PointsPart]) -> ProjectedScan:
         """Project the points of several messages to one scan.
 
         The scan equals that of one cloud with all points, transformed before, in the order of the parts.
@@ -166,7 +166,7 @@ class Projector:
             both = np.concatenate(values) if lit else None
             return self._reduced(bins[:begin], returns[:begin], both, counts)
 
-    def nearest(self, part: Part) -> ProjectedScan:
+    def nearest(self, part: PointsPart) -> ProjectedScan:
         """Project a part for `nearest_of`: beams without a return read infinity; intensities are ignored."""
         return self._nearest(*self._checked(part), self._rule_for(part), math.inf)
 
@@ -193,12 +193,14 @@ class Projector:
         ranges[np.isinf(ranges)] = self._empty
         return ProjectedScan(ranges, counts, _NO_VALUES)
 
-    def bins(self, part: Part) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def bins(self, part: PointsPart) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return the beams of a part's returns, and the numbers of their points, in their order."""
         _, bins, _, numbers = self._gathered(part)
         return bins, numbers
 
-    def _gathered(self, part: Part) -> tuple[PointCounts, NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
+    def _gathered(
+        self, part: PointsPart
+    ) -> tuple[PointCounts, NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
         """Return the counts of a part, and the beam, range and point number of each return, in the points' order."""
         count = part.x.size
         bins, returns, numbers = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.int64)
@@ -206,7 +208,7 @@ class Projector:
         return counts, bins[:found], returns[:found], numbers[:found]
 
     def _gather(
-        self, part: Part, bins: NDArray[np.int32], returns: NDArray[np.float32], numbers: NDArray[np.int64]
+        self, part: PointsPart, bins: NDArray[np.int32], returns: NDArray[np.float32], numbers: NDArray[np.int64]
     ) -> tuple[PointCounts, int]:
         """Overwrite the beginning of arrays with a part's returns; return its counts, and how many returns it has."""
         arrays, transform = self._checked(part)
@@ -219,11 +221,11 @@ class Projector:
             bins[:found], returns[:found], numbers[:found] = bins[near], returns[near], numbers[near]
         return counts, found
 
-    def _rule_for(self, part: Part) -> NDArray[np.float64]:
+    def _rule_for(self, part: PointsPart) -> NDArray[np.float64]:
         return self._rule_of_any_height if part.any_height else self._rule
 
     def _checked(
-        self, part: Part
+        self, part: PointsPart
     ) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[np.float32] | MovingTransform | None]:
         """Return the coordinates of a part and its transform, as the loops over points need them."""
         return _coordinates(part.x, part.y, part.z, part.intensities), _for_loops(part.target_from_source)
@@ -263,7 +265,7 @@ class Projector:
         if self.reads_nearest and intensities is None:
             transform = _for_loops(target_from_source)
             return self._nearest(_coordinates(x, y, z, None), transform, self._rule, self._empty)
-        counts, bins, returns, numbers = self._gathered(Part(x, y, z, target_from_source, intensities))
+        counts, bins, returns, numbers = self._gathered(PointsPart(x, y, z, target_from_source, intensities))
         values = None if intensities is None else intensities.reshape(-1)[numbers]
         with np.errstate(all="ignore"):
             return self._reduced(bins, returns, values, counts)
@@ -287,9 +289,9 @@ class Projector:
         (K,) int64, (K,) int32
             The numbers of points, increasing, and the beam of each. See `pc2scan.core.reduce.read`.
         """
-        return self.read_together((Part(x, y, z, target_from_source),))[0]
+        return self.read_together((PointsPart(x, y, z, target_from_source),))[0]
 
-    def read_together(self, parts: Sequence[Part]) -> list[tuple[NDArray[np.int64], NDArray[np.int32]]]:
+    def read_together(self, parts: Sequence[PointsPart]) -> list[tuple[NDArray[np.int64], NDArray[np.int32]]]:
         """Return which points of several messages the beams of their scan read; see `together`.
 
         Returns

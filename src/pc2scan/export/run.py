@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.stream import Progress
 
-    from .formats import Format, Writer
+    from .formats import ExportFormat, TopicWriter
     from .poses import Poses
 
 
@@ -187,7 +187,7 @@ def run(
     return report
 
 
-def _check_request(file_format: Format, options: ConvertOptions, form: ExportOptions) -> None:
+def _check_request(file_format: ExportFormat, options: ConvertOptions, form: ExportOptions) -> None:
     """Raise if an option has no effect on an export, or if one is missing."""
     if file_format.clouds and form.converting:
         raise UsageError(
@@ -230,7 +230,9 @@ def _check_request(file_format: Format, options: ConvertOptions, form: ExportOpt
         )
 
 
-def _topics(connections: Iterable[Any], file_format: Format, options: ConvertOptions, form: ExportOptions) -> list[str]:
+def _topics(
+    connections: Iterable[Any], file_format: ExportFormat, options: ConvertOptions, form: ExportOptions
+) -> list[str]:
     """Return the requested topics, or all of the type."""
     requested = options.scan.topics
     if requested:
@@ -248,7 +250,7 @@ def _topics(connections: Iterable[Any], file_format: Format, options: ConvertOpt
 def _stream(
     sources: Sequence[Path],
     names: Sequence[str],
-    file_format: Format,
+    file_format: ExportFormat,
     options: ConvertOptions,
     form: ExportOptions,
 ) -> Scans | Clouds:
@@ -271,7 +273,7 @@ def _stream(
     return Scans(selection, replace(options.with_scan(topics=topics), only_scans=True))
 
 
-def _is_folder(destination: Path, topics: Sequence[str], file_format: Format, *, in_folder: bool) -> bool:
+def _is_folder(destination: Path, topics: Sequence[str], file_format: ExportFormat, *, in_folder: bool) -> bool:
     """Whether the files of topics are in a folder; for a format with folders: whether each topic has a subfolder."""
     if (
         len(topics) > 1
@@ -291,7 +293,7 @@ class _Export:
     """The writers of all topics."""
 
     def __init__(
-        self, file_format: Format, poses: Poses | None, report: ExportReport, *, source_frame: str, failing: bool
+        self, file_format: ExportFormat, poses: Poses | None, report: ExportReport, *, source_frame: str, failing: bool
     ) -> None:
         self._format = file_format
         self._poses = poses
@@ -300,7 +302,7 @@ class _Export:
         self._failing = failing
         self._entries: dict[str, ExportedTopic] = {}
         self._places: dict[str, tuple[Path, Path]] = {}
-        self._writers: dict[str, Writer] = {}
+        self._writers: dict[str, TopicWriter] = {}
 
     def lay_out(self, topics: Sequence[str], partial: Path, final: Path, *, folder: bool) -> None:
         """Choose the path of each topic."""

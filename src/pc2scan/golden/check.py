@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 NAMES = ("expected", "actual")
 
 
-class Ended(NamedTuple):
+class CommandResult(NamedTuple):
     """A command's exit status and messages."""
 
     status: int
@@ -38,7 +38,7 @@ class Ended(NamedTuple):
 class Command(Protocol):
     """Runs pc2scan like the command line."""
 
-    def __call__(self, arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
+    def __call__(self, arguments: Sequence[str], chosen: Sequence[str] = ()) -> CommandResult:
         """Run a command.
 
         Parameters
@@ -121,7 +121,7 @@ def _compared(case: Case, actual: Path, *, update: bool) -> tuple[Difference | N
     return difference, [] if difference.same else difference.text(NAMES).split("\n")
 
 
-def _run_conversion(case: Case, command: Command, destination: Path, *further: str) -> Ended:
+def _run_conversion(case: Case, command: Command, destination: Path, *further: str) -> CommandResult:
     """Run the case's conversion."""
     arguments = ["convert", *map(str, case.inputs), "-o", str(destination), *further]
     if case.params is not None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.verdicts import Scan
+    from pc2scan.core.verdicts import ConsumerScan
     from pc2scan.model import RawMessage
     from pc2scan.text import Table
 
@@ -144,8 +144,8 @@ class ScanLook:
         self._rate_hz = rate_hz
         self._most = most
         self._sampled = 0
-        self._scans: list[Scan] = []
-        self._first_of: dict[str, Scan] = {}
+        self._scans: list[ConsumerScan] = []
+        self._first_of: dict[str, ConsumerScan] = {}
         self._worst: dict[str, Outcome] = {}
         self._returns: list[NDArray[np.float32]] = []
         self._problems: dict[str, None] = {}

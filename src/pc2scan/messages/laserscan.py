@@ -14,7 +14,7 @@ from .wire import MAX_CACHED_BYTES, Cursor, Packer
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pc2scan.core.verdicts import Scan
+    from pc2scan.core.verdicts import ConsumerScan
     from pc2scan.model import Buffer
 
 #: The type in ROS 2's spelling.
@@ -162,11 +162,11 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     return packer.finish()
 
 
-def scan_for_consumers(message: LaserScan) -> Scan:
+def scan_for_consumers(message: LaserScan) -> ConsumerScan:
     """Return a decoded scan in the form that the consumers' rules need."""
-    from pc2scan.core.verdicts import Scan  # noqa: PLC0415  # most who read scans do not check them
+    from pc2scan.core.verdicts import ConsumerScan  # noqa: PLC0415  # most who read scans do not check them
 
-    return Scan.of(
+    return ConsumerScan.of(
         message.ranges,
         angle_min=message.angle_min,
         angle_max=message.angle_max,

@@ -24,7 +24,7 @@ from .urls import UrlNames, is_url
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from .store import Object
+    from .store import StoredObject
 
 #: Bytes are fetched in blocks of this size. Their transfer takes little time compared with the request itself.
 _BLOCK = LEAST_BYTES
@@ -66,7 +66,7 @@ def stand_ins(paths: Sequence[Path]) -> Iterator[StandIns]:
     found = StandIns()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-"))).resolve()
-        read: list[tuple[RemotePath, Object]] = []
+        read: list[tuple[RemotePath, StoredObject]] = []
         for number, path in enumerate(paths):
             if not is_url(path):
                 found.paths.append(path)

@@ -133,7 +133,7 @@ _AGAIN = "try again; if it fails again, check the network and the store"
 _NO_ANSWER = "check the network, the host's name and, for your own store, its endpoint"
 
 
-class Object(NamedTuple):
+class StoredObject(NamedTuple):
     """A file of a store: its size, and its version, which changes if the file does; empty if the store has none."""
 
     size: int
@@ -206,7 +206,7 @@ class RemotePath:
         """Whether files there can only be read."""
         return self.scheme in {"http", "https"}
 
-    def stated(self) -> Object:
+    def stated(self) -> StoredObject:
         """Return the size of the file, and its version."""
         found = self._info(self.key)
         if found.get("size") is None:
@@ -215,7 +215,7 @@ class RemotePath:
             )
         return _object(found)
 
-    def below(self) -> dict[str, Object]:
+    def below(self) -> dict[str, StoredObject]:
         """Return all files below a folder, by their paths relative to it; empty if there are none."""
         with self.reported():
             self._fs.invalidate_cache()
@@ -330,7 +330,7 @@ class RemotePath:
             )
         return data
 
-    def download(self, target: Path, check: Callable[[], None] | None = None) -> Object:
+    def download(self, target: Path, check: Callable[[], None] | None = None) -> StoredObject:
         """Download the file, and return its size and version; raises if it changes meanwhile, or arrives incomplete.
 
         ``check`` is called from time to time. If it raises, the download ends.
@@ -475,9 +475,9 @@ class RemotePath:
         return kind(f"cannot be {does}: {f'status {status}' if status else name}", path=self.shown, hint=_NO_ANSWER)
 
 
-def _object(entry: dict[str, Any]) -> Object:
+def _object(entry: dict[str, Any]) -> StoredObject:
     found = next((str(entry[name]) for name in _VERSION if entry.get(name) is not None), "")
-    return Object(int(entry.get("size") or 0), found.strip('"'))
+    return StoredObject(int(entry.get("size") or 0), found.strip('"'))
 
 
 def _patience(scheme: str) -> dict[str, Any]:

@@ -235,7 +235,7 @@ class Scans(Stream[Scan]):
         connections = [route.connection for route in plan.routes if route.targets]
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
         latched = [connection for connection in connections if connection.latching]
-        account = _Conversion(report, plan.routes, joints, firsts, early)
+        account = _ConversionCounter(report, plan.routes, joints, firsts, early)
         return StreamSource(
             stack,
             [reader, *others],
@@ -406,7 +406,7 @@ def _scans_of(made: Converted, targets: Sequence[str], log_time_ns: int, seriali
     return [first, *(replace(first, topic=target) for target in targets[1:])]
 
 
-class _Conversion:
+class _ConversionCounter:
     """Counts the results of a conversion, as `pc2scan.convert` does."""
 
     def __init__(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.mcap.writer import McapWriter
-    from pc2scan.bags.splitting import Cut, Part, SplitWriter
+    from pc2scan.bags.splitting import Cut, RecordingPart, SplitWriter
     from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
     from pc2scan.threads import Threads
 
@@ -116,7 +116,7 @@ class Rosbag2Writer:
         assert entry.open_storage is not None
         open_storage = entry.open_storage
 
-        def open_part(file: Path) -> tuple[Writer, Callable[[Part | _File], None]]:
+        def open_part(file: Path) -> tuple[Writer, Callable[[RecordingPart | _File], None]]:
             storage, keep_info = open_storage(file, options)
             # Each file repeats metadata.yaml's content for itself.
             return storage, lambda part: keep_info(dump_yaml(self._info([part])).rstrip("\n"))
@@ -195,7 +195,7 @@ class Rosbag2Writer:
 
     def finish(self) -> None:
         """Finish the storage, write metadata.yaml, and put everything on the disk."""
-        parts: Sequence[Part | _File] = [_File(self._file, self._counts, self._span_ns)]
+        parts: Sequence[RecordingPart | _File] = [_File(self._file, self._counts, self._span_ns)]
         if self._split is None:
             self._keep_info(parts[0])
         self._storage.finish()
@@ -208,7 +208,7 @@ class Rosbag2Writer:
         """Release the storage; the caller removes the directory."""
         self._storage.abort()
 
-    def _info(self, parts: Sequence[Part | _File]) -> dict[str, Any]:
+    def _info(self, parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
         packed = self._message_compression != "none"
         return {
             "version": self._version,
@@ -292,7 +292,7 @@ def joined_info(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _extent(parts: Sequence[Part | _File]) -> dict[str, Any]:
+def _extent(parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
     """Return the times and the number of messages of files."""
     spans = [part.span_ns for part in parts if part.span_ns is not None]
     return _extent_of(spans, sum(sum(part.counts.values()) for part in parts))

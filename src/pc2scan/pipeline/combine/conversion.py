@@ -17,7 +17,7 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
-from pc2scan.core.project import Part, ProjectedScan, Projector, compact, packed
+from pc2scan.core.project import PointsPart, ProjectedScan, Projector, compact, packed
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
 from pc2scan.files.buffers import ReadBuffer, retain
@@ -323,7 +323,7 @@ class CombineToScan(Conversion):
     def _nearest(self, lead: Prepared, member: Prepared) -> tuple[ProjectedScan, Motion | None]:
         """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
         points, transform, rejected, motion = self._placed(lead, member)
-        nearest = self._projector.nearest(Part(*points.xyz(), _rounded(transform)))
+        nearest = self._projector.nearest(PointsPart(*points.xyz(), _rounded(transform)))
         if rejected:
             nearest.counts += PointCounts(sum(rejected.values()), **rejected)
         return nearest, motion
@@ -370,10 +370,10 @@ class CombineToScan(Conversion):
             The scan, with the counts of all points.
         """
         others: list[PointCounts] = []
-        parts: list[Part] = []
+        parts: list[PointsPart] = []
         known: list[ProjectedScan] = []
         motions: list[Motion] = []
-        beams: list[tuple[Part, NDArray[np.int32]]] = []
+        beams: list[tuple[PointsPart, NDArray[np.int32]]] = []
         sources: list[tuple[int, Points]] = []
         for member in members:
             if member.nearest is not None and _fits(member, lead):
@@ -387,7 +387,7 @@ class CombineToScan(Conversion):
                 motions.append(motion)
             values = points.field(self._intensity) if self._intensity in points.fields else None
             by_height = not (member.flat and self._any_height)
-            parts.append(Part(*points.xyz(), _rounded(transform), values, any_height=not by_height))
+            parts.append(PointsPart(*points.xyz(), _rounded(transform), values, any_height=not by_height))
             if member.flat:
                 beams.append((parts[-1], points.field("index")))
             if self._keeps_used:
@@ -451,14 +451,14 @@ class CombineToScan(Conversion):
         rejected = {**member.rejected, **selected.rejected}
         return selected.points, selected.motion or selected.target_from_source, rejected, motion
 
-    def _used(self, scan: LaserScan, parts: Sequence[Part], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
+    def _used(self, scan: LaserScan, parts: Sequence[PointsPart], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
         """Return the points that the beams of a scan read."""
         from pc2scan.messages.used_points import gather_points  # noqa: PLC0415  # only where they are kept
 
         read = self._projector.read_together(parts)
         return gather_points(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
-    def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinned:
+    def _rebinned(self, beams: Sequence[tuple[PointsPart, NDArray[np.int32]]]) -> Rebinned:
         from .rebinned import rebinned  # noqa: PLC0415  # most sources are clouds
 
         found = []
