@@ -173,11 +173,11 @@ def _ros1_frames(data: bytes) -> None:
     """Whatever is packed can be read by ROS 1."""
     import lz4.frame
 
-    from pc2scan.bags.rosbag1.lz4_frames import packed, ros1_reads
+    from pc2scan.bags.rosbag1.chunks import compress_lz4, is_readable_lz4
 
-    ros1_reads(b"\x04\x22\x4d\x18" + data)
-    frame = packed(data)
-    assert ros1_reads(frame)
+    is_readable_lz4(b"\x04\x22\x4d\x18" + data)
+    frame = compress_lz4(data)
+    assert is_readable_lz4(frame)
     assert lz4.frame.decompress(frame) == data
 
 

@@ -19,20 +19,12 @@ from .reader import Reader
 from .units import UNKNOWN_START_NS
 
 if TYPE_CHECKING:
-    from collections.abc import (
-        Callable,
-        Collection,
-        Hashable,
-        Iterable,
-        Iterator,
-        Mapping,
-        Sequence,
-    )
+    from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
 
-    from .damage import Damage
+    from .damage import Damage, DamageLog
     from .units import Item, Load, Loaded, Unit
 
 
@@ -354,3 +346,20 @@ def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
             f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot be merged",
             hint="convert them one by one, or with pc2scan batch",
         )
+
+
+class ConcatenatedReader(MergedReader):
+    """Reads all recordings of a file as one."""
+
+    def __init__(self, readers: Sequence[Reader], log: DamageLog) -> None:
+        super().__init__(readers)
+        self._log = log
+
+    @staticmethod
+    def _refuse(readers: Sequence[Reader]) -> None:
+        """Accept several readers of one file, also with different ROS versions."""
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """The damage in the parts, and between them."""
+        return (*super().damage, *self._log.found)

@@ -82,7 +82,7 @@ def opened_parts(open_part: Callable[[int], PartReader]) -> Reader:
                 break
             parts.append(part)
             limit.add_file(part.connections, part.summary.size_bytes)
-        from .concatenated import ConcatenatedReader  # noqa: PLC0415  # most files are one recording
+        from .merged import ConcatenatedReader  # noqa: PLC0415  # most files are one recording
 
         return ConcatenatedReader(parts, log)
     except BaseException:

@@ -10,7 +10,7 @@ Sources of the rules, in C++ (floats of the message are float32, literals float6
 - gmapping: ``initMapper``, ``getOdomPose`` and ``addScan`` (slam_gmapping.cpp), ``RangeSensor`` (openslam,
   rangesensor.cpp), ``setLaserParameters``, ``computeActiveArea`` (scanmatcher.cpp).
 - AMCL: ``AmclNode::updateFilter``, ``addNewScanner`` and its message filter (nav2_amcl, amcl_node.cpp).
-- Nav2: ``ConsumerScan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap ignores infinite ranges: it accepts
+- Nav2: ``Scan::getSourceData`` (nav2_collision_monitor, scan.cpp). Its costmap ignores infinite ranges: it accepts
   what laser_geometry accepts, ``range < range_max``.
 - MRPT: ``fromROS`` of two bridges (laser_scan.cpp): that of MRPT 2.5, in Debian and Ubuntu, and mrpt_ros_bridge 3.2.
 

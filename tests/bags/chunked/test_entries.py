@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.bags.chunked.entries import EntryForm, entries_astray
+from pc2scan.bags.chunked.index_checks import EntryForm, entries_astray
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError
 from support import rosbag1_files as bag

@@ -9,7 +9,7 @@ from mcap import records as library
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode as LibrarysOpcode
 
-from pc2scan.bags.mcap import record_types as ours
+from pc2scan.bags.mcap import records as ours
 from pc2scan.bags.mcap.records import RECORD, encoded
 
 RECORDS = (

@@ -17,10 +17,9 @@ from pc2scan.errors import DamageError
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.limits import ConnectionLimit
 
-from . import record_types as records
+from . import records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
-from .record_types import Opcode
-from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, parse, split
+from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, Opcode, parse, split
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -185,7 +184,7 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
 
 def _refuse_data(file: RecordFile, start: int, end: int) -> None:
     """Raise if another file or more data follow the DataEnd record."""
-    from .another import refuse_another  # noqa: PLC0415  # only damaged files pay for it
+    from .search import refuse_another  # noqa: PLC0415  # only damaged files pay for it
 
     refuse_another(file, start, end)
     rest, position = McapIndex(), start

@@ -5,41 +5,41 @@ from __future__ import annotations
 from collections import deque
 from contextlib import suppress
 from functools import partial
+from operator import attrgetter
 from threading import Lock
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.chunked.index_checks import SpanCheck
 from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
-from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.many import Many, mapped
 from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
 from pc2scan.bags.zstd import is_frame, unpacked_messages
 from pc2scan.errors import DamageError, stamp_text
+from pc2scan.files.crc32 import crc32, crc32_combined
 from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.model import StoredChunk
 
 from .chunks import ChunkSegment, chunk_at, payload, with_payload
 from .copies import agreed, whole_by_content, whole_by_index
-from .data_crc import data_crc
-from .declared import compare_counts, connections_of, summary_of
-from .entries import index_check, indexed_places
 from .index import McapIndex, find_declarations, find_index
+from .message_index import index_check, indexed_places
 from .messages import ANY_TIME, messages_in
-from .record_types import Opcode
-from .records import RECORD, RecordFile, split
+from .records import RECORD, Opcode, RecordFile, split
+from .summary import compare_counts, connections_of, summary_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.chunked.entries import IndexCheck
+    from pc2scan.bags.chunked.index_checks import IndexCheck
     from pc2scan.bags.chunked.salvaged import Salvaged
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Item, Loaded, Unit
-    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
+    from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, RawMessage, Summary
 
     from .messages import Messages
 
@@ -378,7 +378,7 @@ class McapReader(PartReader):
         """Return the log times of a chunk's messages by its message indexes, or by its header; see `SpanCheck`."""
         if not isinstance(segment, ChunkSegment):
             return segment.start_ns, segment.end_ns
-        from .counts import indexed_span  # noqa: PLC0415
+        from .message_index import indexed_span  # noqa: PLC0415
 
         span = indexed_span(self._file, segment)
         if span is None and self._index.summarized:
@@ -424,7 +424,7 @@ class McapReader(PartReader):
         """Count by the statistics, or for a cut by message indexes; see `pc2scan.bags.reader.Reader`."""
 
         def by_index(ids: frozenset[int]) -> dict[int, int]:
-            from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+            from .message_index import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
             return counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
 
@@ -434,7 +434,7 @@ class McapReader(PartReader):
         """Yield attachments in the order of the file; each is read when it is needed."""
         if not self._index.attachments:
             return iter(())
-        from .extras import attachments_of  # noqa: PLC0415  # few files have any
+        from .summary import attachments_of  # noqa: PLC0415  # few files have any
 
         return attachments_of(self._file, self._index, self._log, verify=self._verify)
 
@@ -442,7 +442,7 @@ class McapReader(PartReader):
         """Yield metadata records in the order of the file."""
         if not self._index.metadata:
             return iter(())
-        from .extras import metadata_of  # noqa: PLC0415  # few files have any
+        from .summary import metadata_of  # noqa: PLC0415  # few files have any
 
         return metadata_of(self._file, self._index, self._log)
 
@@ -456,3 +456,87 @@ def _declared_span(segment: Segment) -> tuple[int, int] | None:
     if isinstance(segment, ChunkSegment) and 0 < segment.start_ns <= segment.end_ns:
         return segment.start_ns, segment.end_ns
     return None
+
+
+#: Bytes between messages are read in pieces of this size.
+_PIECE = 4 << 20
+
+
+class DataCrc:
+    """Compares the CRC of a data section when all of its messages were read.
+
+    Parameters
+    ----------
+    file
+        The file.
+    segments
+        All segments with messages.
+    stop
+        The end of the data section.
+    recorded
+        Its recorded CRC.
+    log
+        Gets a difference.
+    counted
+        Whether statistics tell if messages are missing.
+    """
+
+    def __init__(
+        self,
+        file: RecordFile,
+        segments: Sequence[Segment],
+        stop: int,
+        recorded: int,
+        log: DamageLog,
+        *,
+        counted: bool,
+    ) -> None:
+        self._file = file
+        self._segments = sorted(segments, key=attrgetter("offset"))
+        self._stop = stop
+        self._recorded = recorded
+        self._log = log
+        self._counted = counted
+        self._found: dict[int, int] = {}
+        self._lock = Lock()
+
+    def add(self, segment: Segment, data: Buffer) -> None:
+        """Add a segment that was read; may be called on any thread, and again."""
+        self._found[segment.offset] = crc32(data)
+
+    def compare(self) -> None:
+        """Compare the CRC when all segments were read.
+
+        Raises
+        ------
+        DamageError
+            If it differs, and damage is an error.
+        """
+        with self._lock:
+            if len(self._found) < len(self._segments):
+                return
+            found, self._found = self._found, {}
+        value = position = 0
+        for segment in self._segments:
+            value = self._between(value, position, segment.offset)
+            value = crc32_combined(value, found[segment.offset], segment.length)
+            position = segment.offset + segment.length
+        value = self._between(value, position, self._stop)
+        if value != self._recorded:
+            error = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
+            self._log.note(self._file.damage(error), key="data", messages_lost=0 if self._counted else None)
+
+    def _between(self, value: int, start: int, stop: int) -> int:
+        for position in range(start, stop, _PIECE):
+            value = crc32(self._file.read(position, min(_PIECE, stop - position)), value)
+        return value
+
+
+def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | None:
+    """Return the comparison for a file; None if it has no CRC, or its chunks have their own."""
+    if index.data_end is None or not index.segments:
+        return None
+    stop, recorded = index.data_end
+    if not recorded or any(isinstance(segment, ChunkSegment) for segment in index.segments):
+        return None
+    return DataCrc(file, index.segments, stop, recorded, log, counted=index.statistics is not None)

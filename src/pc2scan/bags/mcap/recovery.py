@@ -21,11 +21,9 @@ from pc2scan.bags.parts import AnotherBeginsError
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 
-from .another import refuse_another
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
 from .messages import message_at
-from .record_types import Opcode
 from .records import (
     COMPRESSIONS,
     FIRST_PRIVATE,
@@ -34,6 +32,7 @@ from .records import (
     OP_CHUNK,
     OP_MESSAGE,
     RECORD,
+    Opcode,
 )
 from .search import (
     WINDOW,
@@ -48,6 +47,7 @@ from .search import (
     next_record,
     payload_stop,
     record_end,
+    refuse_another,
 )
 
 if TYPE_CHECKING:

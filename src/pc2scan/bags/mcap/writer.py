@@ -16,8 +16,7 @@ from pc2scan.files.source import FreeIds, NewFile
 from pc2scan.files.write_ahead import WriteAhead
 from pc2scan.model import StoredChunk, normalized_type, ros1_type
 
-from . import record_types as records
-from .record_types import Opcode
+from . import records
 from .records import (
     CHUNK,
     COMPRESSIONS,
@@ -28,6 +27,7 @@ from .records import (
     OP_MESSAGE_INDEX,
     RECORD,
     UINT64,
+    Opcode,
     encoded,
 )
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from pc2scan.bags.many import MAX_TOGETHER, Many
 from pc2scan.errors import stamp_text
-from pc2scan.files.compression import CompressionError, decompress
+from pc2scan.files.compression import LZ4_MAGIC, CompressionError, decompress
 from pc2scan.files.limits import allowed_bytes
 from pc2scan.model import RawMessage, own
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, Connection
 
     from .records import BagFile
+
 
 _Result = TypeVar("_Result")
 
@@ -315,3 +316,49 @@ class FoundMessages:
             return RawMessage(known[ids[number]], stamp, data[starts[number] : stops[number]], stamp)
 
         return Many(times, array("Q", range(len(times))), made, len(data) + 3 * ids.itemsize * len(ids))
+
+
+# --- LZ4 frames ---
+#
+# ROS 1's own reader accepts only frames with independent blocks, no content size, and a checksum.
+# Source: ``roslz4/src/lz4s.c`` in ros_comm, and https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md.
+
+#: Version 1, independent blocks, content checksum; no block checksums, content size or dictionary.
+_FLAGS = 0b0110_0100
+#: Blocks of at most 64 KiB, 256 KiB, 1 MiB, 4 MiB.
+_BLOCK_SIZES = {0x40: 1 << 16, 0x50: 1 << 18, 0x60: 1 << 20, 0x70: 1 << 22}
+_STORED = 0x8000_0000
+_HEADER_SIZE = 7
+
+
+def compress_lz4(data: Buffer) -> bytes:
+    """Compress data into an LZ4 frame that ROS 1's own reader accepts."""
+    import lz4.frame  # noqa: PLC0415  # heavy
+
+    frame: bytes = lz4.frame.compress(
+        data,
+        block_size=lz4.frame.BLOCKSIZE_MAX1MB,
+        block_linked=False,
+        store_size=False,
+        content_checksum=True,
+    )
+    return frame
+
+
+def is_readable_lz4(data: Buffer) -> bool:
+    """Whether these bytes are exactly one LZ4 frame that ROS 1's own reader accepts."""
+    if len(data) < _HEADER_SIZE or data[:4] != LZ4_MAGIC or data[4] != _FLAGS or data[5] not in _BLOCK_SIZES:
+        return False
+    limit = _BLOCK_SIZES[data[5]]
+    position = _HEADER_SIZE
+    while position + 4 <= len(data):
+        (size,) = UINT32.unpack_from(data, position)
+        position += 4
+        if size == 0:
+            # The checksum, and the end.
+            return position + 4 == len(data)
+        size &= ~_STORED
+        if size > limit:
+            return False
+        position += size
+    return False

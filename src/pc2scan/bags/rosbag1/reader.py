@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.entries import IndexCheck
+from pc2scan.bags.chunked.index_checks import IndexCheck, SpanCheck
 from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
-from pc2scan.bags.chunked.spans import SpanCheck
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.many import Many, mapped
 from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
 from pc2scan.model import StoredChunk, Summary
 
-from .chunks import Places, decompressed, messages_in, with_payload
-from .copies import first_uses, whole_chunk
-from .entries import index_check
+from .chunks import Places, decompressed, is_readable_lz4, messages_in, with_payload
 from .index import ConnectionCheck, contained_span, read_index
+from .index_data import index_check
 from .records import BagFile, Damaged, uint32_field
 
 if TYPE_CHECKING:
@@ -224,7 +223,7 @@ class Rosbag1Reader(PartReader):
         return difference is None
 
     def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
-        from .counts import indexed_span  # noqa: PLC0415
+        from .index_data import indexed_span  # noqa: PLC0415
 
         return indexed_span(self._file, segment)
 
@@ -256,7 +255,7 @@ class Rosbag1Reader(PartReader):
         """Count by the index, or for a cut by the chunks' index records; see `pc2scan.bags.reader.Reader`."""
 
         def by_index(ids: frozenset[int]) -> dict[int, int]:
-            from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+            from .index_data import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
             return counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
 
@@ -270,3 +269,70 @@ class Rosbag1Reader(PartReader):
     def close(self) -> None:
         """Release the file. Messages that were handed out stay valid."""
         self._file.close()
+
+
+def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segment, frozenset[int]]:
+    """Find the connections that each chunk has to describe, because no earlier chunk does.
+
+    ROS 1's ``rosbag reindex`` needs a connection's description in the chunk of its first message.
+
+    Parameters
+    ----------
+    segments
+        All segments to read.
+    start_ns
+        The start of the cut: a chunk across it may be written without its first messages.
+    """
+    uses = {}
+    seen: frozenset[int] = frozenset()
+    for segment in sorted(segments, key=attrgetter("start_ns", "offset")):
+        ids = segment.connection_ids or frozenset()
+        uses[segment] = ids - seen
+        if start_ns is None or start_ns <= segment.start_ns:
+            seen |= uses[segment]
+    return uses
+
+
+def whole_chunk(
+    segment: Segment,
+    stored: Buffer,
+    records: Buffer,
+    messages: Sequence[RawMessage],
+    places: Places,
+    rule: ChunkRule,
+    needed: Collection[int],
+) -> StoredChunk | None:
+    """Return a chunk that was read as one to copy.
+
+    Parameters
+    ----------
+    stored, records
+        Its records, compressed and decompressed.
+    messages, places
+        Its messages and their offsets.
+    needed
+        The connections that it has to describe.
+
+    Returns
+    -------
+    StoredChunk | None
+        None if ``rule`` does not allow to copy it, its messages are not sorted by log time, or it contradicts the
+        index. LZ4 frames that ROS 1's own reader refuses are compressed again.
+    """
+    if places.contradicts:
+        return None
+    times = [message.log_time_ns for message in messages]
+    if not times or len(times) != len(places.messages) or times != sorted(times):
+        return None
+    if times[0] < segment.start_ns or segment.end_ns < times[-1]:
+        return None
+    if not places.described <= rule.connection_ids or not places.described.issuperset(needed):
+        return None
+    index: dict[int, list[tuple[int, int]]] = {}
+    for message, place in zip(messages, places.messages, strict=True):
+        index.setdefault(message.connection.id, []).append((message.log_time_ns, place))
+    if not index.keys() <= rule.connection_ids:
+        return None
+    if segment.compression not in rule.compressions or (segment.compression == "lz4" and not is_readable_lz4(stored)):
+        return StoredChunk("", records, len(records), 0, index)
+    return StoredChunk(segment.compression, stored, len(records), 0, index)

@@ -13,8 +13,7 @@ from pc2scan.files.source import FreeIds, NewFile
 from pc2scan.files.write_ahead import WriteAhead
 from pc2scan.model import StoredChunk, ros1_type
 
-from . import lz4_frames as rosbag1_lz4
-from .chunks import USUAL_LAYOUT
+from .chunks import USUAL_LAYOUT, compress_lz4
 from .records import (
     BAG_HEADER,
     CHUNK,
@@ -273,7 +272,7 @@ class _OpenChunk:
 
 def _compressed(data: Buffer, compression: str) -> Buffer:
     """Compress a chunk so that ROS 1's own reader accepts it."""
-    return rosbag1_lz4.packed(data) if compression == "lz4" else compress(compression, data)
+    return compress_lz4(data) if compression == "lz4" else compress(compression, data)
 
 
 def _pack_fields(fields: Mapping[str, bytes]) -> bytes:

@@ -17,7 +17,6 @@ from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.copies import copy_errors, private_folder, sqlite_is_full
 
-from .codes import CORRUPT, ERROR, FULL, IOERR_SHORT_READ, NOTADB, code_of
 from .logs import missing_bytes, side_logs, write_merged
 from .pages import PageFile, declared_size, rebuilt
 
@@ -27,7 +26,30 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import DamageLog
 
-    from .page_log import PageLog
+    from .logs import PageLog
+
+
+ERROR = 1
+CORRUPT = 11
+FULL = 13
+NOTADB = 26
+IOERR_SHORT_READ = 522
+
+#: SQLite's messages for errors, which are the same in all of its versions. They are needed for Python 3.10.
+_CODES = {"disk I/O error": 10, "database or disk is full": FULL, "out of memory": 7, "interrupted": 9}
+
+
+def code_of(error: sqlite3.Error) -> int:
+    """Return the extended result code of an error.
+
+    Notes
+    -----
+    Python 3.10 has the text only: there, what is no error of the disk and no lack of memory is an error of the
+    database, and a short read cannot be distinguished from a failing disk.
+    """
+    code = getattr(error, "sqlite_errorcode", None)
+    return _CODES.get(str(error), ERROR) if code is None else int(code)
+
 
 #: Allowed defaults of columns, neither long nor computed: a default is the value of every row that does not store one.
 _SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")

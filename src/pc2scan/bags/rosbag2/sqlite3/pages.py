@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from .page_log import PageLog
+    from .logs import PageLog
 
 _HEADER_SIZE = 100
 _LEAF = 0x0D
