@@ -248,11 +248,12 @@ LOADED_BY_CONVERT = {
         "remote requests text tf threads version"
     ),
     "pc2scan.bags": (
-        "chunked damage destinations formats lasting many mcap opening parts reader rosbag1 topics units zstd"
+        "chunked concatenation damage destinations formats latching lazy_items mcap opening reader rosbag1 topics "
+        "units zstd"
     ),
-    "pc2scan.bags.chunked": "entries segments spans",
-    "pc2scan.bags.mcap": "record_types records writer",
-    "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
+    "pc2scan.bags.chunked": "index_checks segments",
+    "pc2scan.bags.mcap": "records writer",
+    "pc2scan.bags.rosbag1": "chunks index index_data reader records",
     "pc2scan.cli": (
         "app completion convert damage fitting interrupts next_command options outcome progress "
         "render screen spelling usage"

@@ -188,11 +188,11 @@ def _scan_text(data: bytes) -> None:
 
 
 def _qos(data: bytes) -> None:
-    from pc2scan.bags.qos import latches, respelled_qos
+    from pc2scan.bags.qos import latches, respell_qos
 
     text = data.decode("utf-8", "replace")
     latches(text)
-    respelled_qos(text, by_name=True)
+    respell_qos(text, by_name=True)
 
 
 def _parameters(data: bytes) -> None:

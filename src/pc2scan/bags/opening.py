@@ -77,15 +77,15 @@ def sniff(path: Path) -> str:
         from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415  # only for errors
 
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
-        hint = _interrupted(path) or missing_hint(path, suffixes)
+        hint = _interruption_hint(path) or missing_hint(path, suffixes)
         raise MissingError("does not exist", path=path, hint=hint) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     if head.startswith(ZSTD_MAGIC):
         from . import zstd  # noqa: PLC0415  # few recordings are compressed as a whole
 
-        return f"{_recognised(zstd.unpacked_head(path), path, ' (after zstd decompression)')}+zstd"
-    return _recognised(head, path)
+        return f"{_content_hint(zstd.decompress_head(path), path, ' (after zstd decompression)')}+zstd"
+    return _content_hint(head, path)
 
 
 def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> Reader:
@@ -110,9 +110,9 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     name, _, packed = sniff(path).partition("+")
     options = ReadOptions(verify=verify, strict=strict)
     if packed:
-        from .unpacked import UnpackedReader  # noqa: PLC0415  # few recordings need it
+        from .zstd_reader import ZstdReader  # noqa: PLC0415  # few recordings need it
 
-        return UnpackedReader(path, FORMATS[name], options)
+        return ZstdReader(path, FORMATS[name], options)
     return FORMATS[name].open_reader(path, options)
 
 
@@ -128,7 +128,7 @@ def open_recordings(
     return readers
 
 
-def _interrupted(path: Path) -> str | None:
+def _interruption_hint(path: Path) -> str | None:
     """Return the hint for a recording that is missing because the run that wrote it was killed."""
     partial, old, _ = working_names(path) or (path, path, path)
     # Not Path.exists: with the ending, the name may be too long.
@@ -155,7 +155,7 @@ def _sniff_directory(path: Path) -> str:
     )
 
 
-def _recognised(head: bytes, path: Path, state: str = "") -> str:
+def _content_hint(head: bytes, path: Path, state: str = "") -> str:
     magics = {entry.magic: name for name, entry in FORMATS.items() if entry.magic}
     for magic, name in magics.items():
         if head.startswith(magic):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import OutputError, UnwritableError, UsageError
 
-from .lasting import Newest, is_static, lasts
+from .latching import NewestItems, is_latched, is_static
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -86,7 +86,7 @@ class RecordingPart:
         self.span_ns = (min(earliest_ns, first_ns), max(latest_ns, last_ns))
 
 
-def narrowed(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> ChunkRule:
+def narrow_rule(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> ChunkRule:
     """Return the rule of the chunks that can be copied whole into parts.
 
     No part ends within one, and none has messages that are to be repeated.
@@ -100,7 +100,7 @@ def narrowed(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> Ch
     connections
         Those of the source.
     """
-    lasting = {each.topic for each in connections if cut.repeats and lasts(each)}
+    lasting = {each.topic for each in connections if cut.repeats and is_latched(each)}
     ids = {each.id for each in connections if each.topic in lasting}
     grid = (cut.begin_ns, cut.duration_ns) if cut.duration_ns else None
     return rule._replace(connection_ids=rule.connection_ids - ids, grid=grid)
@@ -141,7 +141,7 @@ class SplitWriter:
         self._connections: list[Connection] = []
         self._pool: Threads | None = None
         #: By handle: the data to repeat, each with its sequence number.
-        self._lasting: dict[int, Newest[tuple[bytes, int]]] = {}
+        self._lasting: dict[int, NewestItems[tuple[bytes, int]]] = {}
         self._all_last: set[int] = set()
         self.parts = [RecordingPart(path_of(cut.first))]
         self._writer, self._before_finish = open_part(self.parts[0].path)
@@ -155,8 +155,8 @@ class SplitWriter:
         """Declare a connection, in every part with the same handle."""
         handle = self._writer.add_connection(connection)
         self._connections.append(connection)
-        if self._cut.repeats and lasts(connection):
-            self._lasting[handle] = Newest(_MOST_STATIC)
+        if self._cut.repeats and is_latched(connection):
+            self._lasting[handle] = NewestItems(_MOST_STATIC)
             if is_static(connection.topic):
                 self._all_last.add(handle)
         return handle

@@ -95,10 +95,10 @@ def new_topic(asked: str, option: str) -> str:
     return asked if asked.startswith("/") else f"/{asked}"
 
 
-def renamed(topic: str, pattern: str, target: str) -> str:
+def fill_glob(topic: str, pattern: str, target: str) -> str:
     """Return ``target`` with each ``*`` in it replaced by what the ``*`` in ``pattern`` matched, in their order.
 
-    >>> renamed("/lidar_left/points", "/lidar_*/points", "/scan_*")
+    >>> fill_glob("/lidar_left/points", "/lidar_*/points", "/scan_*")
     '/scan_left'
 
     Raises

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.destinations import named_after
+from pc2scan.bags.destinations import name_after
 from pc2scan.bags.formats import file_suffixes
 from pc2scan.errors import DestinationError
 from pc2scan.files.ownership import name_key
@@ -194,7 +194,7 @@ def _result_name(found: Found, request: Request, *, distinct: bool = False) -> s
     source = Path(found.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
-    name = named_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to)
+    name = name_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to)
     in_parts = request.output.cut is not None and request.export is None and name.suffix in file_suffixes()
     return first_part(name.as_posix()) if in_parts else name.as_posix()
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.lasting import is_static
+from pc2scan.bags.latching import is_static
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.tf.placing import Frames

@@ -14,10 +14,10 @@ from pc2scan.bags.destinations import (
     check_to,
     default_destination,
     default_storage,
-    kept_form,
     open_writer,
     plan_destination,
     recorded_in,
+    source_form,
 )
 from pc2scan.bags.formats import chunk_format, destinations
 from pc2scan.bags.opening import as_one, open_recordings
@@ -321,9 +321,9 @@ def _run(
                 writer.compress_ahead(pool)
             rule = chunk_rule(routes, target, writer) if copying else None
             if rule is not None and cut is not None:
-                from pc2scan.bags.splitting import narrowed  # noqa: PLC0415  # most recordings are one file
+                from pc2scan.bags.splitting import narrow_rule  # noqa: PLC0415  # most recordings are one file
 
-                rule = narrowed(rule, cut, reader.connections)
+                rule = narrow_rule(rule, cut, reader.connections)
             # Only the messages of all pieces show that nothing can be converted.
             unconnected = Unconnected(firsts.warn) if firsts is not None and piece is None else None
             stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
@@ -437,7 +437,7 @@ def _target(
     ros_version = _ros_version(reader.connections)
     storage, compression = default_storage(path, summaries) if not is_named else None, None
     if options.repair:
-        storage, compression = kept_form(path, summaries)
+        storage, compression = source_form(path, summaries)
     target = plan_destination(
         path,
         storage=output.storage or storage,

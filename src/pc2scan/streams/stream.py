@@ -15,7 +15,7 @@ import numpy as np
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
-from pc2scan.bags.units import in_time_order
+from pc2scan.bags.units import merge_by_time
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.pipeline.beforehand import refuse_no_messages
 from pc2scan.pipeline.options import ConvertOptions
@@ -278,7 +278,7 @@ class StreamSource(NamedTuple):
 
             parts.insert(0, [latched_at(reader.messages(self.latched, None, self.start_ns), self.start_ns)])
         for units in parts:
-            with closing(in_time_order(units, self.read, path=reader.path)) as found:
+            with closing(merge_by_time(units, self.read, path=reader.path)) as found:
                 # Readers yield whole chunks only if they are given a rule for them, which is not the case here.
                 yield from found  # type: ignore[misc]
 

@@ -231,7 +231,7 @@ class IndexCheck(NamedTuple):
         return None if fewer or self.astray > 1 else 0
 
 
-def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
+def count_wrong_entries(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
     """Count the wrong entries: those without a message of their connection and time, and repeated ones.
 
     Parameters
@@ -244,10 +244,10 @@ def entries_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: 
         The layout of the entries.
     """
     total = sum(len(entries) for _, entries in groups) // form.entry.size
-    return (_few_astray if total <= _FEW else _many_astray)(records, groups, form)
+    return (_count_in_python if total <= _FEW else _count_in_numpy)(records, groups, form)
 
 
-def _few_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
+def _count_in_python(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
     entry, identity, id_at, time_at = form.entry, form.identity, form.id_at, form.time_at
     last = len(records) - max(id_at + identity.size, time_at + 8)
     # Usually the entries of a connection are in the order of its messages. Then no entry is repeated.
@@ -260,12 +260,12 @@ def _few_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: Ent
                 and records[place + time_at : place + time_at + 8] == time
                 and records[place + id_at : place + id_at + identity.size] == own
             ):
-                return _many_astray(records, groups, form)
+                return _count_in_numpy(records, groups, form)
             after = place
     return 0
 
 
-def _many_astray(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
+def _count_in_numpy(records: Buffer, groups: Sequence[tuple[int, Buffer]], form: EntryForm) -> int:
     import numpy as np  # noqa: PLC0415  # only chunks of small messages need it
 
     size, last = form.entry.size, len(records) - max(form.id_at + form.identity.size, form.time_at + 8)

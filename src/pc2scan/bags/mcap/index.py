@@ -118,7 +118,7 @@ class McapIndex:
         """Add a Schema or a Channel; other records are ignored. The first of an id is kept."""
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
             return
-        record = _declared(opcode, content, offset, file)
+        record = _declared_texts(opcode, content, offset, file)
         known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
         # "A Schema record with an id of zero is invalid and should be ignored."
         if not record.id and opcode == Opcode.SCHEMA:
@@ -132,7 +132,7 @@ class McapIndex:
 
     def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str | None:
         """Return the name of the schema or channel that this record declares differently; None if it does not."""
-        record = _declared(opcode, content, offset, file)
+        record = _declared_texts(opcode, content, offset, file)
         known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
         return _name_of(record) if known.get(record.id, record) != record else None
 
@@ -141,7 +141,7 @@ class McapIndex:
             self.differing.setdefault(what, offset)
 
 
-def _declared(opcode: int, content: Buffer, offset: int, file: RecordFile) -> records.Schema | records.Channel:
+def _declared_texts(opcode: int, content: Buffer, offset: int, file: RecordFile) -> records.Schema | records.Channel:
     if opcode == Opcode.SCHEMA:
         return parse(records.Schema, content, offset, file)
     return parse(records.Channel, content, offset, file)
@@ -316,7 +316,7 @@ class _Window:
         return position
 
 
-class _Run:
+class _MessageRun:
     """Consecutive messages outside any chunk, collected by a walk."""
 
     __slots__ = ("end", "end_ns", "ids", "start", "start_ns")
@@ -354,7 +354,7 @@ class RecordWalk:
         self._file = file
         self._index = index
         self._accounted = accounted or {}
-        self._run: _Run | None = None
+        self._run: _MessageRun | None = None
         self._chunk: ChunkSegment | None = None
         self._indexed: Counter[int] = Counter()
         self._is_behind_chunk = False
@@ -422,7 +422,7 @@ class RecordWalk:
         run = self._run
         if run is None or following - run.start > RUN_SIZE:
             self._close()
-            run = self._run = _Run(offset, log_time_ns)
+            run = self._run = _MessageRun(offset, log_time_ns)
         run.add(channel_id, log_time_ns, following)
         self._index.counts[channel_id] += 1
 

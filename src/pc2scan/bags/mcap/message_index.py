@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.index_checks import EntryForm, IndexCheck, entries_astray
+from pc2scan.bags.chunked.index_checks import EntryForm, IndexCheck, count_wrong_entries
 from pc2scan.errors import DamageError
 
 from .chunks import ChunkSegment
@@ -89,7 +89,7 @@ def index_check(file: RecordFile, segment: ChunkSegment, records: Buffer, ids: C
     mine = [(channel_id, entries) for channel_id, entries in groups if channel_id in ids]
     total = sum(len(entries) for _, entries in mine) // _FORM.entry.size
     problem = None
-    if astray := entries_astray(records, mine, _FORM):
+    if astray := count_wrong_entries(records, mine, _FORM):
         problem = f"{astray} of {total} entries match no message by their channel and log time"
     return IndexCheck(problem, total if groups else None, astray)
 
@@ -117,7 +117,7 @@ def counts_between(
             if not isinstance(segment, ChunkSegment) or segment.connection_ids is None:
                 return {}
             missing = set(segment.connection_ids & ids)
-            for channel_id, times in _indexed(file, segment):
+            for channel_id, times in _message_indexes(file, segment):
                 if channel_id in ids:
                     missing.discard(channel_id)
                     counts[channel_id] += sum(low <= time and (high is None or time < high) for time in times)
@@ -133,7 +133,7 @@ def indexed_span(file: RecordFile, segment: ChunkSegment) -> tuple[int, int] | N
     missing = set(segment.connection_ids or ())
     found: list[int] = []
     try:
-        for channel_id, times in _indexed(file, segment):
+        for channel_id, times in _message_indexes(file, segment):
             missing.discard(channel_id)
             found += times
     except DamageError:
@@ -141,7 +141,7 @@ def indexed_span(file: RecordFile, segment: ChunkSegment) -> tuple[int, int] | N
     return (min(found), max(found)) if found and not missing else None
 
 
-def _indexed(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int, Iterator[int]]]:
+def _message_indexes(file: RecordFile, segment: ChunkSegment) -> Iterator[tuple[int, Iterator[int]]]:
     """Yield each message index after a chunk: the channel, and the log times of its messages."""
     for channel_id, entries in index_entries(file, segment):
         yield channel_id, (time_ns for time_ns, _ in _ENTRY.iter_unpack(entries))

@@ -92,7 +92,7 @@ class ChunkIndex(NamedTuple):
     uncompressed_size: int
 
 
-class Attachment(NamedTuple):
+class AttachmentRecord(NamedTuple):
     """A file in the recording. The CRC covers all other fields, or is 0."""
 
     log_time: int
@@ -129,7 +129,7 @@ class Statistics(NamedTuple):
     channel_message_counts: Mapping[int, int]
 
 
-class Metadata(NamedTuple):
+class MetadataRecord(NamedTuple):
     """A metadata record: text by name."""
 
     name: str
@@ -164,10 +164,10 @@ Record: TypeAlias = (
     | Schema
     | Channel
     | ChunkIndex
-    | Attachment
+    | AttachmentRecord
     | AttachmentIndex
     | Statistics
-    | Metadata
+    | MetadataRecord
     | MetadataIndex
     | SummaryOffset
     | DataEnd
@@ -183,10 +183,10 @@ _FORMS: Mapping[type, tuple[Opcode, str]] = {
     Schema: (Opcode.SCHEMA, "Hssx"),
     Channel: (Opcode.CHANNEL, "HHsst"),
     ChunkIndex: (Opcode.CHUNK_INDEX, "QQQQnQsQQ"),
-    Attachment: (Opcode.ATTACHMENT, "QQssXI"),
+    AttachmentRecord: (Opcode.ATTACHMENT, "QQssXI"),
     AttachmentIndex: (Opcode.ATTACHMENT_INDEX, "QQQQQss"),
     Statistics: (Opcode.STATISTICS, "QHIIIIQQn"),
-    Metadata: (Opcode.METADATA, "st"),
+    MetadataRecord: (Opcode.METADATA, "st"),
     MetadataIndex: (Opcode.METADATA_INDEX, "QQs"),
     SummaryOffset: (Opcode.SUMMARY_OFFSET, "BQQ"),
     DataEnd: (Opcode.DATA_END, "I"),
@@ -325,9 +325,9 @@ def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int
         raise file.damage(f"the records from byte {origin} on do not end after {len(data)} bytes")
 
 
-def encoded(record: Record) -> bytes:
+def encode_record(record: Record) -> bytes:
     """Pack a record, its opcode and length included, and the CRC of an attachment."""
     opcode, content = pack(record)
-    if isinstance(record, Attachment):
+    if isinstance(record, AttachmentRecord):
         content = content[:-4] + struct.pack("<I", crc32(content[:-4]))
     return RECORD.pack(opcode, len(content)) + content

@@ -6,7 +6,7 @@ import re
 import struct
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.parts import AnotherBeginsError
+from pc2scan.bags.concatenation import AnotherBeginsError
 from pc2scan.errors import DamageError
 
 from . import records
@@ -142,7 +142,7 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
         return False
     if opcode == Opcode.ATTACHMENT:
         return length >= 40
-    kind = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.METADATA: records.Metadata}
+    kind = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.METADATA: records.MetadataRecord}
     try:
         parse(kind[Opcode(opcode)], file.read(offset + RECORD.size, length), offset, file)
     except DamageError:

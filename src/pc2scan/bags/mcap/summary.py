@@ -155,7 +155,7 @@ def attachments_of(file: RecordFile, index: McapIndex, log: DamageLog, *, verify
     for offset in sorted(index.attachments):
         content = file.record(offset, Opcode.ATTACHMENT)
         try:
-            record = parse(records.Attachment, content, offset, file)
+            record = parse(records.AttachmentRecord, content, offset, file)
             # The CRC follows the data, which follow two times, two strings and their own length.
             texts = len(record.name.encode()) + len(record.media_type.encode())
             covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
@@ -185,7 +185,7 @@ def metadata_of(file: RecordFile, index: McapIndex, log: DamageLog) -> Iterator[
     for offset in sorted(index.metadata):
         content = file.record(offset, Opcode.METADATA)
         try:
-            record = parse(records.Metadata, content, offset, file)
+            record = parse(records.MetadataRecord, content, offset, file)
         except DamageError as err:
             log.note(err, offset=offset, bytes_lost=len(content))
             continue

@@ -13,7 +13,7 @@ from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from pc2scan.bags.many import MAX_TOGETHER, Many
+from pc2scan.bags.lazy_items import MAX_LISTED_ITEMS, LazyItems
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC, CompressionError, decompress
 from pc2scan.files.limits import allowed_bytes
@@ -25,9 +25,9 @@ from .records import (
     SECOND_NS,
     UINT32,
     UINT32_MAX,
-    Damaged,
+    FormatError,
     kind_of,
-    parsed_fields,
+    parse_fields,
     time_field,
     uint32_field,
 )
@@ -56,25 +56,25 @@ def with_payload(file: BagFile, segment: Segment, callback: Callable[[Buffer], _
     """Call ``callback`` with a decompressed chunk, which may be borrowed; see `SourceFile.borrow`."""
 
     def unpacked(data: memoryview) -> _Result:
-        return callback(decompressed(file, segment, data))
+        return callback(decompress_chunk(file, segment, data))
 
     return file.borrow(segment.offset, segment.length, unpacked)
 
 
-def decompressed(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
+def decompress_chunk(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
     """Decompress a chunk's ``data`` to its declared size."""
     compression, size = segment.compression, segment.uncompressed_size
     if size > (allowed := allowed_bytes(file.size)):
-        raise Damaged(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
+        raise FormatError(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
     try:
         unpacked, complete = decompress(compression, data, size)
     except (CompressionError, MemoryError) as err:
-        raise Damaged(f"its {compression} data cannot be decompressed: {err}") from err
+        raise FormatError(f"its {compression} data cannot be decompressed: {err}") from err
     if not complete and len(unpacked) <= size:
-        raise Damaged(f"its {compression} data ends early, {size} bytes are declared")
+        raise FormatError(f"its {compression} data ends early, {size} bytes are declared")
     if len(unpacked) != size:
         observed = f"more than {size}" if len(unpacked) > size else str(len(unpacked))
-        raise Damaged(f"it holds {observed} bytes when decompressed, {size} are declared")
+        raise FormatError(f"it holds {observed} bytes when decompressed, {size} are declared")
     return unpacked
 
 
@@ -83,18 +83,18 @@ def _record(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, i
     lengths = []
     for _ in range(2):
         if position + 4 > len(data):
-            raise Damaged(f"a record's length does not fit into the {len(data)} bytes of its chunk")
+            raise FormatError(f"a record's length does not fit into the {len(data)} bytes of its chunk")
         (length,) = UINT32.unpack_from(data, position)
         lengths.append(position + 4)
         position += 4 + length
         lengths.append(position)
         if position > len(data):
-            raise Damaged(f"a record reaches to byte {position} of a chunk of {len(data)} bytes")
+            raise FormatError(f"a record reaches to byte {position} of a chunk of {len(data)} bytes")
     header, header_stop, body, body_stop = lengths
-    return parsed_fields(data[header:header_stop]), body, body_stop
+    return parse_fields(data[header:header_stop]), body, body_stop
 
 
-def records_in(data: memoryview) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
+def scan_records(data: memoryview) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
     """Yield all records of a chunk, as fields and body."""
     position = 0
     while position < len(data):
@@ -156,7 +156,7 @@ class Places:
     contradicts: bool = False
 
 
-def messages_in(
+def scan_messages(
     chunk: Buffer,
     wanted: Mapping[int, Connection | None],
     start_ns: int | None,
@@ -165,7 +165,7 @@ def messages_in(
     span: tuple[int, int] | None = None,
     places: list[int] | None = None,
     describe: Callable[[Mapping[bytes, bytes], Buffer], object] | None = None,
-) -> list[RawMessage] | Many[RawMessage]:
+) -> list[RawMessage] | LazyItems[RawMessage]:
     """Find the messages of a decompressed chunk.
 
     Parameters
@@ -185,7 +185,7 @@ def messages_in(
 
     Raises
     ------
-    Damaged
+    FormatError
         If a record does not fit, is not a message or connection, or has a connection not in ``wanted``, or if a wanted
         message is outside of ``span``.
     """
@@ -199,14 +199,14 @@ def messages_in(
     position, count = 0, 0
     messages: list[RawMessage] = []
     while position < end:
-        position = _stretch_of(data, wanted, (low, high), (first, last), position, messages, places, describe)
-        if len(messages) + count > MAX_TOGETHER:
+        position = _scan_stretch(data, wanted, (low, high), (first, last), position, messages, places, describe)
+        if len(messages) + count > MAX_LISTED_ITEMS:
             count += len(messages)
             messages = []
-    return _many(data, wanted, low, high) if count else messages
+    return _lazy_messages(data, wanted, low, high) if count else messages
 
 
-def _stretch_of(
+def _scan_stretch(
     data: memoryview,
     wanted: Mapping[int, Connection | None],
     cut: tuple[int, int],
@@ -216,7 +216,7 @@ def _stretch_of(
     places: list[int] | None,
     describe: Callable[[Mapping[bytes, bytes], Buffer], object] | None,
 ) -> int:
-    """Find messages from a place on, in so many bytes that they can be no more than `MAX_TOGETHER`.
+    """Find messages from a place on, in so many bytes that they can be no more than `MAX_LISTED_ITEMS`.
 
     Returns
     -------
@@ -227,7 +227,7 @@ def _stretch_of(
     end = len(data)
     layout, literals, expected, at_connection, at_seconds = current = USUAL_LAYOUT
     prefix = layout.size
-    stop = min(end, position + MAX_TOGETHER * prefix)
+    stop = min(end, position + MAX_LISTED_ITEMS * prefix)
     while position < stop:
         origin = position
         values = layout.unpack_from(data, position) if position + prefix <= end else None
@@ -237,7 +237,7 @@ def _stretch_of(
             start = position + prefix
             position = start + values[6]
             if position > end:
-                raise Damaged(f"a message reaches to byte {position} of a chunk of {end} bytes")
+                raise FormatError(f"a message reaches to byte {position} of a chunk of {end} bytes")
         else:
             fields, start, following = _record(data, position)
             # Writers use one order of fields: use it from now on, and read this record again.
@@ -251,13 +251,13 @@ def _stretch_of(
                     describe(fields, data[start:position])
                 continue
             if kind_of(fields) != MESSAGE:
-                raise Damaged(f"a record of kind {kind_of(fields)} is in it, allowed are messages and connections")
+                raise FormatError(f"a record of kind {kind_of(fields)} is in it, allowed are messages and connections")
             identity = uint32_field(fields, "conn")
             stamp = time_field(fields, "time")
         try:
             connection = wanted[identity]
         except KeyError:
-            raise Damaged(f"it has a message of connection {identity}, which is not in the index") from None
+            raise FormatError(f"it has a message of connection {identity}, which is not in the index") from None
         if places is not None:
             places.append(origin)
         if connection is None:
@@ -265,16 +265,18 @@ def _stretch_of(
         if low <= stamp < high:
             messages.append(RawMessage(connection, stamp, data[start:position], stamp))
         elif not first <= stamp <= last:
-            raise Damaged(
+            raise FormatError(
                 f"it has a message of log time {stamp_text(stamp)}, "
                 f"declared are {stamp_text(first)} to {stamp_text(last)}"
             )
     return position
 
 
-def _many(data: memoryview, wanted: Mapping[int, Connection | None], start_ns: int, stop_ns: int) -> Many[RawMessage]:
+def _lazy_messages(
+    data: memoryview, wanted: Mapping[int, Connection | None], start_ns: int, stop_ns: int
+) -> LazyItems[RawMessage]:
     """Return the messages of a sound chunk, each created when it is needed."""
-    found = FoundMessages()
+    found = MessagePlaces()
     layout, literals, expected, at_connection, at_seconds = USUAL_LAYOUT
     position, end = 0, len(data)
     while position < end:
@@ -291,10 +293,10 @@ def _many(data: memoryview, wanted: Mapping[int, Connection | None], start_ns: i
             identity, stamp = uint32_field(fields, "conn"), time_field(fields, "time")
         if wanted[identity] is not None and start_ns <= stamp < stop_ns:
             found.add(identity, stamp, start, position)
-    return found.many(memoryview(own(data)), {key: item for key, item in wanted.items() if item is not None})
+    return found.lazy_messages(memoryview(own(data)), {key: item for key, item in wanted.items() if item is not None})
 
 
-class FoundMessages:
+class MessagePlaces:
     """Where messages of a chunk are."""
 
     def __init__(self) -> None:
@@ -307,7 +309,7 @@ class FoundMessages:
         for values, value in ((self._ids, identity), (self._starts, start), (self._stops, stop)):
             values.append(value)
 
-    def many(self, data: memoryview, known: Mapping[int, Connection]) -> Many[RawMessage]:
+    def lazy_messages(self, data: memoryview, known: Mapping[int, Connection]) -> LazyItems[RawMessage]:
         """Return the messages, each created when it is needed."""
         times, ids, starts, stops = self._times, self._ids, self._starts, self._stops
 
@@ -315,7 +317,7 @@ class FoundMessages:
             stamp = times[number]
             return RawMessage(known[ids[number]], stamp, data[starts[number] : stops[number]], stamp)
 
-        return Many(times, array("Q", range(len(times))), made, len(data) + 3 * ids.itemsize * len(ids))
+        return LazyItems(times, array("Q", range(len(times))), made, len(data) + 3 * ids.itemsize * len(ids))
 
 
 # --- LZ4 frames ---

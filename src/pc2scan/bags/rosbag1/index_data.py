@@ -6,9 +6,9 @@ import struct
 from itertools import permutations
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.index_checks import EntryForm, IndexCheck, entries_astray
+from pc2scan.bags.chunked.index_checks import EntryForm, IndexCheck, count_wrong_entries
 
-from .records import INDEX_DATA, MESSAGE, SECOND_NS, UINT32, Damaged, kind_of, parsed_fields, uint32_field
+from .records import INDEX_DATA, MESSAGE, SECOND_NS, UINT32, FormatError, kind_of, parse_fields, uint32_field
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -32,13 +32,13 @@ _AHEAD = 4096
 _FIELDS = {b"conn": 13, b"op": 8, b"time": 17}
 
 
-def _form(order: Sequence[bytes]) -> EntryForm:
+def _entry_form(order: Sequence[bytes]) -> EntryForm:
     """Return the form for messages whose header has its fields in this order."""
     at = {name: 4 + 9 + sum(_FIELDS[other] for other in order[: order.index(name)]) for name in order}
     return EntryForm(_ENTRY, UINT32, at[b"conn"], at[b"time"])
 
 
-_FORMS = {order: _form(order) for order in permutations(_FIELDS)}
+_FORMS = {order: _entry_form(order) for order in permutations(_FIELDS)}
 _USUAL_FORM = _FORMS[b"conn", b"op", b"time"]
 
 
@@ -49,7 +49,7 @@ def index_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, bytes]
 
     Raises
     ------
-    Damaged
+    FormatError
         If a record contradicts its own lengths.
     """
     position = segment.offset + segment.length
@@ -59,7 +59,7 @@ def index_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, bytes]
         nonlocal origin, ahead
         if start + length > origin + len(ahead):
             if start + length > file.size:
-                raise Damaged(f"an index record reaches to byte {start + length}, the file has {file.size} bytes")
+                raise FormatError(f"an index record reaches to byte {start + length}, the file has {file.size} bytes")
             origin, ahead = start, file.read(start, min(max(length, _AHEAD), file.size - start))
         return ahead[start - origin : start - origin + length]
 
@@ -68,14 +68,14 @@ def index_entries(file: BagFile, segment: Segment) -> Iterator[tuple[int, bytes]
         # Index records have no longer header: this is another record.
         if not 0 < length <= _LONGEST_HEADER:
             return
-        fields = parsed_fields(taken(position + 4, length))
+        fields = parse_fields(taken(position + 4, length))
         if fields.get(b"op") != _OP:
             return
         start = position + 8 + length
         (size,) = UINT32.unpack(taken(start - 4, 4))
         position = start + size
         if uint32_field(fields, "ver") != 1 or _ENTRY.size * uint32_field(fields, "count") != size:
-            raise Damaged(f"an index record of {size} bytes contradicts its count")
+            raise FormatError(f"an index record of {size} bytes contradicts its count")
         yield uint32_field(fields, "conn"), taken(start, size)
 
 
@@ -106,9 +106,9 @@ def index_check(file: BagFile, segment: Segment, chunk: Buffer, ids: Collection[
         total = sum(len(entries) for _, entries in mine) // _ENTRY.size
         # If the fields are not all in one order, entries are compared one by one.
         form = _form_of(chunk, mine)
-        astray = entries_astray(chunk, mine, form) if form else total
-        astray = astray and _astray(memoryview(chunk), mine)
-    except Damaged:
+        astray = count_wrong_entries(chunk, mine, form) if form else total
+        astray = astray and _count_wrong_entries(memoryview(chunk), mine)
+    except FormatError:
         return IndexCheck()
     problem = f"{astray} of {total} entries match no message by their connection and time" if astray else None
     return IndexCheck(problem, total if groups else None, astray)
@@ -130,13 +130,13 @@ def _header(chunk: memoryview, place: int) -> dict[bytes, bytes]:
         return {}
     (length,) = UINT32.unpack_from(chunk, place)
     try:
-        return parsed_fields(chunk[place + 4 : place + 4 + length]) if place + 4 + length <= len(chunk) else {}
-    except Damaged:
+        return parse_fields(chunk[place + 4 : place + 4 + length]) if place + 4 + length <= len(chunk) else {}
+    except FormatError:
         return {}
 
 
-def _astray(chunk: memoryview, groups: Sequence[tuple[int, bytes]]) -> int:
-    """Count the wrong entries as `entries_astray` does, for any order of fields."""
+def _count_wrong_entries(chunk: memoryview, groups: Sequence[tuple[int, bytes]]) -> int:
+    """Count the wrong entries as `count_wrong_entries` does, for any order of fields."""
     astray = 0
     seen = set()
     for identity, entries in groups:
@@ -186,7 +186,7 @@ def counts_between(
                     missing.discard(identity)
                     times = _times(file, fields, start, position)
                     counts[identity] += sum(low <= time and (high is None or time < high) for time in times)
-    except Damaged:
+    except FormatError:
         return {}
     return counts
 
@@ -201,7 +201,7 @@ def indexed_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
             fields, start, position = file.record(position, INDEX_DATA)
             missing.discard(uint32_field(fields, "conn"))
             found += _times(file, fields, start, position)
-    except Damaged:
+    except FormatError:
         return None
     return (min(found), max(found)) if found else None
 
@@ -209,6 +209,6 @@ def indexed_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
 def _times(file: BagFile, fields: Mapping[bytes, bytes], start: int, stop: int) -> Iterator[int]:
     """Yield the log times of an index record's messages."""
     if uint32_field(fields, "ver") != 1 or _TIMED_ENTRY.size * uint32_field(fields, "count") != stop - start:
-        raise Damaged(f"an index record of {stop - start} bytes contradicts its count")
+        raise FormatError(f"an index record of {stop - start} bytes contradicts its count")
     for seconds, nanoseconds, _ in _TIMED_ENTRY.iter_unpack(file.body(start, stop)):
         yield seconds * SECOND_NS + nanoseconds

@@ -245,7 +245,7 @@ class Rosbag1Writer:
 
     def _packed(self, chunk: StoredChunk) -> StoredChunk:
         """Compress a chunk; runs on any thread."""
-        return replace(chunk, compression=self._compression, stored=_compressed(chunk.stored, self._compression))
+        return replace(chunk, compression=self._compression, stored=_compress(chunk.stored, self._compression))
 
     def _put_chunk(self, chunk: StoredChunk, parts: Sequence[Buffer] = ()) -> None:
         """Write a chunk, whose records are in ``parts`` if there are any, and its index."""
@@ -270,7 +270,7 @@ class _OpenChunk:
         self.size += len(part)
 
 
-def _compressed(data: Buffer, compression: str) -> Buffer:
+def _compress(data: Buffer, compression: str) -> Buffer:
     """Compress a chunk so that ROS 1's own reader accepts it."""
     return compress_lz4(data) if compression == "lz4" else compress(compression, data)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.formats import WriteOptions, storages
-from pc2scan.bags.qos import MAX_CHARACTERS, parsed_qos, respelled_qos
+from pc2scan.bags.qos import MAX_CHARACTERS, parse_qos, respell_qos
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.yaml import dump_yaml
 from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
@@ -141,7 +141,7 @@ class Rosbag2Writer:
     def add_connection(self, connection: Connection) -> int:
         """Declare a topic, with type and QoS profiles in rosbag2's spelling."""
         connection = connection.in_utf8
-        qos = respelled_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
+        qos = respell_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
         # The MCAP writer prefers the text in the channel's metadata.
         metadata = {key: qos if key == "offered_qos_profiles" else value for key, value in connection.metadata.items()}
         msgtype = connection.ros_type if connection.serialization == "cdr" else connection.msgtype
@@ -233,7 +233,7 @@ class Rosbag2Writer:
         # A text that is too long for a list of profiles is only in the storage: writing it as YAML would take seconds.
         qos: Any = connection.qos if len(connection.qos) <= MAX_CHARACTERS else ""
         if self._version >= NEWEST_VERSION:
-            profiles = parsed_qos(qos) if qos else []
+            profiles = parse_qos(qos) if qos else []
             qos = qos if profiles is None else profiles
         return {
             "name": connection.topic,
@@ -267,7 +267,7 @@ def write_info(folder: Path, info: Mapping[str, Any]) -> None:
         raise OutputError(f"cannot be written: {err.strerror}", path=folder) from err
 
 
-def joined_info(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def join_infos(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the content of metadata.yaml for the files of recordings with the same topics that follow each other.
 
     Files without messages are not listed, unless there are no others.

@@ -18,7 +18,7 @@ from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.copies import copy_errors, private_folder, sqlite_is_full
 
 from .logs import missing_bytes, side_logs, write_merged
-from .pages import PageFile, declared_size, rebuilt
+from .pages import PageFile, declared_size, rebuild_database
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -149,7 +149,7 @@ class Database:
             self._connection.close()
         self._pages = PageFile(self.path, self._logs)
         try:
-            self._connection, last_ns = rebuilt(self._pages)
+            self._connection, last_ns = rebuild_database(self._pages)
         except sqlite3.Error as error:
             raise self._error(error) from error
         if last_ns is None and not self._connection.execute("SELECT 1 FROM topics").fetchone():

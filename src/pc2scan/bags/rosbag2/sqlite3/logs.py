@@ -103,12 +103,12 @@ def read_write_ahead(log: PageLog) -> None:
         if size != page_size:
             log.note(f"has pages of {size} bytes, its database of {page_size} bytes", 0, file.size)
             return
-        walk = _Walk(log, head[16:24], [stated], [bool(magic & 1)])
+        walk = _FrameWalk(log, head[16:24], [stated], [bool(magic & 1)])
     else:
         log.note("has a damaged header", 0, broken=False)
         # A frame has the values of the header, except the byte order of checksums.
         salts = file.read(_HEADER, 16)[8:] if frames else b""
-        walk = _Walk(log, salts, [stated, *sums.values()], list(sums))
+        walk = _FrameWalk(log, salts, [stated, *sums.values()], list(sums))
     for index in range(frames):
         walk.step(_HEADER + index * (_FRAME_HEADER + page_size))
     walk.finish()
@@ -116,7 +116,7 @@ def read_write_ahead(log: PageLog) -> None:
         log.note(f"is cut off in the middle of a page, which has {rest} bytes", file.size - rest, rest, broken=False)
 
 
-class _Walk:
+class _FrameWalk:
     """From frame to frame.
 
     Parameters

@@ -102,7 +102,7 @@ def note_unsound(database: Database, noted: DamageLog, count: int, topics: Mappi
 def kinds_of(columns: Sequence[str]) -> str:
     """Return an SQL expression for the columns of text that have something else, and what; empty if all have text.
 
-    NULL, where a column forbids it, is found by `table_trouble`.
+    NULL, where a column forbids it, is found by `check_table`.
     """
     return " || ".join(
         f"CASE WHEN typeof({column}) IN ('text', 'null') THEN '' ELSE '{column} is ' || typeof({column}) || ', ' END"
@@ -121,24 +121,24 @@ def note_kinds(database: Database, noted: DamageLog, row: str, kinds: str) -> No
 TIMES_SUM = "coalesce(sum(CAST(timestamp AS INTEGER) % 2147483647 + CAST(id AS INTEGER) % 2147483647), 0)"
 
 
-class Trouble(NamedTuple):
+class TableFault(NamedTuple):
     """The problem of a table; ``unreachable`` if there may be rows that its tree does not reach."""
 
     what: str
     unreachable: bool
 
 
-def table_trouble(query: Query, table: str) -> Trouble | None:
+def check_table(query: Query, table: str) -> TableFault | None:
     """Return the problem that SQLite finds in a small table: damaged pages, or values that its columns do not allow."""
     found = [str(text) for (text,) in query(f"PRAGMA quick_check({table})", ())]
     if found == ["ok"]:
         return None
     # The first line only has the name of the database.
     first = next((line for text in found for line in text.splitlines() if not line.startswith("***")), "no answer")
-    return Trouble(f"table {table} contradicts itself: {first}", any(text.startswith("***") for text in found))
+    return TableFault(f"table {table} contradicts itself: {first}", any(text.startswith("***") for text in found))
 
 
-def index_trouble(query: Query, index: str, count: int, times_sum: int) -> str | None:
+def check_index(query: Query, index: str, count: int, times_sum: int) -> str | None:
     """Describe how the complete index of times differs from the rows; None if it does not.
 
     Parameters
@@ -202,7 +202,7 @@ def read_tables(database: Database, noted: DamageLog, *, message_compression: st
     with database.ending():
         _check_small_tables(database, noted)
         connections, start_ns, end_ns = _read_connections(database, noted, index)
-    packed = _find_packed(database, connections, declared=message_compression == "zstd")
+    packed = _find_compressed(database, connections, declared=message_compression == "zstd")
     return Tables(connections, start_ns, end_ns, index, packed)
 
 
@@ -230,7 +230,7 @@ def _check_small_tables(database: Database, noted: DamageLog) -> None:
     """Check the tables that describe the messages, unless they are rebuilt from pages."""
     # The first one lists all others; if it is damaged, it may list fewer.
     for table in ("sqlite_master", "topics", "message_definitions") if not database.is_rebuilt else ():
-        if database.columns(table) and (trouble := table_trouble(database.query, table)):
+        if database.columns(table) and (trouble := check_table(database.query, table)):
             error = database.damage(trouble.what)
             if trouble.unreachable:
                 raise error
@@ -264,7 +264,7 @@ def _read_connections(
     total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
     unsound, *_ = counts.pop(None, (0,))
     ConnectionLimit(database.path).add(count=len(counts))
-    if index is not None and (trouble := index_trouble(database.query, index, total, times_sum)):
+    if index is not None and (trouble := check_index(database.query, index, total, times_sum)):
         raise database.damage(trouble)
     if unsound:
         note_unsound(database, noted, unsound, {topic_id: row[0] for topic_id, row in topics.items()})
@@ -341,7 +341,7 @@ def _read_definitions(database: Database, noted: DamageLog) -> dict[tuple[str, s
     return found
 
 
-def _find_packed(database: Database, connections: Sequence[Connection], *, declared: bool) -> frozenset[int]:
+def _find_compressed(database: Database, connections: Sequence[Connection], *, declared: bool) -> frozenset[int]:
     """Return the topics whose messages are compressed one by one.
 
     Without a declaration the first CDR message decides: CDR begins with a zero byte, and never looks like a zstd

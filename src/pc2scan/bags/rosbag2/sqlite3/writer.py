@@ -159,7 +159,7 @@ class Sqlite3Writer:
         insert = partial(self._insert_message, handle, log_time_ns)
         if self._compresses:
             # A view would keep the whole chunk in memory.
-            self._ahead.put(partial(_compressed, bytes(data)), insert, len(data))
+            self._ahead.put(partial(_compress, bytes(data)), insert, len(data))
         else:
             insert(data)
 
@@ -217,6 +217,6 @@ class Sqlite3Writer:
         return OutputError(f"cannot be written: {reason}", path=self._path)
 
 
-def _compressed(data: bytes) -> bytes:
+def _compress(data: bytes) -> bytes:
     # One for each message: a compressor works for one thread at a time.
     return bytes(compress("zstd", data, _ZSTD_LEVEL))

@@ -17,12 +17,12 @@ def is_static(topic: str) -> bool:
     return topic.rsplit("/", 1)[-1] == "tf_static"
 
 
-def lasts(connection: Connection) -> bool:
+def is_latched(connection: Connection) -> bool:
     """Whether messages of a connection stay valid until the next one, or for ever."""
     return connection.latching or is_static(connection.topic)
 
 
-class Newest(Generic[Item]):
+class NewestItems(Generic[Item]):
     """Items with names, of which those are kept that are the newest one of any name, in the order of adding.
 
     Parameters

@@ -55,7 +55,7 @@ def note_next(file: SourceFile, log: DamageLog) -> None:
         )
 
 
-def opened_parts(open_part: Callable[[int], PartReader]) -> Reader:
+def open_parts(open_part: Callable[[int], PartReader]) -> Reader:
     """Open all recordings of a file; ``open_part`` opens the one that begins at an offset.
 
     Raises

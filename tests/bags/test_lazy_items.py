@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import pytest
 import zstandard
 
-from pc2scan.bags import many, units
-from pc2scan.bags.many import Many
+from pc2scan.bags import lazy_items, units
+from pc2scan.bags.lazy_items import LazyItems
 from pc2scan.bags.mcap import messages as mcap_messages
 from pc2scan.bags.mcap.writer import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
-from pc2scan.bags.units import Extent, Unit, in_time_order
+from pc2scan.bags.units import Extent, Unit, merge_by_time
 from pc2scan.errors import RecordingError
 from pc2scan.model import StoredChunk
 from support import mcap_files, rosbag1_files
@@ -94,28 +94,30 @@ def test_the_messages_are_the_same(
     path = make(tmp_path / name, compression)
     expected = read(path, *cut)
     made = []
-    original = Many.__init__
+    original = LazyItems.__init__
 
-    def init(self: Many[RawMessage], *args: object) -> None:
+    def init(self: LazyItems[RawMessage], *args: object) -> None:
         original(self, *args)  # type: ignore[arg-type]
         made.append(self)
 
-    monkeypatch.setattr(Many, "__init__", init)
-    for module in (many, mcap_messages, rosbag1_chunks):
-        monkeypatch.setattr(module, "MAX_TOGETHER", 7)
+    monkeypatch.setattr(LazyItems, "__init__", init)
+    for module in (lazy_items, mcap_messages, rosbag1_chunks):
+        monkeypatch.setattr(module, "MAX_LISTED_ITEMS", 7)
     assert read(path, *cut) == expected
     assert any(len(each) > 7 for each in made)
     assert expected[0]
     with closing(open_recording(path)) as reader:
         loaded = [unit.load(lambda message: message, whole=False) for unit in reader.units(None, *cut)]
-    assert {isinstance(each, Many) for each in loaded if not isinstance(each, StoredChunk) and len(each) > 7} == {True}
+    assert {isinstance(each, LazyItems) for each in loaded if not isinstance(each, StoredChunk) and len(each) > 7} == {
+        True
+    }
 
 
 def test_items_of_one_time_stay_in_their_order() -> None:
-    items = Many(array("Q", [3, 1, 3, 1]), array("Q", [10, 11, 12, 13]), str, 0)
+    items = LazyItems(array("Q", [3, 1, 3, 1]), array("Q", [10, 11, 12, 13]), str, 0)
     assert list(items) == ["10", "11", "12", "13"]
-    assert list(items.in_time_order()) == ["11", "13", "10", "12"]
-    assert list(items.kept(lambda item: item != "11").mapped(int)) == [10, 12, 13]
+    assert list(items.sort_by_time()) == ["11", "13", "10", "12"]
+    assert list(items.filter(lambda item: item != "11").map(int)) == [10, 12, 13]
 
 
 def test_an_item_is_made_once_while_it_is_due() -> None:
@@ -125,7 +127,7 @@ def test_an_item_is_made_once_while_it_is_due() -> None:
         made.append(place)
         return place
 
-    items = Many(array("Q", [1, 2]), array("Q", [0, 1]), make, 0)
+    items = LazyItems(array("Q", [1, 2]), array("Q", [0, 1]), make, 0)
     assert [items[0], items[0], items[1], items[1]] == [0, 0, 1, 1]
     assert made == [0, 1]
 
@@ -138,10 +140,10 @@ def test_more_messages_than_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         (unit,) = reader.units()
         assert isinstance(unit, Unit)
         assert isinstance(unit.extent, Extent)
-        assert len(list(in_time_order([unit]))) == 99
+        assert len(list(merge_by_time([unit]))) == 99
         few = unit._replace(extent=unit.extent._replace(length=80))
         with pytest.raises(RecordingError, match="more messages than bytes"):
-            list(in_time_order([few]))
+            list(merge_by_time([few]))
 
 
 def test_small_recordings_may_have_more_messages_than_bytes(tmp_path: Path) -> None:

@@ -18,13 +18,13 @@ _Item = TypeVar("_Item")
 _Other = TypeVar("_Other")
 
 #: Up to this number, the messages of a chunk are all created at once. Usual chunks have fewer.
-MAX_TOGETHER = 1 << 15
+MAX_LISTED_ITEMS = 1 << 15
 
 #: Bytes that an item takes besides its data.
 ITEM_BYTES = 400
 
 
-class Many(Generic[_Item]):
+class LazyItems(Generic[_Item]):
     """Items that are created from messages one by one; only the last one is kept.
 
     Parameters
@@ -71,41 +71,47 @@ class Many(Generic[_Item]):
         """Bytes of memory that it takes."""
         return self._kept_bytes + sum(len(values) * values.itemsize for values in (self._times, self._places))
 
-    def mapped(self, callback: Callable[[_Item], _Other], times: array[int] | None = None) -> Many[_Other]:
+    def map(self, callback: Callable[[_Item], _Other], times: array[int] | None = None) -> LazyItems[_Other]:
         """Return the callback's results for the items, with their log times or the given ones."""
         make = self._make
         times = self._times if times is None else times
-        return Many(times, self._places, lambda place: callback(make(place)), self._kept_bytes)
+        return LazyItems(times, self._places, lambda place: callback(make(place)), self._kept_bytes)
 
-    def kept(self, test: Callable[[_Item], bool]) -> Many[_Item]:
+    def filter(self, test: Callable[[_Item], bool]) -> LazyItems[_Item]:
         """Return the items for which ``test`` is true."""
         chosen = bytearray(map(test, self))
         times, places = (array("Q", compress(values, chosen)) for values in (self._times, self._places))
-        return Many(times, places, self._make, self._kept_bytes)
+        return LazyItems(times, places, self._make, self._kept_bytes)
 
-    def together(self) -> list[_Item] | Many[_Item]:
+    def as_list(self) -> list[_Item] | LazyItems[_Item]:
         """Return a list of all items if they are few enough; else itself."""
-        return self if len(self) > MAX_TOGETHER else list(self)
+        return self if len(self) > MAX_LISTED_ITEMS else list(self)
 
-    def in_time_order(self) -> Many[_Item]:
+    def sort_by_time(self) -> LazyItems[_Item]:
         """Return the items sorted by log time; items with equal times keep their order."""
         times = self._times
         if all(map(le, times, islice(times, 1, None))):
             return self
         order = array("Q", sorted(range(len(times)), key=times.__getitem__))
         times, places = (array("Q", map(values.__getitem__, order)) for values in (times, self._places))
-        return Many(times, places, self._make, self._kept_bytes)
+        return LazyItems(times, places, self._make, self._kept_bytes)
 
 
 @overload
-def mapped(callback: Callable[[_Item], _Other], items: list[_Item]) -> list[_Other]: ...
+def map_items(callback: Callable[[_Item], _Other], items: list[_Item]) -> list[_Other]: ...
 @overload
-def mapped(callback: Callable[[_Item], _Other], items: list[_Item] | Many[_Item]) -> list[_Other] | Many[_Other]: ...
-def mapped(callback: Callable[[_Item], _Other], items: list[_Item] | Many[_Item]) -> list[_Other] | Many[_Other]:
+def map_items(
+    callback: Callable[[_Item], _Other], items: list[_Item] | LazyItems[_Item]
+) -> list[_Other] | LazyItems[_Other]: ...
+def map_items(
+    callback: Callable[[_Item], _Other], items: list[_Item] | LazyItems[_Item]
+) -> list[_Other] | LazyItems[_Other]:
     """Return the callback's results for items."""
-    return items.mapped(callback) if isinstance(items, Many) else list(map(callback, items))
+    return items.map(callback) if isinstance(items, LazyItems) else list(map(callback, items))
 
 
-def kept(test: Callable[[_Item], bool], items: list[_Item] | Many[_Item]) -> list[_Item] | Many[_Item]:
+def filter_items(
+    test: Callable[[_Item], bool], items: list[_Item] | LazyItems[_Item]
+) -> list[_Item] | LazyItems[_Item]:
     """Return the items for which ``test`` is true."""
-    return items.kept(test) if isinstance(items, Many) else list(filter(test, items))
+    return items.filter(test) if isinstance(items, LazyItems) else list(filter(test, items))

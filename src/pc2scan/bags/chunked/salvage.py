@@ -8,7 +8,7 @@ from itertools import islice
 from operator import le
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.many import Many, kept
+from pc2scan.bags.lazy_items import LazyItems, filter_items
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .segments import Segment
 
 
-class Salvaged(NamedTuple):
+class SalvagedMessages(NamedTuple):
     """The messages recovered from a chunk.
 
     Attributes
@@ -33,13 +33,13 @@ class Salvaged(NamedTuple):
         Messages of unknown channels (connections).
     """
 
-    messages: list[RawMessage] | Many[RawMessage]
+    messages: list[RawMessage] | LazyItems[RawMessage]
     bytes_lost: int
     unknown_channel: int
 
-    def selected(
+    def select(
         self, ids: Container[int], start_ns: int | None, stop_ns: int | None
-    ) -> list[RawMessage] | Many[RawMessage]:
+    ) -> list[RawMessage] | LazyItems[RawMessage]:
         """Return the messages of some connections, with log times from ``start_ns`` on and before ``stop_ns``."""
 
         def is_wanted(message: RawMessage) -> bool:
@@ -49,12 +49,12 @@ class Salvaged(NamedTuple):
                 and (stop_ns is None or message.log_time_ns < stop_ns)
             )
 
-        return kept(is_wanted, self.messages)
+        return filter_items(is_wanted, self.messages)
 
 
-def settled(
-    messages: list[RawMessage] | Many[RawMessage], span: tuple[int, int]
-) -> list[RawMessage] | Many[RawMessage]:
+def clamp_times(
+    messages: list[RawMessage] | LazyItems[RawMessage], span: tuple[int, int]
+) -> list[RawMessage] | LazyItems[RawMessage]:
     """Replace log times outside the range that the chunk declares by the nearest time in the range.
 
     If there are several of them, and all messages are in order by their own times, the declared times are wrong and
@@ -72,21 +72,21 @@ def settled(
     outside = _outside(times, span)
     if outside == 0 or (outside > 1 and (outside == len(times) or all(map(le, times, islice(times, 1, None))))):
         return messages
-    if isinstance(messages, Many):
+    if isinstance(messages, LazyItems):
         nearest = array("Q", (max(low, min(time_ns, high)) for time_ns in times))
-        return messages.mapped(partial(_clamped, span), nearest)
-    return [_clamped(span, message) for message in messages]
+        return messages.map(partial(_clamp, span), nearest)
+    return [_clamp(span, message) for message in messages]
 
 
-def _times_of(messages: list[RawMessage] | Many[RawMessage]) -> Sequence[int]:
-    return messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
+def _times_of(messages: list[RawMessage] | LazyItems[RawMessage]) -> Sequence[int]:
+    return messages.times if isinstance(messages, LazyItems) else [message.log_time_ns for message in messages]
 
 
 def _outside(times: Sequence[int], span: tuple[int, int]) -> int:
     return sum(not span[0] <= time_ns <= span[1] for time_ns in times)
 
 
-def _clamped(span: tuple[int, int], message: RawMessage) -> RawMessage:
+def _clamp(span: tuple[int, int], message: RawMessage) -> RawMessage:
     """Set a message's log time to the nearest in a span, and its publish time too if the two are the same."""
     if span[0] <= message.log_time_ns <= span[1]:
         return message
@@ -101,7 +101,7 @@ def note_salvaged(
     segment: Segment,
     offset: int,
     size: int,
-    left: Salvaged,
+    left: SalvagedMessages,
     indexed: int | None,
     *,
     counted: bool,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from .units import Unit
 
 
-class UnpackedReader(Reader):
+class ZstdReader(Reader):
     """Reads a file that is compressed as a whole from a temporary copy.
 
     Parameters
@@ -39,7 +39,7 @@ class UnpackedReader(Reader):
         self._log = DamageLog(strict=options.strict)
         self._temporary = private_folder(path)
         try:
-            unpacked = zstd.unpacked_file(path, Path(self._temporary.name), self._log)
+            unpacked = zstd.decompress_file(path, Path(self._temporary.name), self._log)
             self._inner = inner.open_reader(unpacked, options)
         except BaseException:
             self._temporary.cleanup()
