@@ -48,10 +48,10 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
 def _cloud(data: bytes) -> None:
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
     content, serialization = _serialization(data)
-    CloudToScan(ProjectionParams(min_height=-9.0), Frames()).for_topic("/points", serialization, "cdr")(content)
+    CloudToScan(ProjectionParams(min_height=-9.0), Placer()).for_topic("/points", serialization, "cdr")(content)
 
 
 def _scan(data: bytes) -> None:
@@ -75,7 +75,7 @@ def _transforms(data: bytes) -> None:
 
 def _imu(data: bytes) -> None:
     """Some messages of one length each after the other, and what they tell of up."""
-    from pc2scan.tf.imu_reading import ImuRequest, read_up
+    from pc2scan.tf.imu import ImuRequest, read_up
 
     content, serialization = _serialization(data)
     kind = "sensor_msgs/Imu" if serialization == "ros1" else "sensor_msgs/msg/Imu"

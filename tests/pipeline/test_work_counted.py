@@ -267,7 +267,7 @@ def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch:
         write(*args)
         written += 1
 
-    monkeypatch.setattr(scheduler, "loaded", loading)
+    monkeypatch.setattr(scheduler, "load_unit", loading)
     monkeypatch.setattr(stream, "_write", writing)
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
     convert(drive, jobs=2, params=params)

@@ -10,7 +10,7 @@ import pytest
 from messages.test_imu import imu_message
 from pc2scan.errors import TopicError, UsageError
 from pc2scan.model import Connection, RawMessage
-from pc2scan.tf.imu_reading import ImuRequest, read_up
+from pc2scan.tf.imu import ImuRequest, read_up
 from support import sampled
 from support.worlds.inertial import Simulated, errors, simulated
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.tf.imu_reading import MeasuredUp
+    from pc2scan.tf.imu import UpEstimate
 
 EPOCH = 1_700_000_000_000_000_000
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -64,7 +64,7 @@ def orientations(ups: NDArray[np.float64]) -> list[tuple[float, ...]]:
     return made
 
 
-def read(recording: Recording, asked: str = "/imu") -> MeasuredUp:
+def read(recording: Recording, asked: str = "/imu") -> UpEstimate:
     return read_up([recording], ImuRequest.parse(asked))  # type: ignore[list-item]  # a part of a reader
 
 

@@ -8,18 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pc2scan.core.gravity import up_in
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.upright import up_in
 from pc2scan.errors import TransformError
-from pc2scan.tf.levelling import UpByFrame, UpByImu
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
+from pc2scan.tf.up_sources import UpByFrame, UpByImu
 from tf.trees import EPOCH, SECOND, built, row
 
 TILTED = Rigid.from_rpy(0.2, -0.1, 1.3, (4.0, 5.0, 0.0))
 MOUNT = Rigid.from_rpy(0.0, 0.0, math.pi / 2, (0.5, 0.0, 1.0))
 
 
-def frames(target: str = "base") -> Frames:
+def frames(target: str = "base") -> Placer:
     rows = [
         (row("odom", "base", EPOCH, Rigid.identity().pose), False),
         (row("odom", "base", EPOCH + SECOND, TILTED.pose), False),
@@ -27,7 +27,7 @@ def frames(target: str = "base") -> Frames:
         (row("base", "imu", 0, Rigid.from_rpy(math.pi, 0, 0).pose), True),
     ]
     buffer = built(rows)
-    return Frames(target, "", buffer, 0, UpByFrame("odom", buffer))
+    return Placer(target, "", buffer, 0, UpByFrame("odom", buffer))
 
 
 def by_imu(up: tuple[float, float, float] = (0.0, 0.6, -0.8), frame: str = "imu", tolerance_ns: int = 0) -> UpByImu:

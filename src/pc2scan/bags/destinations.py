@@ -246,7 +246,7 @@ def name_after(
     for leftover in LEFTOVERS:
         stem = stem.removesuffix(leftover) or stem
     # A directory's name has no suffix to remove.
-    if entry.is_in is None:
+    if entry.holds_recording is None:
         for suffix in _source_suffixes():
             stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem
     written = FORMATS[entry.written_as or entry.name] if to is None else _to_text(to)

@@ -78,7 +78,7 @@ _ENDS = ("", ".active", *zstd.SUFFIXES)
 
 def _holds_recording(folder: Path) -> bool:
     with suppress(OSError):
-        return any(entry.is_in is not None and entry.is_in(folder) for entry in FORMATS.values())
+        return any(entry.holds_recording is not None and entry.holds_recording(folder) for entry in FORMATS.values())
     return False
 
 

@@ -141,7 +141,11 @@ def _interruption_hint(path: Path) -> str | None:
 
 def _sniff_directory(path: Path) -> str:
     for name, entry in FORMATS.items():
-        if entry.is_in is not None and entry.is_in(path) and (entry.is_one is None or entry.is_one(path)):
+        if (
+            entry.holds_recording is not None
+            and entry.holds_recording(path)
+            and (entry.is_recording is None or entry.is_recording(path))
+        ):
             return name
     from .folders import recordings_in, several_recordings  # noqa: PLC0415  # only folders need it
 

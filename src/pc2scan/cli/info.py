@@ -82,7 +82,7 @@ def _show_findings(result: Info, given: Sequence[str]) -> None:
 
 def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str]) -> list[str]:
     """Return a command that converts a topic's clouds, with heights that suit it, in a level frame."""
-    from pc2scan.tf.mounting import without_sensor
+    from pc2scan.tf.mounting import sensor_exclusion
 
     heights = mounting.heights
     assert heights is not None  # called only if they are known
@@ -98,6 +98,6 @@ def _command(result: Info, topic: str, mounting: Mounting, given: Sequence[str])
     # Negative numbers need no "=" between option and value, because no option begins with a digit.
     words += ["--min-height", f"{heights.low:g}", "--max-height", f"{heights.high:g}"]
     if next(cloud.zero_share for cloud in result.clouds if cloud.topic == topic):
-        option, value = without_sensor(mounting.frame, target)
+        option, value = sensor_exclusion(mounting.frame, target)
         words += [f"--{option.replace('_', '-')}", value]
     return words

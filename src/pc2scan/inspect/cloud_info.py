@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.text import Table
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
 #: The width of the largest bar of the histogram of heights, and how many bars it has.
 _BAR = 40
@@ -131,7 +131,7 @@ class CloudInfo:
 class CloudLook:
     """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each."""
 
-    def __init__(self, topic: str, most: int, places: Frames) -> None:
+    def __init__(self, topic: str, most: int, places: Placer) -> None:
         self._result = CloudInfo(topic, target_frame=places.target_frame)
         self._most = most
         self._places = places

@@ -16,7 +16,7 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.remote.urls import is_url
 from pc2scan.text import Shown, Table, count, counted, json_value, listed, size, stamp
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import read_some_transforms, read_transforms
 
 from .cloud_info import CloudInfo, CloudLook
@@ -213,7 +213,7 @@ def ground_text(mounting: Mounting) -> str:
 
 def _keywords(cloud: CloudInfo, mounting: Mounting) -> Iterator[str]:
     """Yield the arguments of a conversion that suits a topic's clouds."""
-    from pc2scan.tf.mounting import without_sensor  # noqa: PLC0415  # only for this text
+    from pc2scan.tf.mounting import sensor_exclusion  # noqa: PLC0415  # only for this text
 
     heights = mounting.heights
     assert heights is not None  # called only if they are known
@@ -226,7 +226,7 @@ def _keywords(cloud: CloudInfo, mounting: Mounting) -> Iterator[str]:
     yield f"min_height={heights.low:g}"
     yield f"max_height={heights.high:g}"
     if cloud.zero_share:
-        option, value = without_sensor(mounting.frame, target)
+        option, value = sensor_exclusion(mounting.frame, target)
         yield f"{option}={value if option == 'range_min' else repr(value)}"
 
 
@@ -274,7 +274,7 @@ def info(
         elif any(topic.msgtype in CLOUDS for topic in topics):
             buffer = read_some_transforms(reader, asked, start_ns or 0)
         tolerance_ns = ProjectionParams().tolerance_ns
-        places = Frames(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
+        places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
         clouds, scans = _samples(reader, topics, samples, start_ns, end_ns, places, buffer)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
@@ -339,7 +339,7 @@ def _topic_infos(
 
 
 def _imu(reader: Reader, topic: str) -> ImuInfo:
-    from pc2scan.tf.imu_reading import ImuRequest, read_up  # noqa: PLC0415  # few recordings have one
+    from pc2scan.tf.imu import ImuRequest, read_up  # noqa: PLC0415  # few recordings have one
 
     try:
         found = read_up([reader], ImuRequest(topic), _MAX_IMU)
@@ -355,7 +355,7 @@ def _samples(
     samples: int,
     start_ns: int | None,
     end_ns: int | None,
-    places: Frames,
+    places: Placer,
     buffer: TransformBuffer | None,
 ) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
     """Return the properties of the clouds and scans of every topic; a topic with both counts as one of clouds."""

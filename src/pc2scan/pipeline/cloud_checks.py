@@ -315,9 +315,9 @@ def _clouds(count: int) -> str:
 
 
 def _without_sensor(frame: str, target: str) -> str:
-    from pc2scan.tf.mounting import without_sensor  # noqa: PLC0415  # only where there is a warning
+    from pc2scan.tf.mounting import sensor_exclusion  # noqa: PLC0415  # only where there is a warning
 
-    option, value = without_sensor(frame, target)
+    option, value = sensor_exclusion(frame, target)
     return f"`{option}={shlex.quote(value)}`"
 
 

@@ -20,7 +20,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.rosbag2.writer import join_infos, write_info
 from pc2scan.bags.zstd import SUFFIXES
 from pc2scan.errors import OutputError
-from pc2scan.tf.stored import store_transforms
+from pc2scan.tf.reading import store_transforms
 
 from .report import MAX_LISTED
 from .run import opened_plan, span_of

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pc2scan.model import Buffer
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
     from .conversion import Step
 
@@ -44,7 +44,7 @@ class ScanToCloud(Conversion):
     def __init__(
         self,
         channels: UnprojectParams | None,
-        frames: Frames,
+        frames: Placer,
         *,
         deskewed: bool = False,
         output_type: str = POINTCLOUD2,

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid, TransformRow
 
     from .buffer import TransformBuffer
-    from .levelling import UpSource
+    from .up_sources import UpSource
 
 #: The name of a level frame: the name of the frame that it is made from, and this suffix.
 STABILIZED = "_stabilized"
@@ -62,7 +62,7 @@ class Placement(NamedTuple):
     level: Level | None = None
 
 
-class Frames(NamedTuple):
+class Placer(NamedTuple):
     """The transforms of a conversion.
 
     Attributes
@@ -138,10 +138,10 @@ class Frames(NamedTuple):
         """
         if self.up is None:
             return None
-        from pc2scan.core.upright import tilt, upright  # noqa: PLC0415  # only where scans are level
+        from pc2scan.core.gravity import tilt, upright_rotation  # noqa: PLC0415  # only where scans are level
 
         up = self.up(frame, stamp_ns)
-        level = Level(frame, upright(up), tilt(up))
+        level = Level(frame, upright_rotation(up), tilt(up))
         if self.buffer is not None and self.buffer.history(level.name) is not None:
             raise UnconnectedError(
                 f"the recording already has a frame {level.name!r}, the name that `level` would use",

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.pipeline.stages.select import Select
-    from pc2scan.tf.placing import Frames, Level
+    from pc2scan.tf.placing import Level, Placer
 
     from .matching import Grouper
     from .rebinned import Rebinned
@@ -156,7 +156,7 @@ class CombineToScan(Conversion):
         self,
         spec: ScanSpec,
         topics: Sequence[str],
-        frames: Frames,
+        frames: Placer,
         measured: Measured,
         grouper: Callable[[], Grouper[Prepared]] | None,
         deskew: Deskew | None = None,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.model import Buffer, Connection, RawMessage
     from pc2scan.pipeline.plan import Combination
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
     from .asked import Combining
     from .conversion import Prepared
@@ -84,7 +84,7 @@ def measured(
     reader: Reader,
     combination: Combination,
     connections: Sequence[Connection],
-    frames: Frames,
+    frames: Placer,
     start_ns: int | None,
     stop_ns: int | None,
 ) -> tuple[Measured, Callable[[], Grouper[Prepared]] | None, list[str], list[str]]:

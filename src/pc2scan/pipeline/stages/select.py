@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
-    from pc2scan.tf.placing import Frames, Placement
+    from pc2scan.tf.placing import Placement, Placer
 
     from .deskew import Moving
     from .filters import Filter
@@ -69,7 +69,7 @@ class Select:
 
     __slots__ = ("_filters", "_frames", "_numbered")
 
-    def __init__(self, filters: Sequence[Filter], frames: Frames, *, numbered: bool = False) -> None:
+    def __init__(self, filters: Sequence[Filter], frames: Placer, *, numbered: bool = False) -> None:
         self._filters = tuple(filters)
         self._frames = frames
         self._numbered = numbered

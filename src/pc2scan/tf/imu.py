@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.bags.topics import find_topic
-from pc2scan.core.gravity import up_by_gravity
-from pc2scan.core.upright import up_in
+from pc2scan.core.gravity import up_by_gravity, up_in
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.imu import IMU, decode_imu
 from pc2scan.text import counted
@@ -25,13 +24,13 @@ if TYPE_CHECKING:
 
 #: The standard acceleration of gravity, m/s^2, and the largest deviation of an accelerometer at rest, as a share.
 GRAVITY = 9.80665
-_NEAR = 0.15
+_GRAVITY_TOLERANCE = 0.15
 
 #: If the median angle between up by orientation and by the accelerometer exceeds this, degrees, one of them is wrong.
-_DISAGREE = 20.0
+_MAX_DISAGREEMENT = 20.0
 
 #: The largest values of an IMU: radians per second, m/s^2, or thousandths of g.
-_LARGEST = 1e5
+_MAX_VALUE = 1e5
 
 _NAN = float("nan")
 _UNKNOWN = (_NAN, _NAN, _NAN)
@@ -63,7 +62,7 @@ class ImuRequest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeasuredUp:
+class UpEstimate:
     """The direction of up, by the messages of an IMU.
 
     Attributes
@@ -87,7 +86,7 @@ class MeasuredUp:
 
 
 @dataclass(slots=True)
-class _Messages:
+class _ImuSamples:
     """The values of a topic's messages: times, and three numbers each; NaN where a value is missing."""
 
     stamps_ns: array[int] = field(default_factory=lambda: array("q"))
@@ -99,7 +98,7 @@ class _Messages:
     why: str = ""
 
 
-def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = None) -> MeasuredUp:
+def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = None) -> UpEstimate:
     """Read all messages of an IMU in recordings, and estimate the direction of up.
 
     Parameters
@@ -136,8 +135,8 @@ def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = N
     if repeated := len(messages.stamps_ns) - len(stamps):
         warnings.append(f"{topic}: {counted(repeated, 'message')} ignored: the stamp of another one")
     frame = request.frame or _only_frame(topic, messages.frames)
-    known, ups, notes, further = _ups(topic, stamps, ups, turning, acceleration)
-    return MeasuredUp(topic, frame, stamps[known], ups, tuple(notes), (*warnings, *further))
+    known, ups, notes, further = _estimate_up(topic, stamps, ups, turning, acceleration)
+    return UpEstimate(topic, frame, stamps[known], ups, tuple(notes), (*warnings, *further))
 
 
 def _imu_topic(readers: Sequence[Reader], asked: str) -> str:
@@ -148,8 +147,8 @@ def _imu_topic(readers: Sequence[Reader], asked: str) -> str:
     return find_topic(asked, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
 
 
-def _read_messages(readers: Sequence[Reader], topic: str, most: int | None) -> _Messages:
-    found = _Messages()
+def _read_messages(readers: Sequence[Reader], topic: str, most: int | None) -> _ImuSamples:
+    found = _ImuSamples()
     for reader in readers:
         connections = [c for c in reader.connections if c.topic == topic and c.ros_type == IMU and c.ros_version]
         if not connections:
@@ -164,13 +163,13 @@ def _read_messages(readers: Sequence[Reader], topic: str, most: int | None) -> _
             found.frames[imu.frame_id] = None
             found.stamps_ns.append(imu.stamp_ns)
             found.ups.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
-            found.turning.extend(_possible(imu.angular_velocity))
-            found.acceleration.extend(_possible(imu.linear_acceleration))
+            found.turning.extend(_plausible(imu.angular_velocity))
+            found.acceleration.extend(_plausible(imu.linear_acceleration))
     return found
 
 
-def _possible(values: tuple[float, ...] | None) -> tuple[float, ...]:
-    return _UNKNOWN if values is None or max(map(abs, values)) > _LARGEST else values
+def _plausible(values: tuple[float, ...] | None) -> tuple[float, ...]:
+    return _UNKNOWN if values is None or max(map(abs, values)) > _MAX_VALUE else values
 
 
 def _only_frame(topic: str, frames: dict[str, None]) -> str:
@@ -186,7 +185,7 @@ def _only_frame(topic: str, frames: dict[str, None]) -> str:
     return name
 
 
-def _ups(
+def _estimate_up(
     topic: str,
     stamps_ns: NDArray[np.int64],
     ups: NDArray[np.float64],
@@ -237,7 +236,7 @@ def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
     if not len(acceleration):
         return 0.0, "none has both an angular velocity and an acceleration"
     length = float(np.median(np.sqrt(np.square(acceleration).sum(axis=1))))
-    if any(abs(length / expected - 1) < _NEAR for expected in (GRAVITY, 1.0)):
+    if any(abs(length / expected - 1) < _GRAVITY_TOLERANCE for expected in (GRAVITY, 1.0)):
         return length, ""
     return 0.0, f"the median of the accelerometer is {length:.3g} m/s^2, gravity is {GRAVITY:.4g} m/s^2"
 
@@ -249,7 +248,7 @@ def _disagreement(topic: str, ups: NDArray[np.float64], acceleration: NDArray[np
     with np.errstate(all="ignore"):
         cosines = np.einsum("ni,ni->n", ups, acceleration) / np.sqrt(np.square(acceleration).sum(axis=1))
         angle = float(np.degrees(np.arccos(np.clip(np.nanmedian(cosines), -1.0, 1.0))))
-    if angle < _DISAGREE:
+    if angle < _MAX_DISAGREEMENT:
         return []
     text = (
         f"{topic}: up by its orientations is {angle:.0f} degrees from up by its accelerometer (median): "

@@ -24,14 +24,14 @@ _MOVES_FAR = 2.0
 _MOST_LINKS = 100
 
 
-class Moving(NamedTuple):
+class BodyMotion(NamedTuple):
     """What moves in a frame: the robot's frame, and how far it moves (the diagonal of the box around its positions)."""
 
     body: str
     metres: float
 
 
-def moving_below(buffer: TransformBuffer, world: str, source: str) -> Moving | None:
+def find_body_motion(buffer: TransformBuffer, world: str, source: str) -> BodyMotion | None:
     """Return what carries ``source`` through ``world``; None if nothing does.
 
     >>> from pc2scan.tf.builder import TransformBuilder
@@ -39,7 +39,7 @@ def moving_below(buffer: TransformBuffer, world: str, source: str) -> Moving | N
     >>> builder.add([("base_link", "lidar", 0, 0, 0, 1, 0, 0, 0, 1)], static=True)
     >>> for stamp_ns, x in (1, 0.0), (2, 3.5):
     ...     builder.add([("odom", "base_link", stamp_ns, x, 0, 0, 0, 0, 0, 1)], static=False)
-    >>> moving_below(builder.build(), "odom", "lidar"), moving_below(builder.build(), "base_link", "lidar")
+    >>> find_body_motion(builder.build(), "odom", "lidar"), find_body_motion(builder.build(), "base_link", "lidar")
     (Moving(body='base_link', metres=3.5), None)
     """
     world, name = world.removeprefix("/"), source.removeprefix("/")
@@ -58,4 +58,4 @@ def moving_below(buffer: TransformBuffer, world: str, source: str) -> Moving | N
     farthest, child = max(moves, default=(0.0, ""))
     if not farthest > (_MOVES if world in WORLDS else _MOVES_FAR):
         return None
-    return Moving(next((body for body in BODIES if body in below), child), farthest)
+    return BodyMotion(next((body for body in BODIES if body in below), child), farthest)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from pc2scan.core.gravity import LONGEST_GAP_NS
-from pc2scan.core.upright import Up, up_in
+from pc2scan.core.gravity import LONGEST_GAP_NS, Up, up_in
 from pc2scan.errors import TransformError, stamp_text
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ class UpByFrame:
     fixed_frame
         The frame.
     buffer, tolerance_ns
-        See `pc2scan.tf.placing.Frames`.
+        See `pc2scan.tf.placing.Placer`.
     """
 
     fixed_frame: str
@@ -67,7 +66,7 @@ class UpByImu:
     ups
         (N, 3) directions of up in the IMU's frame.
     buffer, tolerance_ns
-        See `pc2scan.tf.placing.Frames`.
+        See `pc2scan.tf.placing.Placer`.
     """
 
     topic: str
@@ -79,7 +78,7 @@ class UpByImu:
 
     def __call__(self, frame: str, stamp_ns: int) -> Up:
         """Return up, interpolated linearly between two messages; see `UpSource`."""
-        up: NDArray[np.float64] = self._measured(stamp_ns)
+        up: NDArray[np.float64] = self._up_of_imu(stamp_ns)
         if frame.removeprefix("/") == self.imu_frame.removeprefix("/"):
             x, y, z = up.tolist()
         else:
@@ -95,7 +94,7 @@ class UpByImu:
             x, y, z = (moved.matrix @ up).tolist()
         return (x, y, z)
 
-    def _measured(self, stamp_ns: int) -> NDArray[np.float64]:
+    def _up_of_imu(self, stamp_ns: int) -> NDArray[np.float64]:
         """Return up in the IMU's frame, not of unit length."""
         stamps = self.stamps_ns
         newer = int(stamps.searchsorted(stamp_ns))
@@ -104,7 +103,7 @@ class UpByImu:
             older = newer = min(newer, len(stamps) - 1)
             outside_ns = abs(stamp_ns - int(stamps[newer]))
             if outside_ns > self.tolerance_ns:
-                raise self._outside(stamp_ns, outside_ns)
+                raise self._outside_error(stamp_ns, outside_ns)
         begin_ns, end_ns = int(stamps[older]), int(stamps[newer])
         if end_ns - begin_ns > LONGEST_GAP_NS:
             raise TransformError(
@@ -118,7 +117,7 @@ class UpByImu:
         # There is no direction between two opposite ones.
         return between if between.any() else self.ups[older]
 
-    def _outside(self, stamp_ns: int, outside_ns: int) -> TransformError:
+    def _outside_error(self, stamp_ns: int, outside_ns: int) -> TransformError:
         first, last = (stamp_text(int(self.stamps_ns[place])) for place in (0, -1))
         hint = f"a transform_tolerance of at least {stamp_text(outside_ns)} s would use the nearest message"
         if outside_ns > _ANOTHER_CLOCK * 1_000_000_000:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _ALWAYS = np.empty(0, np.int64)
 
 
-def sampled(
+def sample_chain(
     chain: Chain | None, begin_ns: int, end_ns: int, step_ns: int, needed_ns: Needed
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
     """Look up a chain at many times in an interval; see `TransformBuffer.rows`.
@@ -49,10 +49,10 @@ def sampled(
     return times[::2], found, gap_ns
 
 
-def in_turn(
+def join_samples(
     parts: Sequence[tuple[NDArray[np.int64], NDArray[np.float64], int]],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
-    """Return several intervals, each of which begins a nanosecond after the one before it, as one; see `sampled`."""
+    """Return several intervals as one, each of which begins a nanosecond after the one before; see `sample_chain`."""
     rows: list[NDArray[np.float64]] = []
     for _, found, _ in parts:
         # The middle between the last time and the next one is the last time.
@@ -78,10 +78,10 @@ def rows_of(chain: Chain, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     (N, 12) float64
         The rows of the rotation, then the translation; NaN where a frame is not known.
     """
-    rows = _up(chain.source_side.links, stamps_ns)
+    rows = _rows_to_ancestor(chain.source_side.links, stamps_ns)
     if not chain.target_side.links:
         return rows
-    target = _up(chain.target_side.links, stamps_ns)
+    target = _rows_to_ancestor(chain.target_side.links, stamps_ns)
     back = target[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
     origin = np.einsum("nij,nj->ni", back, rows[:, 9:] - target[:, 9:])
     # As in `follow`. The inverse of the target's walk scales, and what both walks have in common scales before.
@@ -96,7 +96,7 @@ def rows_of(chain: Chain, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.concatenate([(back @ rows[:, :9].reshape(-1, 3, 3)).reshape(-1, 9), origin], axis=1)
 
 
-def _up(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def _rows_to_ancestor(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the transforms from a frame up to the common ancestor."""
     rows = np.zeros((stamps_ns.size, 12))
     rows[:, 0:9:4] = 1.0
