@@ -18,7 +18,7 @@ from core.reference import Expected, reference_moved, reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
 from pc2scan.core import plain
 from pc2scan.core.params import CHOICES
-from pc2scan.core.project import PointsPart, ProjectedScan, Projector, compact
+from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import rule_of
 from support.loops import BOTH_LOOPS
@@ -427,7 +427,7 @@ def test_layouts_and_blocks_make_no_difference(view: str, block: int, monkeypatc
 @pytest.mark.parametrize("view", VIEWS)
 def test_a_compact_copy_has_the_same_points(view: str) -> None:
     cloud = VIEWS[view](SCENE)
-    copied = compact(*cloud)
+    copied = contiguous(*cloud)
     for own, copy in zip(cloud, copied, strict=True):
         np.testing.assert_array_equal(copy, own.reshape(-1))
         assert not np.shares_memory(copy, own)

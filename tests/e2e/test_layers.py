@@ -20,11 +20,10 @@ if TYPE_CHECKING:
 
 PACKAGE = ROOT / "src" / "pc2scan"
 
-#: Every layer may import these; they import nothing of pc2scan but each other. (`callable_package` finds `api` by its
+#: Every layer may import these; they import nothing of pc2scan but each other. (`arguments` finds `api` by its
 #: name when it is called.)
 GROUND = {
     "arguments",
-    "callable_package",
     "errors",
     "memory",
     "model",
@@ -244,7 +243,7 @@ def test_starting_is_cheap(code: str) -> None:
 #: as some thousand points.
 LOADED_BY_CONVERT = {
     "pc2scan": (
-        "arguments bags callable_package cli core errors files memory messages model options pipeline "
+        "arguments bags cli core errors files memory messages model options pipeline "
         "remote requests text tf threads version"
     ),
     "pc2scan.bags": (

@@ -228,7 +228,7 @@ class Projector:
         self, part: PointsPart
     ) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[np.float32] | MovingTransform | None]:
         """Return the coordinates of a part and its transform, as the loops over points need them."""
-        return _coordinates(part.x, part.y, part.z, part.intensities), _for_loops(part.target_from_source)
+        return _coordinates(part.x, part.y, part.z, part.intensities), _loop_transform(part.target_from_source)
 
     def __call__(
         self,
@@ -263,7 +263,7 @@ class Projector:
             If the shapes differ, or have not one or two dimensions.
         """
         if self.reads_nearest and intensities is None:
-            transform = _for_loops(target_from_source)
+            transform = _loop_transform(target_from_source)
             return self._nearest(_coordinates(x, y, z, None), transform, self._rule, self._empty)
         counts, bins, returns, numbers = self._gathered(PointsPart(x, y, z, target_from_source, intensities))
         values = None if intensities is None else intensities.reshape(-1)[numbers]
@@ -362,7 +362,7 @@ def _coordinates(
     return x, y, z
 
 
-def compact(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+def contiguous(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return copies of coordinates, each (M,), in the layout that the loops over points read fastest.
 
     If float32 x, y and z follow each other in memory, as in nearly all messages, they are copied together, which takes
@@ -391,12 +391,12 @@ class _PackedPoints:
         self._owners = owners
 
 
-def _for_loops(transform: Transform | MovingTransform | None) -> NDArray[np.float32] | MovingTransform | None:
+def _loop_transform(transform: Transform | MovingTransform | None) -> NDArray[np.float32] | MovingTransform | None:
     """Return a transform, or those of points that move, as the loops over points need them."""
-    return transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
+    return transform if transform is None or isinstance(transform, MovingTransform) else transform_rows(transform)
 
 
-def packed(transform: Transform) -> NDArray[np.float32]:
+def transform_rows(transform: Transform) -> NDArray[np.float32]:
     """Return a transform as the loops over points need it, (4, 3): the rows of the rotation, then the translation."""
     rows = np.empty((4, 3), np.float32)
     rows[:3], rows[3] = transform

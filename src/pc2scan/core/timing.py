@@ -160,7 +160,7 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
     if not places.size:
         return times.reshape(x.shape)
     known = angles[places]
-    near, turns = turned(known)
+    near, turns = turn_by_order(known)
     if not direction:
         if near < 0.5 or abs(turns) < LEAST_TURN:
             return None
@@ -175,7 +175,7 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
     return times.reshape(x.shape)
 
 
-def turned(angles: NDArray[np.float64]) -> tuple[float, float]:
+def turn_by_order(angles: NDArray[np.float64]) -> tuple[float, float]:
     """How points go round in their order.
 
     Parameters

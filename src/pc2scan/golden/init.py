@@ -93,7 +93,7 @@ def make_case(
         )
         report = run([source], partial / name, options, OutputOptions(), progress=progress)
         if params is not None:
-            _copy(params, partial / "params.yaml")
+            _copy_topics(params, partial / "params.yaml")
         result = check_case(folder.name, partial, command, update=True)
         if result.outcome != "updated":
             raise ResultError(
@@ -119,7 +119,7 @@ def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
     return sorted(chosen | {topic for topic, names in types.items() if names & _ALSO_READ})
 
 
-def _copy(source: Path, target: Path) -> None:
+def _copy_topics(source: Path, target: Path) -> None:
     try:
         shutil.copyfile(source, target)
     except OSError as err:

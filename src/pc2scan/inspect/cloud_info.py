@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.core.level import thinned
+from pc2scan.core.level import thin_points
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
@@ -157,7 +157,7 @@ class CloudLook:
                 zero = (points == 0).all(axis=0)
             points = points[:, ~zero]
             moved = self._places.place(cloud.frame_id, cloud.stamp_ns).target_from_source
-            sample = thinned(*coordinates)
+            sample = thin_points(*coordinates)
             if moved is not None:
                 points = moved.apply(points.T).T
                 sample = moved.rotation.apply(sample)

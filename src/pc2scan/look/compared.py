@@ -10,7 +10,7 @@ import numpy as np
 
 from pc2scan.compare.diff import open_source, pair_streams
 from pc2scan.compare.match import match_messages
-from pc2scan.core.compare import differing
+from pc2scan.core.compare import differing_elements
 from pc2scan.errors import DecodeError, TopicError
 from pc2scan.files.ownership import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
@@ -136,5 +136,5 @@ def _decoded(message: RawMessage) -> LaserScan | None:
 def differing_beams(one: LaserScan, other: LaserScan, rules: Rules) -> list[int]:
     """Return the beams whose ranges differ beyond the tolerance, or that only one of the scans has."""
     both = min(len(one.ranges), len(other.ranges))
-    differ = differing(one.ranges[:both], other.ranges[:both], rules.tolerance("ranges"))
+    differ = differing_elements(one.ranges[:both], other.ranges[:both], rules.tolerance("ranges"))
     return [*np.flatnonzero(differ).tolist(), *range(both, max(len(one.ranges), len(other.ranges)))]

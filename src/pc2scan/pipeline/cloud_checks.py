@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.counts import PointCounts
-from pc2scan.core.level import cells_of, level_floor, thinned, tolerances
+from pc2scan.core.level import cells_of, level_floor, thin_points, tolerances
 from pc2scan.core.params import ProjectionParams
 from pc2scan.text import agreeing, counted
 
@@ -84,7 +84,7 @@ class Sample(NamedTuple):
 def sample_of(points: Points, place: Placement) -> Sample:
     """Return a sample of a cloud's points."""
     x, y, z = points.xyz()
-    taken, moved = thinned(x, y, z, _POINTS), place.target_from_source
+    taken, moved = thin_points(x, y, z, _POINTS), place.target_from_source
     with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
         zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
     origin = (0.0, 0.0, 0.0)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.rigid import are_taken
+from pc2scan.core.rigid import are_accepted
 from pc2scan.errors import TransformError, UnconnectedError, name_list, stamp_text
 from pc2scan.text import did_you_mean
 
@@ -70,7 +70,7 @@ def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArra
     with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
         zero = ~poses[:, 3:].any(axis=1)
     return np.select(
-        [reasons != ACCEPTED, ~finite, zero, ~are_taken(poses[:, 3:])],
+        [reasons != ACCEPTED, ~finite, zero, ~are_accepted(poses[:, 3:])],
         [reasons, NOT_FINITE, ZERO, DENORMALIZED],
         ACCEPTED,
     ).astype(np.int32)

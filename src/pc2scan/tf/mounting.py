@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.ground import Ground, agreed, look_at
+from pc2scan.core.ground import Ground, common_ground, find_ground
 from pc2scan.core.level import LEVEL
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
@@ -116,8 +116,8 @@ def mounting(
     topic, frame
         The topic of the clouds, and their ``frame_id``.
     samples
-        Points of some clouds, as `pc2scan.core.level.thinned` returns them: relative to the sensor, along the axes of
-        the frame in which they are judged.
+        Points of some clouds, as `pc2scan.core.level.thin_points` returns them: relative to the sensor, along the axes
+        of the frame in which they are judged.
     buffer
         The recording's transforms; None if there are none.
     judged_in
@@ -127,7 +127,9 @@ def mounting(
     stamp_ns
         The stamp at which transforms are looked up.
     """
-    seen = _Observation(topic, frame, judged_in or frame, samples, agreed([look_at(points) for points in samples]))
+    seen = _Observation(
+        topic, frame, judged_in or frame, samples, common_ground([find_ground(points) for points in samples])
+    )
     if judged_in.removeprefix("/") not in {"", frame.removeprefix("/")}:
         moved = None if buffer is None or not seen.ground.off else _lookup(buffer, judged_in, frame, stamp_ns)
         if moved is not None:
@@ -169,7 +171,9 @@ class _Observation(NamedTuple):
         turned = level.compose(target_from_frame).quaternion
         right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
         moved = [level.apply(turn.apply(points)) for points in self.samples]
-        heights = suitable_heights(agreed([look_at(points) for points in moved]), moved, origin_z=_height(right))
+        heights = suitable_heights(
+            common_ground([find_ground(points) for points in moved]), moved, origin_z=_height(right)
+        )
         return self.replaced(target, right, heights)
 
 
@@ -186,7 +190,7 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
     name, body_from_frame = body
     turn = body_from_frame.rotation
     samples = [turn.apply(points) for points in seen.samples]
-    there = agreed([look_at(points) for points in samples])
+    there = common_ground([find_ground(points) for points in samples])
     if there.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
         return seen.corrected(name, body_from_frame, there, turn) if ground.off else None

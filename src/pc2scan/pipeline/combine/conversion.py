@@ -17,7 +17,7 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
-from pc2scan.core.project import PointsPart, ProjectedScan, Projector, compact, packed
+from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous, transform_rows
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
 from pc2scan.files.buffers import ReadBuffer, retain
@@ -482,7 +482,9 @@ def _as_it_is(prepared: Prepared) -> Prepared:
 
 def _transformed(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
     """Return points as they are projected; those of a moving sensor are transformed already."""
-    return points.transform(packed(transform.as_float32()), frame_id) if isinstance(transform, Rigid) else points
+    return (
+        points.transform(transform_rows(transform.as_float32()), frame_id) if isinstance(transform, Rigid) else points
+    )
 
 
 def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
@@ -510,7 +512,7 @@ def kept_together(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:
 
 def _copied(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return copies of fields, whose memory may be overwritten."""
-    axes = compact(*(fields[axis] for axis in "xyz"))
+    axes = contiguous(*(fields[axis] for axis in "xyz"))
     copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
     return copies | dict(zip("xyz", axes, strict=True))
 
