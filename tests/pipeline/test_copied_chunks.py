@@ -151,9 +151,9 @@ class Counts:
         self.done: list[str] = []
         for module, name, what in (
             (mcap_chunks, "_decompress", "decompressed"),
-            (rosbag1_reader, "decompressed", "decompressed"),
+            (rosbag1_reader, "decompress_chunk", "decompressed"),
             (rosbag1_reader, "with_payload", "decompressed"),
-            (mcap_reader, "messages_in", "split"),
+            (mcap_reader, "scan_messages", "split"),
             (rosbag1_writer, "_compress", "compressed"),
             (mcap_writer, "compress", "compressed"),
         ):

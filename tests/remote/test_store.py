@@ -37,11 +37,11 @@ def test_a_minute_without_64_kib_ends_a_transfer(arrivals: list[tuple[float, int
         clock.now += seconds
         if clock.now - begin >= 60:
             with pytest.raises(TooSlowError, match="fewer than 65,536 bytes arrived in 60 seconds"):
-                pace.left()
+                pace.seconds_left()
             return
-        assert pace.left() == pytest.approx(60 - (clock.now - begin))
+        assert pace.seconds_left() == pytest.approx(60 - (clock.now - begin))
         total += size
-        pace.arrived(total)
+        pace.note_arrival(total)
         if total - counted >= LEAST_BYTES:
             begin, counted = clock.now, total
 
@@ -56,8 +56,8 @@ def test_a_slow_link_is_slow_and_goes_on(size: int, seconds: float, ends: bool) 
     def transfer() -> None:
         for number in range(1, 5000):
             clock.now += seconds
-            pace.left()
-            pace.arrived(number * size)
+            pace.seconds_left()
+            pace.note_arrival(number * size)
 
     if ends:
         with pytest.raises(TooSlowError):

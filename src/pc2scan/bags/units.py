@@ -43,7 +43,7 @@ _ANNOUNCED_BYTES = 32 << 20
 _GAP_BYTES = 64 << 10
 
 
-class Timed(Protocol):
+class TimedItem(Protocol):
     """Anything with a log time and a size: a message, or a callback's result."""
 
     @property
@@ -57,7 +57,7 @@ class Timed(Protocol):
         ...
 
 
-Item = TypeVar("Item", bound=Timed)
+Item = TypeVar("Item", bound=TimedItem)
 
 #: The result of loading a unit: items in the order of the file, or the chunk as a whole.
 Loaded: TypeAlias = list[Item] | LazyItems[Item] | StoredChunk

@@ -18,7 +18,7 @@ from pc2scan.files.recovery import completed_parts
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.pipeline.scheduler import cores as all_cores
-from pc2scan.remote.urls import ShownUrl, is_url, shown_path, url_of
+from pc2scan.remote.urls import UrlText, is_url, shown_path, url_of
 
 from .choices import Choices
 from .dataset_file import DatasetFile, load_dataset_file
@@ -104,7 +104,7 @@ def run_batch(
             lock = stack.enter_context(locked(out))
         folder = Path(os.path.realpath(out)) if store is None else store.folder
         batch = _Batch(sources, folder, options, choices, watch, stores, store)
-        batch.report.destination = out if store is None else ShownUrl(shown_path(out))
+        batch.report.destination = out if store is None else UrlText(shown_path(out))
         deliver = batch.open_report(stack)
         batch.plan()
         watch.planned(batch.made)

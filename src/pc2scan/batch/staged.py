@@ -199,7 +199,7 @@ class _StagedQueue(Queue):
             if is_url(path) and path not in self._sizes:
                 files = RemotePath(path).files()
                 places = [RemotePath(path)] if files is None else list(files.values())
-                self._sizes[path] = sum(place.stated().size for place in places)
+                self._sizes[path] = sum(place.stat().size for place in places)
             needed += self._sizes.get(path, 0)
         return needed, job.size_bytes + _BESIDE if is_url(Path(job.destination)) else 0
 
@@ -313,7 +313,7 @@ class _StagedQueue(Queue):
                     objects |= {f"{name}/{below}": found for below, found in place.below().items()}
                 else:
                     done.append(folder.upload_file(here / name, name, self._check))
-                    objects[name] = place.stated()
+                    objects[name] = place.stat()
         except BaseException:
             # If the recording has several files, none of them stays.
             if len(made) > 1:

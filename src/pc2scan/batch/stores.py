@@ -189,7 +189,7 @@ class Stores:
                 if all(parts) and not any(part.startswith(".") for part in parts):
                     self._stand_in(place.child(below), path / below, found)
         elif not pattern:
-            self._stand_in(place, path, place.stated())
+            self._stand_in(place, path, place.stat())
         return str(path) + pattern
 
     def _stand_in(self, place: RemotePath, path: Path, found: StoredObject) -> None:

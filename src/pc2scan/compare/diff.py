@@ -356,7 +356,7 @@ def _compare(
         if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
             entry.change("type", MessageTimes(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
         elif entry.msgtype in DECODED_TYPES:
-            _compare_decoded(one, other, entry, rules, meter)
+            _compare_stream(one, other, entry, rules, meter)
         else:
             others.append(((one, other), entry))
     if others:
@@ -369,7 +369,7 @@ def _entry(one: TopicStream, other: TopicStream, rules: Rules) -> TopicDifferenc
     return TopicDifference(names[0], names[1], canonical_type(connection.msgtype), rules.allow_beams)
 
 
-def _compare_decoded(
+def _compare_stream(
     one: TopicStream,
     other: TopicStream,
     entry: TopicDifference,

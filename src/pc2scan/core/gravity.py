@@ -110,7 +110,7 @@ class _State(NamedTuple):
     up: tuple[float, ...]
     bias: tuple[float, ...]
 
-    def reversed(self) -> _State:
+    def reverse(self) -> _State:
         """The state for time that runs backward: rotations and the bias change their sign."""
         return self._replace(bias=tuple(-each for each in self.bias))
 
@@ -145,8 +145,8 @@ def up_by_gravity(
     for begin, end in pairwise([0, *gaps.tolist(), len(samples)]):
         part = samples[begin:end]
         state = _filter(part, None, _first_bias(part, bias), later[begin:end])
-        state = _filter(part[::-1] * _BACKWARD, state.up, state.reversed().bias, earlier[begin:end][::-1])
-        bias = _filter(part, state.up, state.reversed().bias, later[begin:end]).bias
+        state = _filter(part[::-1] * _BACKWARD, state.up, state.reverse().bias, earlier[begin:end][::-1])
+        bias = _filter(part, state.up, state.reverse().bias, later[begin:end]).bias
     both = later + earlier
     lengths = np.sqrt(np.einsum("ni,ni->n", both, both))[:, np.newaxis]
     # Two opposite directions have no mean, so one of them is returned.

@@ -35,7 +35,7 @@ def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
     (1.0, 2.5, 3.7)
     """
     ordered: NDArray[Any] = np.sort(values, axis=None)
-    return tuple(_interpolated(ordered, percent / 100 * (len(ordered) - 1)) for percent in percents)
+    return tuple(_interpolate(ordered, percent / 100 * (len(ordered) - 1)) for percent in percents)
 
 
 def median(values: ArrayLike) -> float:
@@ -59,7 +59,7 @@ def median_low(values: Iterable[_Number]) -> _Number:
     return ordered[(len(ordered) - 1) // 2]
 
 
-def _interpolated(ordered: NDArray[Any], place: float) -> float:
+def _interpolate(ordered: NDArray[Any], place: float) -> float:
     below = math.floor(place)
     low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])
     # Interpolated from the nearer value, as NumPy does, so that the results are equal.

@@ -107,11 +107,11 @@ class Points:
         frame_id
             The name of the other frame.
         """
-        from .plain import transformed  # noqa: PLC0415  # most conversions transform in the compiled loops
+        from .plain import transform_points  # noqa: PLC0415  # most conversions transform in the compiled loops
 
         with np.errstate(all="ignore"):
             x, y, z = (axis.astype(np.float32, copy=False) for axis in self.xyz())
-            coordinates = transformed(x, y, z, transform)
+            coordinates = transform_points(x, y, z, transform)
         return self.replace(dict(zip(_AXES, coordinates, strict=True)), frame_id)
 
     def replace(self, values: Mapping[str, NDArray[Any]], frame_id: str) -> Points:

@@ -164,11 +164,11 @@ class Projector:
             begin += found
         with np.errstate(all="ignore"):
             both = np.concatenate(values) if lit else None
-            return self._reduced(bins[:begin], returns[:begin], both, counts)
+            return self._reduce(bins[:begin], returns[:begin], both, counts)
 
     def nearest(self, part: PointsPart) -> ProjectedScan:
         """Project a part for `nearest_of`: beams without a return read infinity; intensities are ignored."""
-        return self._nearest(*self._checked(part), self._rule_for(part), math.inf)
+        return self._nearest(*self._check_arrays(part), self._rule_for(part), math.inf)
 
     def _nearest(
         self,
@@ -195,10 +195,10 @@ class Projector:
 
     def bins(self, part: PointsPart) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return the beams of a part's returns, and the numbers of their points, in their order."""
-        _, bins, _, numbers = self._gathered(part)
+        _, bins, _, numbers = self._gather_parts(part)
         return bins, numbers
 
-    def _gathered(
+    def _gather_parts(
         self, part: PointsPart
     ) -> tuple[PointCounts, NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
         """Return the counts of a part, and the beam, range and point number of each return, in the points' order."""
@@ -211,7 +211,7 @@ class Projector:
         self, part: PointsPart, bins: NDArray[np.int32], returns: NDArray[np.float32], numbers: NDArray[np.int64]
     ) -> tuple[PointCounts, int]:
         """Overwrite the beginning of arrays with a part's returns; return its counts, and how many returns it has."""
-        arrays, transform = self._checked(part)
+        arrays, transform = self._check_arrays(part)
         rejected = kernel.gather(*arrays, self._rule_for(part), transform, self._beams, bins, returns, numbers)
         counts = PointCounts.of_projection(part.x.size, rejected)
         found = counts.used
@@ -224,7 +224,7 @@ class Projector:
     def _rule_for(self, part: PointsPart) -> NDArray[np.float64]:
         return self._rule_of_any_height if part.any_height else self._rule
 
-    def _checked(
+    def _check_arrays(
         self, part: PointsPart
     ) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[np.float32] | MovingTransform | None]:
         """Return the coordinates of a part and its transform, as the loops over points need them."""
@@ -265,10 +265,10 @@ class Projector:
         if self.reads_nearest and intensities is None:
             transform = _loop_transform(target_from_source)
             return self._nearest(_coordinates(x, y, z, None), transform, self._rule, self._empty)
-        counts, bins, returns, numbers = self._gathered(PointsPart(x, y, z, target_from_source, intensities))
+        counts, bins, returns, numbers = self._gather_parts(PointsPart(x, y, z, target_from_source, intensities))
         values = None if intensities is None else intensities.reshape(-1)[numbers]
         with np.errstate(all="ignore"):
-            return self._reduced(bins, returns, values, counts)
+            return self._reduce(bins, returns, values, counts)
 
     def read(
         self,
@@ -301,7 +301,7 @@ class Projector:
         """
         from .reduce import read  # noqa: PLC0415  # few conversions need the points behind the ranges
 
-        _, bins, returns, numbers = zip(*map(self._gathered, parts), strict=True)
+        _, bins, returns, numbers = zip(*map(self._gather_parts, parts), strict=True)
         ends = np.cumsum([each.size for each in bins])
         with np.errstate(all="ignore"):
             chosen = read(np.concatenate(bins), np.concatenate(returns), self._beams, self.params)
@@ -311,7 +311,7 @@ class Projector:
             found.append((numbers[k][places], bins[k][places]))
         return found
 
-    def _reduced(
+    def _reduce(
         self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None, points: PointCounts
     ) -> ProjectedScan:
         """Return the scan of returns in the order of the cloud, with intensities if there are values."""

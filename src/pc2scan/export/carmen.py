@@ -104,7 +104,7 @@ class CarmenWriter:
                 hint="for scans that are made of clouds, `range_max=30` sets it",
             )
         start, step, ranges, intensities = _counterclockwise(scan)
-        readings = np.where(_ordered(scan, scan.valid), ranges, np.float32(scan.range_max))
+        readings = np.where(_order(scan, scan.valid), ranges, np.float32(scan.range_max))
         with_intensities = has_intensities(scan)
         remissions = float32_texts(intensities) if with_intensities else []
         sensor = (
@@ -153,7 +153,7 @@ class FlaserWriter(CarmenWriter):
                 stamp_ns=scan.stamp_ns,
                 hint="`format=carmen` writes ROBOTLASER1, which has the directions",
             )
-        valid = _ordered(scan, scan.valid)
+        valid = _order(scan, scan.valid)
         if (farthest := float(ranges[valid].max(initial=0))) >= _FLASER_LIMIT:
             raise UsageError(
                 f"a reading of {farthest:.6g} m: in FLASER, readings from {_FLASER_LIMIT:g} m on mean no return",
@@ -171,7 +171,7 @@ def _guessed_step(count: int) -> float:
     return math.pi / max(count - 1, 1) if degrees is None else math.radians(degrees)
 
 
-def _ordered(scan: Scan, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _order(scan: Scan, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the values of the beams, counterclockwise."""
     return values[::-1] if scan.angle_increment < 0 else values
 

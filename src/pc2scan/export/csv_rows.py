@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.text import csv_cell
 
-from .files import SameBeams, TextFile, float32_text, float32_texts, has_intensities, planar
+from .files import BeamCheck, TextFile, float32_text, float32_texts, has_intensities, planar
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,7 +28,7 @@ class CsvWriter:
     def __init__(self, path: Path, *, posed: bool) -> None:
         self._file = TextFile(path)
         self._posed = posed
-        self._beams = SameBeams("a CSV file", angles=False)
+        self._beams = BeamCheck("a CSV file", angles=False)
         self._begun = False
 
     def add(self, item: Scan, placed: PosesAtStamp | None) -> None:

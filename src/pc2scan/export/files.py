@@ -104,7 +104,7 @@ def planar(rigid: Any) -> Sequence[float]:
     return x, y, rigid.rpy[2]
 
 
-class SameBeams:
+class BeamCheck:
     """Compares each scan with the first one.
 
     Parameters

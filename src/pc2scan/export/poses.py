@@ -48,11 +48,11 @@ class PoseOptions:
     def __post_init__(self) -> None:
         if self.pose_frame and self.odom_topic:
             raise UsageError("`pose_frame` and `odom_topic` are two sources of poses; give only one of them")
-        if self.base_frame and not self.wanted:
+        if self.base_frame and not self.is_requested:
             raise UsageError("`base_frame` needs `pose_frame` or `odom_topic`")
 
     @property
-    def wanted(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether poses are requested."""
         return bool(self.pose_frame or self.odom_topic)
 
@@ -145,11 +145,11 @@ class Poses:
         found = self._bases.get(sensor_frame)
         if found is None:
             found = self._options.base_frame.removeprefix("/") or self._odometry_frames[1]
-            self._bases[sensor_frame] = found = found or base_between(self._transforms, self.pose_frame, sensor_frame)
+            self._bases[sensor_frame] = found = found or find_base(self._transforms, self.pose_frame, sensor_frame)
         return found
 
 
-def base_between(transforms: TransformBuffer, pose_frame: str, sensor_frame: str) -> str:
+def find_base(transforms: TransformBuffer, pose_frame: str, sensor_frame: str) -> str:
     """Return the robot's frame, between a frame that it moves in and one of its sensors; see `Poses`."""
     frame = sensor_frame.removeprefix("/")
     below, fixed = [frame], frame

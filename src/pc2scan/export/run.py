@@ -168,7 +168,7 @@ def run(
             staged_output(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
         )
         poses = None
-        if form.poses.wanted:
+        if form.poses.is_requested:
             others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
             poses, texts = open_poses([reader, *others], options.frames, form.poses)
             report.warnings += texts
@@ -194,7 +194,7 @@ def _check_request(file_format: ExportFormat, options: ConvertOptions, form: Exp
             f"{file_format.name} is a format of clouds, but parameters of the projection make scans of them",
             hint="remove the parameters, or choose a format of scans: `format=npz`",
         )
-    if file_format.needs_poses and not form.poses.wanted:
+    if file_format.needs_poses and not form.poses.is_requested:
         raise UsageError(
             f"{file_format.name} needs poses",
             hint="`pose_frame=odom` reads them from tf, `odom_topic=/odom` from odometry",
@@ -216,7 +216,7 @@ def _check_request(file_format: ExportFormat, options: ConvertOptions, form: Exp
     frames = options.frames
     if (
         not form.converting
-        and not form.poses.wanted
+        and not form.poses.is_requested
         and (frames.static or frames.tf_from or frames.tf_topics or frames.source_frame)
     ):
         raise UsageError(

@@ -165,7 +165,7 @@ class SourceFile:
         """Return an error that names this file."""
         return RecordingError(message, path=self.path, hint=hint)
 
-    def located(self, message: str) -> str:
+    def with_location(self, message: str) -> str:
         """Add to a message with offsets where in the file the recording begins."""
         return f"in the recording from byte {self.start} on, {message}" if self.start else message
 
@@ -189,7 +189,7 @@ class SourceFile:
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         if len(data) < length:
-            raise self._ended(offset + len(data))
+            raise self._truncation_error(offset + len(data))
         return data
 
     def borrow(self, offset: int, length: int, callback: Callable[[memoryview], _Result]) -> _Result:
@@ -229,7 +229,7 @@ class SourceFile:
         except OSError as err:
             raise self._unreadable(offset, err) from err
         if done < len(view):
-            raise self._ended(offset + done)
+            raise self._truncation_error(offset + done)
 
     def _unreadable(self, offset: int, err: OSError) -> RecordingError:
         return self.error(f"cannot be read at byte {offset}: {err.strerror}")
@@ -237,7 +237,7 @@ class SourceFile:
     def _too_large(self, offset: int, length: int) -> RecordingError:
         return self.error(f"{length} bytes from byte {offset} on do not fit into memory")
 
-    def _ended(self, offset: int) -> RecordingError:
+    def _truncation_error(self, offset: int) -> RecordingError:
         return self.error(
             f"ended at byte {offset} while it was read; it had {self.start + self.size} bytes when opened",
             "wait until the recording is complete",
@@ -274,7 +274,7 @@ class NewFile:
         try:
             self._file.writelines(parts)
         except OSError as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
         self.position += sum(map(len, parts))
         return start
 
@@ -284,7 +284,7 @@ class NewFile:
             self._file.seek(offset)
             self._file.write(data)
         except OSError as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
 
     def finish(self) -> None:
         """Write everything to the disk."""
@@ -293,7 +293,7 @@ class NewFile:
             os.fsync(self._file.fileno())
             self._file.close()
         except OSError as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
 
     def abort(self) -> None:
         """Close the file; the caller removes it."""
@@ -301,7 +301,7 @@ class NewFile:
         with suppress(OSError):
             self._file.close()
 
-    def _failed(self, err: OSError) -> OutputError:
+    def _write_error(self, err: OSError) -> OutputError:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
 
 

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
-    from pc2scan.bags.units import Loaded, Timed, Unit
+    from pc2scan.bags.units import Loaded, TimedItem, Unit
     from pc2scan.threads import Threads
 
-    Item = TypeVar("Item", bound=Timed)
+    Item = TypeVar("Item", bound=TimedItem)
 
 #: How many bytes are loaded ahead for every thread. Of units up to the second size, always one more than threads is
 #: loaded.

@@ -79,12 +79,12 @@ def stand_ins(paths: Sequence[Path]) -> Iterator[StandIns]:
             found.paths.append(target)
             files = place.files()
             if files is None:
-                read.append((place, place.stated()))
+                read.append((place, place.stat()))
                 _add_stand_in(place, target, stack)
             else:
                 target.mkdir()
                 for name, file in files.items():
-                    read.append((file, file.stated()))
+                    read.append((file, file.stat()))
                     _add_stand_in(file, target / name, stack)
         try:
             yield found
@@ -92,8 +92,8 @@ def stand_ins(paths: Sequence[Path]) -> Iterator[StandIns]:
             found.names.error(err)
             raise
         for place, stated in read:
-            if place.stated() != stated:
-                raise place.changed()
+            if place.stat() != stated:
+                raise place.change_error()
 
 
 def add_stand_in(place: RemotePath, target: Path, size: int) -> None:
@@ -121,7 +121,7 @@ def fetch_whole(path: Path) -> None:
 
 
 def _add_stand_in(place: RemotePath, target: Path, stack: ExitStack) -> None:
-    size = place.stated().size
+    size = place.stat().size
     began = monotonic()
     head = (place.bytes_at(0, min(size, _BLOCK)) or b"") if size else b""
     took = monotonic() - began

@@ -134,7 +134,7 @@ class LocalCopies:
         """Raise if the copies would be too large, before anything is read; return the limit of copies and result."""
         request = self._request
         room = ScratchSpace(self._scratch, request.scratch_size)
-        needed = sum(place.stated().size for place, _ in self._downloads)
+        needed = sum(place.stat().size for place, _ in self._downloads)
         if needed > room.total:
             error = room.refusal(needed, self._scratch.parent)
             error.path = ", ".join(dict.fromkeys(place.shown for place, _ in self._downloads[:3]))

@@ -48,13 +48,13 @@ class Pace:
         self._counted = 0
         self._deadline = clock() + SLOWEST_SECONDS
 
-    def arrived(self, total: int) -> None:
+    def note_arrival(self, total: int) -> None:
         """Note how many bytes have arrived since the beginning."""
         if total - self._counted >= LEAST_BYTES:
             self._counted = total
             self._deadline = self._clock() + SLOWEST_SECONDS
 
-    def left(self) -> float:
+    def seconds_left(self) -> float:
         """Return the seconds that are left.
 
         Raises
@@ -95,7 +95,7 @@ def call_in_time(fs: Any, name: str, *args: object, pace: Pace, **options: Any) 
     try:
         while not future.done():
             # An interruption by the user waits for as long.
-            wait([future], timeout=min(1, pace.left()))
+            wait([future], timeout=min(1, pace.seconds_left()))
         return future.result()
     finally:
         future.cancel()
@@ -168,7 +168,7 @@ class RemotePath:
                 hint=f"pip install 'pc2scan[remote]'{f' {self._library}' * bool(self._library)}",
             ) from err
         try:
-            with self.reported():
+            with self.translate_errors():
                 self._fs, self.key = url_to_fs(self._url, **_patience(self.scheme))
         except ImportError as err:
             raise UsageError(
@@ -206,7 +206,7 @@ class RemotePath:
         """Whether files there can only be read."""
         return self.scheme in {"http", "https"}
 
-    def stated(self) -> StoredObject:
+    def stat(self) -> StoredObject:
         """Return the size of the file, and its version."""
         found = self._info(self.key)
         if found.get("size") is None:
@@ -217,7 +217,7 @@ class RemotePath:
 
     def below(self) -> dict[str, StoredObject]:
         """Return all files below a folder, by their paths relative to it; empty if there are none."""
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
             try:
                 found = self._fs.find(self.key, detail=True)
@@ -239,12 +239,12 @@ class RemotePath:
         """Return whether the bucket exists; True for stores without buckets."""
         if self.scheme in _GRADUAL:
             return True
-        with self.reported():
+        with self.translate_errors():
             return bool(call_in_time(self._fs, "exists", self.key.strip("/").partition("/")[0], pace=Pace()))
 
     def is_folder(self) -> bool:
         """Whether it is a folder: other keys begin with this one. True for the root of a store."""
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
             return not call_in_time(self._fs, "isfile", self.key, pace=Pace())
 
@@ -254,7 +254,7 @@ class RemotePath:
 
     def read(self) -> bytes | None:
         """Return the content of a small file; None if it does not exist."""
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
             try:
                 return bytes(self._fs.cat_file(self.key))
@@ -263,7 +263,7 @@ class RemotePath:
 
     def write(self, data: bytes, *, is_new: bool = False) -> bool:
         """Write a small file. With ``is_new``, return False if it exists already."""
-        with self.reported(writes=True):
+        with self.translate_errors(writes=True):
             self._makedirs(self.key.rpartition("/")[0])
             try:
                 self._fs.pipe_file(self.key, data, mode="create" if is_new else "overwrite")
@@ -278,16 +278,16 @@ class RemotePath:
 
     def delete(self) -> None:
         """Remove a file if it exists."""
-        with self.reported(writes=True), suppress(FileNotFoundError):
+        with self.translate_errors(writes=True), suppress(FileNotFoundError):
             self._fs.rm_file(self.key)
 
     def _exists(self, key: str) -> bool:
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
             return bool(call_in_time(self._fs, "exists", key, pace=Pace()))
 
     def _info(self, key: str) -> dict[str, Any]:
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
             found: dict[str, Any] = call_in_time(self._fs, "info", key, pace=Pace())
         return found
@@ -296,7 +296,7 @@ class RemotePath:
         """Return the files of a directory by name; None for a file."""
         if self._info(self.key).get("type") != "directory":
             return None
-        with self.reported():
+        with self.translate_errors():
             entries = self._fs.ls(self.key, detail=True)
         held = (entry for entry in entries if entry["type"] == "file")
         names = (str(entry["name"]) for entry in held)
@@ -314,7 +314,7 @@ class RemotePath:
 
     def bytes_at(self, start: int, stop: int) -> bytes | None:
         """Read a range of bytes; None if it is longer than `LEAST_BYTES`, and the transfer too slow for it."""
-        with self.reported():
+        with self.translate_errors():
             try:
                 data = bytes(call_in_time(self._fs, "cat_file", self.key, start=start, end=stop, pace=Pace()))
             except TooSlowError:
@@ -335,16 +335,16 @@ class RemotePath:
 
         ``check`` is called from time to time. If it raises, the download ends.
         """
-        before = self.stated()
+        before = self.stat()
         pace = Pace()
-        with self.reported():
+        with self.translate_errors():
             if self.scheme in _IN_BLOCKS:
                 self._fs.get_file(self.key, str(target), **_callback_options(check))
             else:
-                options = _callback_options(check, pace.arrived)
+                options = _callback_options(check, pace.note_arrival)
                 call_in_time(self._fs, "get_file", self.key, str(target), pace=pace, **options)
-        if self.stated() != before:
-            raise self.changed()
+        if self.stat() != before:
+            raise self.change_error()
         arrived = target.stat().st_size
         if arrived != before.size:
             raise RecordingError(
@@ -354,7 +354,7 @@ class RemotePath:
             )
         return before
 
-    def changed(self) -> RecordingError:
+    def change_error(self) -> RecordingError:
         """Return the error for a source that has changed."""
         return changed_while_read(self.shown)
 
@@ -392,7 +392,7 @@ class RemotePath:
         shown = f"{self.shown.rstrip('/')}/{name}"
         if not self._exists(key):
             return
-        with self.reported():
+        with self.translate_errors():
             is_folder = call_in_time(self._fs, "isdir", key, pace=Pace())
         if is_folder:
             raise DestinationError("is a folder; folders in a store are never replaced", path=shown, hint=_OTHER_NAME)
@@ -407,12 +407,12 @@ class RemotePath:
 
     def _makedirs(self, key: str) -> None:
         if self.scheme in _GRADUAL:
-            with self.reported(writes=True):
+            with self.translate_errors(writes=True):
                 self._fs.makedirs(key, exist_ok=True)
 
     def _put(self, source: Path, key: str, check: Callable[[], None] | None = None) -> None:
         """Upload a file. If the store shows unfinished uploads, the file has a temporary name until it is complete."""
-        with self.reported(writes=True):
+        with self.translate_errors(writes=True):
             if self.scheme not in _GRADUAL:
                 self._fs.put_file(str(source), key, **_callback_options(check))
                 return
@@ -426,7 +426,7 @@ class RemotePath:
                     self._fs.rm_file(partial)
 
     @contextmanager
-    def reported(self, *, writes: bool = False) -> Iterator[None]:
+    def translate_errors(self, *, writes: bool = False) -> Iterator[None]:
         """Turn errors of fsspec and the stores' libraries into our own: one line, without secrets."""
         kind = OutputError if writes else RecordingError
         try:
@@ -517,11 +517,11 @@ def _callback_options(check: Callable[[], None] | None, arrived: Callable[[int],
         return {}
     from fsspec.callbacks import Callback  # noqa: PLC0415  # only an extra
 
-    class Called(Callback):  # type: ignore[misc, unused-ignore]
+    class ArrivalCallback(Callback):  # type: ignore[misc, unused-ignore]
         def call(self, *_names: object, **_values: object) -> None:
             if arrived is not None:
                 arrived(self.value)
             if check is not None:
                 check()
 
-    return {"callback": Called()}
+    return {"callback": ArrivalCallback()}

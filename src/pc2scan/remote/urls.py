@@ -94,7 +94,7 @@ class UrlNames:
             return self.text(value)
         if isinstance(value, Path):
             text = self.text(str(value))
-            return value if text == str(value) else ShownUrl(text)
+            return value if text == str(value) else UrlText(text)
         if type(value) is tuple or hasattr(value, "_fields"):
             items = map(self.of, value)
             return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
@@ -118,7 +118,7 @@ class UrlNames:
         err.hint = None if err.hint is None else self.text(err.hint)
 
 
-class ShownUrl(str):
+class UrlText(str):
     """A URL in a result that otherwise has a path there."""
 
     __slots__ = ()

@@ -139,7 +139,7 @@ class Cloud(NumpyTimes):
         DecodeError
             If two fields have one name, or the message contradicts itself.
         """
-        return self._message.structured()
+        return self._message.structured_points()
 
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each point and a column for each field.

@@ -204,7 +204,7 @@ class Scans(Stream[Scan]):
         """Convert clouds as `pc2scan.convert` does."""
         if not options.scan.topics:
             # Returns the only topic, or raises.
-            self._selection.chosen(reader, options.scan.source_types, _hint_scans)
+            self._selection.select_connections(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
         plan = make_plan(reader.connections, options)
         span = span_of(reader, options)

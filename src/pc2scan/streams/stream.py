@@ -131,7 +131,7 @@ class Selection:
         if self.on_error not in ("skip", "fail"):
             raise UsageError(f"on_error is {self.on_error!r}, it must be skip or fail")
 
-    def chosen(
+    def select_connections(
         self, reader: Reader, kinds: Collection[str], hint: Callable[[Reader], str | None]
     ) -> dict[str, list[Connection]]:
         """Return the connections of the topics to read, by topic.
@@ -336,9 +336,9 @@ class Stream(ABC, Generic[Item]):
         hint: Callable[[Reader], str | None],
         item_of: Callable[[RawMessage], Item],
     ) -> StreamSource:
-        """Return the messages of a type, each of which becomes one item; see `Selection.chosen`."""
+        """Return the messages of a type, each of which becomes one item; see `Selection.select_connections`."""
         selection = self._selection
-        chosen = selection.chosen(reader, (msgtype,), hint)
+        chosen = selection.select_connections(reader, (msgtype,), hint)
         span = span_of(reader, ConvertOptions(start=selection.start, end=selection.end))
         connections = list(chain.from_iterable(chosen.values()))
 

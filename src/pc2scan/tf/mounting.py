@@ -133,7 +133,7 @@ def mounting(
     if judged_in.removeprefix("/") not in {"", frame.removeprefix("/")}:
         moved = None if buffer is None or not seen.ground.off else _lookup(buffer, judged_in, frame, stamp_ns)
         if moved is not None:
-            return seen.corrected(judged_in, moved, seen.ground, _IDENTITY)
+            return seen.correct(judged_in, moved, seen.ground, _IDENTITY)
         return seen.verdict(_fault(seen.ground), heights=suitable_heights(seen.ground, samples, origin_z=origin_z))
     if buffer is not None:
         found = _by_transforms(seen, buffer, stamp_ns)
@@ -142,7 +142,7 @@ def mounting(
     if not seen.ground.off:
         return seen.verdict("", heights=suitable_heights(seen.ground, samples))
     level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height or 0.0))
-    return seen.replaced(f"{frame.removeprefix('/')}_level", level, suitable_heights(seen.ground, samples, level))
+    return seen.replace_frame(f"{frame.removeprefix('/')}_level", level, suitable_heights(seen.ground, samples, level))
 
 
 class _Observation(NamedTuple):
@@ -157,12 +157,12 @@ class _Observation(NamedTuple):
     def verdict(self, fault: str, target: str = "", static: str = "", heights: Heights | None = None) -> Mounting:
         return Mounting(self.topic, self.frame, self.judged_in, self.ground, fault, target, static, heights)
 
-    def replaced(self, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
+    def replace_frame(self, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
         """Return the mounting with another transform of the frame."""
         static = _static(parent, self.frame, parent_from_frame)
         return self.verdict(_fault(self.ground), parent if static else "", static, heights)
 
-    def corrected(self, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
+    def correct(self, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
         """Return the mounting with the recorded transform rotated until the ground is level, if there is one.
 
         ``ground`` is the ground by the recorded transform; ``turn`` rotates the samples to its axes.
@@ -174,7 +174,7 @@ class _Observation(NamedTuple):
         heights = suitable_heights(
             common_ground([find_ground(points) for points in moved]), moved, origin_z=_height(right)
         )
-        return self.replaced(target, right, heights)
+        return self.replace_frame(target, right, heights)
 
 
 def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
@@ -193,7 +193,7 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
     there = common_ground([find_ground(points) for points in samples])
     if there.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
-        return seen.corrected(name, body_from_frame, there, turn) if ground.off else None
+        return seen.correct(name, body_from_frame, there, turn) if ground.off else None
     if there.kind == "unknown" and ground.kind in {"tilted", "upside-down"}:
         return None
     heights = suitable_heights(there, samples, origin_z=_height(body_from_frame))

@@ -35,7 +35,7 @@ RECORDS = (
 def test_a_record_is_the_librarys(record: ours.Record) -> None:
     fields = {name: value for name, value in record._asdict().items() if name != "crc"}
     builder = RecordBuilder()
-    getattr(library, type(record).__name__)(**fields).write(builder)
+    getattr(library, type(record).__name__.removesuffix("Record"))(**fields).write(builder)
     packed = encode_record(record)
     assert packed == builder.end()  # type: ignore[no-untyped-call]
     read = ours.unpack(type(record), packed[RECORD.size :])

@@ -127,7 +127,7 @@ class SpanCheck:
         )
         self._log.note(
             DamageError(
-                self._file.located(
+                self._file.with_location(
                     f"the index has log times {declared} for the chunk with data at byte {segment.offset}, "
                     f"its messages have {found}"
                 ),

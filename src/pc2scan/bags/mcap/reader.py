@@ -16,7 +16,7 @@ from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.lazy_items import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
-from pc2scan.files.crc32 import crc32, crc32_combined
+from pc2scan.files.crc32 import combine_crc32, crc32
 from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.model import StoredChunk
 
@@ -519,7 +519,7 @@ class DataCrc:
         value = position = 0
         for segment in self._segments:
             value = self._between(value, position, segment.offset)
-            value = crc32_combined(value, found[segment.offset], segment.length)
+            value = combine_crc32(value, found[segment.offset], segment.length)
             position = segment.offset + segment.length
         value = self._between(value, position, self._stop)
         if value != self._recorded:

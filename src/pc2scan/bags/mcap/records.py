@@ -284,7 +284,7 @@ class RecordFile(SourceFile):
 
     def damage(self, message: str) -> DamageError:
         """Return the error for a damaged file."""
-        return DamageError(self.located(message), path=self.path, hint=RECOVER)
+        return DamageError(self.with_location(message), path=self.path, hint=RECOVER)
 
     def record(self, offset: int, opcode: Opcode) -> bytes:
         """Read the content of a record of a known kind."""

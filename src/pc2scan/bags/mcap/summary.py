@@ -125,7 +125,7 @@ def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
             if len(places) < declared:
                 error = f"the statistics count {declared} {kind}, {len(places)} were found"
                 log.note(file.damage(error), key=kind)
-        for kind, declared, fewest, most in _declarations_counted(index, statistics):
+        for kind, declared, fewest, most in _declaration_counts(index, statistics):
             # Some writers count nothing, some only declarations with messages, and some unwritten ones, too.
             if declared and not (fewest <= declared and (declared <= most or not index.channels_listed)):
                 error = f"the statistics count {declared} {kind}, {most} were found"
@@ -139,7 +139,7 @@ def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
             log.note(file.damage(error), offset=offset, key="index", messages_lost=0)
 
 
-def _declarations_counted(index: McapIndex, statistics: records.Statistics) -> Iterator[tuple[str, int, int, int]]:
+def _declaration_counts(index: McapIndex, statistics: records.Statistics) -> Iterator[tuple[str, int, int, int]]:
     """Yield for channels, schemas and chunks the count of the statistics, and the smallest and largest right count."""
     used = {number for number, count in statistics.channel_message_counts.items() if count}
     channels = [index.channels[number] for number in used if number in index.channels]

@@ -221,25 +221,25 @@ class McapWriter:
         if chunk.compression:
             self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
         else:
-            self._ahead.put(partial(self._repacked, chunk), self._put_chunk, chunk.size)
+            self._ahead.put(partial(self._recompress, chunk), self._put_chunk, chunk.size)
 
     def _finish_chunk(self) -> None:
         """Queue the open chunk to be compressed and written, and begin another one."""
         chunk = self._chunk
         if chunk.size:
-            self._ahead.put(partial(self._packed, chunk), partial(self._put_packed, chunk), chunk.size)
+            self._ahead.put(partial(self._compress_chunk, chunk), partial(self._put_compressed, chunk), chunk.size)
             self._chunk = _OpenChunk(self._spare.pop() if self._spare else BytesIO())
 
-    def _packed(self, chunk: _OpenChunk) -> StoredChunk:
+    def _compress_chunk(self, chunk: _OpenChunk) -> StoredChunk:
         """Compress a chunk; runs on any thread."""
         data = chunk.buffer.getbuffer()[: chunk.size]
         compression = self._compression or "none"
         return StoredChunk(compression, self._compress(data), chunk.size, crc32(data), chunk.index)
 
-    def _repacked(self, chunk: StoredChunk) -> StoredChunk:
+    def _recompress(self, chunk: StoredChunk) -> StoredChunk:
         return replace(chunk, compression=self._compression or "none", stored=self._compress(memoryview(chunk.stored)))
 
-    def _put_packed(self, chunk: _OpenChunk, packed: StoredChunk) -> None:
+    def _put_compressed(self, chunk: _OpenChunk, packed: StoredChunk) -> None:
         self._put_chunk(packed)
         if isinstance(packed.stored, memoryview):
             # A buffer with a view of it cannot be written.

@@ -164,7 +164,7 @@ class BagFile(SourceFile):
 
     def damage_error(self, message: str) -> DamageError:
         """Return the error that the reader raises."""
-        return DamageError(self.located(message), path=self.path, hint=RECOVER)
+        return DamageError(self.with_location(message), path=self.path, hint=RECOVER)
 
     def head(self, length: int) -> bytes:
         """Read the first bytes, fewer if there are fewer."""

@@ -206,7 +206,7 @@ class Rosbag1Writer:
         if chunk.compression:
             self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
         else:
-            self._ahead.put(partial(self._packed, chunk), self._put_chunk, chunk.size)
+            self._ahead.put(partial(self._compress_chunk, chunk), self._put_chunk, chunk.size)
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Do nothing: a ROS 1 bag has no attachments."""
@@ -241,9 +241,9 @@ class Rosbag1Writer:
             return
         # Joined here: the last part may belong to the caller.
         whole = StoredChunk("", b"".join(chunk.parts), chunk.size, 0, chunk.index)
-        self._ahead.put(partial(self._packed, whole), self._put_chunk, chunk.size)
+        self._ahead.put(partial(self._compress_chunk, whole), self._put_chunk, chunk.size)
 
-    def _packed(self, chunk: StoredChunk) -> StoredChunk:
+    def _compress_chunk(self, chunk: StoredChunk) -> StoredChunk:
         """Compress a chunk; runs on any thread."""
         return replace(chunk, compression=self._compression, stored=_compress(chunk.stored, self._compression))
 

@@ -111,7 +111,7 @@ class Rosbag2Writer:
         try:
             path.mkdir()
         except OSError as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
         options = WriteOptions(name=name, compression=compression, metadata_version=metadata_version)
         assert entry.open_storage is not None
         open_storage = entry.open_storage
@@ -243,7 +243,7 @@ class Rosbag2Writer:
             "type_description_hash": connection.digest,
         }
 
-    def _failed(self, err: OSError) -> OutputError:
+    def _write_error(self, err: OSError) -> OutputError:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
 
 

@@ -170,7 +170,7 @@ def _parse_msg(text: str, owner: str, *, ros1: bool) -> Struct:
             value = rest[1:].strip()
             # Only a ROS 1 string runs to the end of the line; elsewhere # begins a comment.
             if not (ros1 and match["type"] == "string"):
-                value = _uncommented(value)
+                value = _strip_comment(value)
             constants.append(Constant(match["name"], match["type"], value))
         elif not rest or rest.startswith("#") or not ros1:
             # In ROS 2 a default value may follow the name; it takes no place in a message.
@@ -205,7 +205,7 @@ def _resolve(word: str, owner: str, *, ros1: bool) -> str:
     return canonical_type(f"{owner.rpartition('/')[0]}/{word}")
 
 
-def _uncommented(value: str) -> str:
+def _strip_comment(value: str) -> str:
     """Remove a comment, unless the ``#`` is within quotes."""
     quoted = re.match(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"", value)
     return quoted[0] if quoted else value.split("#", 1)[0].rstrip()

@@ -40,11 +40,11 @@ def constant_lines(struct: Struct, ros_version: int) -> Iterator[str]:
         if constant.type == "string":
             bare = value[1:-1] if len(value) > 1 and value[0] == value[-1] and value[0] in "'\"" else value
             # In ROS 1 quotes would be part of the value; in ROS 2 a # outside quotes begins a comment.
-            value = bare if ros_version == 1 else _quoted(bare)
+            value = bare if ros_version == 1 else _quote(bare)
         yield f"{constant.type} {constant.name}={value}"
 
 
-def _quoted(value: str) -> str:
+def _quote(value: str) -> str:
     return f"'{value}'" if '"' in value and "'" not in value else '"' + value.replace('"', '\\"') + '"'
 
 

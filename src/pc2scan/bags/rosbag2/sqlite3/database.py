@@ -195,7 +195,7 @@ class Database:
         finally:
             self._connection.set_progress_handler(None, 0)
 
-    def stored(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+    def bounded_rows(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield rows as they are, up to the size of the file: rows that share pages may have any number of values."""
         left = self._most
         for row in rows:

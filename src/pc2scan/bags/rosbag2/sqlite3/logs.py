@@ -69,8 +69,8 @@ class PageLog:
         self.broken |= broken
 
 
-_MAGICS = (0x377F0682, 0x377F0683)
-_HEADER, _FRAME_HEADER = 32, 24
+_WAL_MAGICS = (0x377F0682, 0x377F0683)
+_WAL_HEADER, _FRAME_HEADER = 32, 24
 
 _Sum = tuple[int, int]
 
@@ -91,15 +91,15 @@ def read_write_ahead(log: PageLog) -> None:
     that it hits.
     """
     file, page_size = log.file, log.page_size
-    if file.size < _HEADER:
-        log.note(f"is cut off: it has {file.size} bytes, its header has {_HEADER}", 0, file.size, broken=False)
+    if file.size < _WAL_HEADER:
+        log.note(f"is cut off: it has {file.size} bytes, its header has {_WAL_HEADER}", 0, file.size, broken=False)
         return
-    head = file.read(0, _HEADER)
+    head = file.read(0, _WAL_HEADER)
     magic, _, size = struct.unpack_from(">III", head)
     stated: _Sum = struct.unpack_from(">II", head, 24)
     sums = {big: _checksum(head[:24], (0, 0), big=big) for big in (False, True)}
-    frames, rest = divmod(file.size - _HEADER, _FRAME_HEADER + page_size)
-    if magic in _MAGICS and sums[bool(magic & 1)] == stated:
+    frames, rest = divmod(file.size - _WAL_HEADER, _FRAME_HEADER + page_size)
+    if magic in _WAL_MAGICS and sums[bool(magic & 1)] == stated:
         if size != page_size:
             log.note(f"has pages of {size} bytes, its database of {page_size} bytes", 0, file.size)
             return
@@ -107,10 +107,10 @@ def read_write_ahead(log: PageLog) -> None:
     else:
         log.note("has a damaged header", 0, broken=False)
         # A frame has the values of the header, except the byte order of checksums.
-        salts = file.read(_HEADER, 16)[8:] if frames else b""
+        salts = file.read(_WAL_HEADER, 16)[8:] if frames else b""
         walk = _FrameWalk(log, salts, [stated, *sums.values()], list(sums))
     for index in range(frames):
-        walk.step(_HEADER + index * (_FRAME_HEADER + page_size))
+        walk.step(_WAL_HEADER + index * (_FRAME_HEADER + page_size))
     walk.finish()
     if rest:
         log.note(f"is cut off in the middle of a page, which has {rest} bytes", file.size - rest, rest, broken=False)
@@ -246,8 +246,8 @@ def _fibonacci(count: int) -> NDArray[np.uint32]:
     return np.array(numbers[::-1], np.uint32)
 
 
-_MAGIC = bytes.fromhex("d9d505f920a163d7")
-_HEADER = 28
+_JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
+_JOURNAL_HEADER = 28
 
 #: The count of records in a journal whose writer did not sync it.
 _UNCOUNTED = b"\xff" * 4
@@ -263,13 +263,13 @@ def read_journal(log: PageLog) -> None:
     ended would be known only from a file that the journal names.
     """
     file = log.file
-    head = file.read(0, min(file.size, _HEADER))
+    head = file.read(0, min(file.size, _JOURNAL_HEADER))
     if head[0] == 0:
         # An empty journal, kept for the next transaction.
         return
     position = 0
-    sector, size = struct.unpack_from(">II", head.ljust(_HEADER, b"\0"), 20)
-    if head[:8] != _MAGIC or not (32 <= sector <= 65536 and sector & (sector - 1) == 0):
+    sector, size = struct.unpack_from(">II", head.ljust(_JOURNAL_HEADER, b"\0"), 20)
+    if head[:8] != _JOURNAL_MAGIC or not (32 <= sector <= 65536 and sector & (sector - 1) == 0):
         log.note("has a damaged header: the transaction that it would undo is not undone", 0, file.size)
         return
     if size not in (0, log.page_size):
@@ -286,8 +286,8 @@ def read_journal(log: PageLog) -> None:
     if rest and head[8:12] == _UNCOUNTED and not name:
         log.note("is cut off in the middle of a page", file.size - rest, rest)
     while position + sector <= file.size:
-        head = file.read(position, _HEADER) if position + _HEADER <= file.size else b""
-        if head[:8] != _MAGIC:
+        head = file.read(position, _JOURNAL_HEADER) if position + _JOURNAL_HEADER <= file.size else b""
+        if head[:8] != _JOURNAL_MAGIC:
             break
         counted = head[8:12] != _UNCOUNTED
         end = _read_records(log, position + sector, *struct.unpack_from(">II", head, 8), counted=counted)
@@ -331,10 +331,10 @@ def _note_records(log: PageLog, wrong: list[int]) -> None:
 
 def _super_journal(file: SourceFile) -> str:
     """Return the file name at the end of a journal; empty if there is none."""
-    if file.size < 16 + _HEADER:
+    if file.size < 16 + _JOURNAL_HEADER:
         return ""
     length, stated, magic = struct.unpack(">II8s", file.read(file.size - 16, 16))
-    if magic != _MAGIC or not 0 < length <= min(file.size - 16, 4096):
+    if magic != _JOURNAL_MAGIC or not 0 < length <= min(file.size - 16, 4096):
         return ""
     name = file.read(file.size - 16 - length, length)
     return name.decode("utf-8", "replace") if sum(name) & 0xFFFFFFFF == stated else ""

@@ -177,7 +177,7 @@ class Sqlite3Reader(Reader):
         while True:
             try:
                 rows = self._rows(list(known), start_ns, stop_ns, after)
-                for topic_id, time_ns, message_id, data in self._database.stored(rows):
+                for topic_id, time_ns, message_id, data in self._database.bounded_rows(rows):
                     # Pages of a damaged tree may form a loop.
                     expected -= 1
                     if expected < 0:

@@ -297,7 +297,7 @@ def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
     kinds = kinds_of([name for name in names if name in available])
     found: dict[int, list[str]] = {}
     limit = ConnectionLimit(database.path, database.size)
-    for topic_id, kind, *values in database.stored(
+    for topic_id, kind, *values in database.bounded_rows(
         database.query(f"SELECT id, {kinds}, {columns} FROM topics ORDER BY id")  # noqa: S608 - constants
     ):
         if not isinstance(topic_id, int) or topic_id in found:
@@ -331,7 +331,7 @@ def _read_definitions(database: Database, noted: DamageLog) -> dict[tuple[str, s
         f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
         (MAX_CONNECTIONS,),
     )
-    for row_id, kind, msgtype, encoding, data, own_digest in database.stored(rows):
+    for row_id, kind, msgtype, encoding, data, own_digest in database.bounded_rows(rows):
         note_kinds(database, noted, f"row {shown_value(row_id)} of message_definitions", kind)
         # rosbag2 writes "unknown" if it did not find the definition.
         if data and encoding not in {"", "unknown"}:
