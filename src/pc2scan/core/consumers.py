@@ -15,7 +15,7 @@ Sources of the rules, in C++ (floats of the message are float32, literals float6
 - MRPT: ``fromROS`` of two bridges (laser_scan.cpp): that of MRPT 2.5, in Debian and Ubuntu, and mrpt_ros_bridge 3.2.
 
 The arithmetic is that of the consumers: float64 operations on float32 operands, rounded to float32 where the C++ result
-is a float, which is the float32 result (see `pc2scan.core.params.beam_count`); NumPy's float32 for sums of all beams.
+is a float, which is the float32 result (see `pc2scan.core.layout.beam_count`); NumPy's float32 for sums of all beams.
 A division of a float by a whole number is a float division. Cartographer and Nav2 add up the angles of the beams in a
 float, AMCL adds the first two angles in a float, and MRPT divides floats. slam_toolbox and gmapping compute the angles
 of their beams in doubles.

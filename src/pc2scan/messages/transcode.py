@@ -82,7 +82,6 @@ def transcoder(
     ros_version: int,
     *,
     distro: str = DEFAULT_DISTRO,
-    definitions: Mapping[str, Definition] | None = None,
 ) -> Transcoding:
     """Plan how a connection's messages are re-encoded for the other ROS version.
 
@@ -99,8 +98,6 @@ def transcoder(
     distro
         One of `DISTROS`: its message set has the types that the recording does not define, and those that the
         destination's nodes expect. For the other ROS version these are noetic's and jazzy's.
-    definitions
-        Further definitions by type name, used before the message sets if the connection has none.
 
     Returns
     -------
@@ -131,7 +128,7 @@ def transcoder(
             f"{connection.msgtype} is serialised as {connection.serialization!r}, expected 'ros1' or 'cdr'",
             topic=connection.topic,
         )
-    plan = _type_plan(connection.msgtype, _definition(connection, definitions or {}), source, distro)
+    plan = _type_plan(connection.msgtype, connection.definition, source, distro)
     if isinstance(plan, DecodeError):
         raise DecodeError(plan.message, topic=connection.topic, hint=plan.hint)
     encoder = _Encoder(plan, source, connection.topic)
@@ -181,16 +178,6 @@ def with_definition(connection: Connection, distro: str = DEFAULT_DISTRO) -> Con
 def _check_distro(distro: str) -> None:
     if distro not in DISTROS:
         raise UsageError(f"ROS distribution {distro!r} is unknown, expected one of {', '.join(DISTROS)}")
-
-
-def _definition(connection: Connection, further: Mapping[str, Definition]) -> Definition:
-    """Return the connection's definition, or one of the same type from ``further``."""
-    if connection.definition.data.strip():
-        return connection.definition
-    for name in (connection.msgtype, connection.ros_type, ros1_type(connection.msgtype)):
-        if name in further:
-            return further[name]
-    return connection.definition
 
 
 # --- planning ---
