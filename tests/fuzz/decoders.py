@@ -91,8 +91,8 @@ def _imu(data: bytes) -> None:
             return iter(messages)
 
     found = read_up([Recorded()], ImuRequest("/imu"))  # type: ignore[list-item]  # a part of a reader
-    assert np.isfinite(found.ups).all()
-    assert len(found.ups) == len(found.stamps_ns)
+    assert np.isfinite(found.directions).all()
+    assert len(found.directions) == len(found.stamps_ns)
 
 
 def _wire(data: bytes) -> None:

@@ -78,7 +78,7 @@ def test_valid_orientations_are_up(ros_version: int) -> None:
     found = read(Recording(*messages, ros_version=ros_version))
     assert (found.topic, found.frame) == ("/imu", "imu_link")
     assert found.stamps_ns.tolist() == (EPOCH + world.stamps_ns).tolist()
-    np.testing.assert_allclose(found.ups, world.ups, atol=1e-12)
+    np.testing.assert_allclose(found.directions, world.ups, atol=1e-12)
     assert found.notes == ("/imu: up is computed from the orientations of 200 messages",)
     assert not found.warnings
 
@@ -94,14 +94,14 @@ def test_valid_orientations_are_up(ros_version: int) -> None:
 def test_without_them_gyroscope_and_accelerometer_are(further: dict[str, Any], why: str) -> None:
     world = simulated(20)
     found = read(Recording(*of(world, **further)))
-    assert errors(found.ups, world.ups).max() < 0.8
+    assert errors(found.directions, world.ups).max() < 0.8
     assert found.notes == (f"/imu: up is estimated from gyroscope and accelerometer of 2,000 messages: {why}",)
 
 
 def test_accelerations_in_g() -> None:
     world = simulated(20)
     found = read(Recording(*of(world._replace(acceleration=world.acceleration / 9.81))))
-    assert errors(found.ups, world.ups).max() < 0.8
+    assert errors(found.directions, world.ups).max() < 0.8
     assert "accelerometer (in units of g)" in found.notes[0]
 
 
@@ -111,7 +111,7 @@ def test_messages_out_of_order_repeated_and_damaged() -> None:
     whole = read(Recording(*messages))
     messages[10:12] = [messages[11], messages[10]]
     found = read(Recording(*messages, messages[7], {"raw": b"\0\1\0\0abc"}))
-    assert found.ups.tobytes() == whole.ups.tobytes()
+    assert found.directions.tobytes() == whole.directions.tobytes()
     assert any("1 message cannot be decoded" in warning for warning in found.warnings)
     assert any("1 message ignored: the stamp of another one" in warning for warning in found.warnings)
 
@@ -171,8 +171,8 @@ def test_garbage_is_a_direction_or_an_error(seed: int) -> None:
         found = read(Recording(*messages))
     except UsageError:
         return
-    assert np.isfinite(found.ups).all()
-    assert len(found.ups) == len(found.stamps_ns)
+    assert np.isfinite(found.directions).all()
+    assert len(found.directions) == len(found.stamps_ns)
 
 
 def test_stamps_of_0() -> None:

@@ -88,7 +88,7 @@ def test_outside_of_the_imu_and_in_its_gaps_nothing_is_known() -> None:
 
 
 def test_between_two_opposite_directions_is_the_older_one() -> None:
-    up = replace(by_imu(), ups=np.array([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)] * 2))
+    up = replace(by_imu(), directions=np.array([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)] * 2))
     assert up("imu", EPOCH + 50_000_000) == (0, 0, 1)
 
 

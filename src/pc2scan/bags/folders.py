@@ -88,13 +88,14 @@ def natural_order(path: Path) -> list[int | str]:
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name, flags=re.ASCII)]
 
 
-def several_recordings(folder: Path, held: Sequence[Path], why: str = "") -> UsageError:
+def several_recordings(folder: Path, recordings: Sequence[Path], why: str = "") -> UsageError:
     """Return the error for a folder that holds several recordings, where one was expected."""
-    names = [f"{path.name}/" if path.is_dir() else path.name for path in held]
+    names = [f"{path.name}/" if path.is_dir() else path.name for path in recordings]
     more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
-    one, all_of_them = shlex.quote(str(held[0])), shlex.quote(str(folder))
+    one, all_of_them = shlex.quote(str(recordings[0])), shlex.quote(str(folder))
     return UsageError(
-        f"holds {len(held)} recordings, not one: {', '.join(names[:_MAX_NAMED])}{more}{f' ({why})' if why else ''}",
+        f"holds {len(recordings)} recordings, not one: {', '.join(names[:_MAX_NAMED])}{more}"
+        f"{f' ({why})' if why else ''}",
         path=folder,
         hint=f"name one of them: {one}; pc2scan batch {all_of_them} -o DIR/ converts each by itself",
     )

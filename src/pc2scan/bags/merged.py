@@ -159,9 +159,9 @@ class MergedReader(Reader):
         """Count the messages of each connection in all sources; see `pc2scan.bags.reader.Reader`."""
         found = dict.fromkeys((connection.id for connection in connections), 0)
         for reader, known in zip(self._readers, self._maps, strict=True):
-            asked = [own for own in reader.connections if known[own.id].id in found]
-            counted = reader.counts(asked, start_ns, stop_ns)
-            for own in asked:
+            requested = [own for own in reader.connections if known[own.id].id in found]
+            counted = reader.counts(requested, start_ns, stop_ns)
+            for own in requested:
                 merged_id = known[own.id].id
                 if own.id in counted and merged_id in found:
                     found[merged_id] += counted[own.id]

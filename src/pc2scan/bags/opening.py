@@ -149,13 +149,13 @@ def _sniff_directory(path: Path) -> str:
             return name
     from .folders import recordings_in, several_recordings  # noqa: PLC0415  # only folders need it
 
-    held = recordings_in(path)
-    if len(held) > 1:
-        raise several_recordings(path, held)
+    recordings = recordings_in(path)
+    if len(recordings) > 1:
+        raise several_recordings(path, recordings)
     raise RecordingError(
         "is a directory without a rosbag2 recording (no metadata.yaml, .db3 or .mcap files)",
         path=path,
-        hint=f"name the recording in it: {shlex.quote(str(held[0]))}" if held else None,
+        hint=f"name the recording in it: {shlex.quote(str(recordings[0]))}" if recordings else None,
     )
 
 

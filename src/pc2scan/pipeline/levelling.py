@@ -74,7 +74,7 @@ class Ups:
             found = self._measured[request] = read_up(self._readers, request)
             self._report.notes += found.notes
             self._report.warnings += found.warnings
-        return UpByImu(found.topic, found.frame, found.stamps_ns, found.ups, self._buffer, tolerance_ns)
+        return UpByImu(found.topic, found.frame, found.stamps_ns, found.directions, self._buffer, tolerance_ns)
 
 
 def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:

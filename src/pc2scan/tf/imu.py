@@ -71,7 +71,7 @@ class UpEstimate:
         Topic and frame of the IMU.
     stamps_ns
         (N,) increasing.
-    ups
+    directions
         (N, 3) directions of unit length in its frame.
     notes, warnings
         Texts for the user.
@@ -80,7 +80,7 @@ class UpEstimate:
     topic: str
     frame: str
     stamps_ns: NDArray[np.int64]
-    ups: NDArray[np.float64]
+    directions: NDArray[np.float64]
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -90,7 +90,7 @@ class _ImuSamples:
     """The values of a topic's messages: times, and three numbers each; NaN where a value is missing."""
 
     stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-    ups: array[float] = field(default_factory=lambda: array("d"))
+    directions: array[float] = field(default_factory=lambda: array("d"))
     turning: array[float] = field(default_factory=lambda: array("d"))
     acceleration: array[float] = field(default_factory=lambda: array("d"))
     frames: dict[str, None] = field(default_factory=dict)
@@ -125,9 +125,9 @@ def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = N
         raise UsageError(
             f"the messages on {topic} have no stamps: all are 0", hint="give another topic to `imu`, or `fixed_frame`"
         )
-    ups, turning, acceleration = (
+    directions, turning, acceleration = (
         np.array(values, np.float64).reshape(-1, 3)[order]
-        for values in (messages.ups, messages.turning, messages.acceleration)
+        for values in (messages.directions, messages.turning, messages.acceleration)
     )
     warnings = []
     if messages.undecoded:
@@ -135,16 +135,16 @@ def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = N
     if repeated := len(messages.stamps_ns) - len(stamps):
         warnings.append(f"{topic}: {counted(repeated, 'message')} ignored: the stamp of another one")
     frame = request.frame or _only_frame(topic, messages.frames)
-    known, ups, notes, further = _estimate_up(topic, stamps, ups, turning, acceleration)
-    return UpEstimate(topic, frame, stamps[known], ups, tuple(notes), (*warnings, *further))
+    known, directions, notes, further = _estimate_up(topic, stamps, directions, turning, acceleration)
+    return UpEstimate(topic, frame, stamps[known], directions, tuple(notes), (*warnings, *further))
 
 
-def _imu_topic(readers: Sequence[Reader], asked: str) -> str:
+def _imu_topic(readers: Sequence[Reader], requested: str) -> str:
     types: dict[str, set[str]] = {}
     for connection in (connection for reader in readers for connection in reader.connections):
         kind = connection.ros_type if connection.ros_version is not None else connection.msgtype
         types.setdefault(connection.topic, set()).add(kind)
-    return find_topic(asked, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
+    return find_topic(requested, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
 
 
 def _read_messages(readers: Sequence[Reader], topic: str, most: int | None) -> _ImuSamples:
@@ -162,7 +162,7 @@ def _read_messages(readers: Sequence[Reader], topic: str, most: int | None) -> _
                 continue
             found.frames[imu.frame_id] = None
             found.stamps_ns.append(imu.stamp_ns)
-            found.ups.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
+            found.directions.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
             found.turning.extend(_plausible(imu.angular_velocity))
             found.acceleration.extend(_plausible(imu.linear_acceleration))
     return found
@@ -188,47 +188,49 @@ def _only_frame(topic: str, frames: dict[str, None]) -> str:
 def _estimate_up(
     topic: str,
     stamps_ns: NDArray[np.int64],
-    ups: NDArray[np.float64],
+    directions: NDArray[np.float64],
     turning: NDArray[np.float64],
     acceleration: NDArray[np.float64],
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], list[str], list[str]]:
     """Return which messages show the direction of up, the directions, notes, and warnings."""
-    oriented = ~np.isnan(ups[:, 0])
+    oriented = ~np.isnan(directions[:, 0])
     felt = ~np.isnan(turning[:, 0]) & ~np.isnan(acceleration[:, 0])
     gravity, fault = _gravity(acceleration[felt])
     if not fault and not turning[felt].any():
         fault = "the gyroscope always shows 0"
     known = np.flatnonzero(oriented)
-    never_changes = len(known) > 1 and bool((ups[known] == ups[known[0]]).all())
-    if 2 * len(known) >= len(ups) and not (never_changes and not fault):
-        warnings = _disagreement(topic, ups[oriented & felt], acceleration[oriented & felt], fault)
-        if lost := len(ups) - len(known):
-            warnings.append(f"{topic}: {lost:,} of {counted(len(ups), 'message')} ignored: no valid orientation")
+    never_changes = len(known) > 1 and bool((directions[known] == directions[known[0]]).all())
+    if 2 * len(known) >= len(directions) and not (never_changes and not fault):
+        warnings = _disagreement(topic, directions[oriented & felt], acceleration[oriented & felt], fault)
+        if lost := len(directions) - len(known):
+            warnings.append(f"{topic}: {lost:,} of {counted(len(directions), 'message')} ignored: no valid orientation")
         return (
             known,
-            ups[known],
+            directions[known],
             [f"{topic}: up is computed from the orientations of {len(known):,} messages"],
             warnings,
         )
     if fault:
         raise UsageError(
-            f"the messages on {topic} do not show the direction of up: {_why_no_orientation(ups)}, and {fault}",
+            f"the messages on {topic} do not show the direction of up: {_why_no_orientation(directions)}, and {fault}",
             hint="give another topic to `imu`, or level by transforms: `fixed_frame=odom`",
         )
     known = np.flatnonzero(felt)
     warnings = []
-    if lost := len(ups) - len(known):
-        warnings.append(f"{topic}: {lost:,} of {counted(len(ups), 'message')} ignored: no rates or accelerations")
+    if lost := len(directions) - len(known):
+        warnings.append(
+            f"{topic}: {lost:,} of {counted(len(directions), 'message')} ignored: no rates or accelerations"
+        )
     found = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
     unit = " (in units of g)" if gravity < 2 else ""
-    why = "its orientation never changes" if never_changes else _why_no_orientation(ups)
+    why = "its orientation never changes" if never_changes else _why_no_orientation(directions)
     note = f"{topic}: up is estimated from gyroscope and accelerometer{unit} of {len(known):,} messages: {why}"
     return known, found, [note], warnings
 
 
-def _why_no_orientation(ups: NDArray[np.float64]) -> str:
-    known = int(np.count_nonzero(~np.isnan(ups[:, 0])))
-    return f"{known:,} of {len(ups):,} have a valid orientation" if known else "none has a valid orientation"
+def _why_no_orientation(directions: NDArray[np.float64]) -> str:
+    known = int(np.count_nonzero(~np.isnan(directions[:, 0])))
+    return f"{known:,} of {len(directions):,} have a valid orientation" if known else "none has a valid orientation"
 
 
 def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
@@ -241,12 +243,14 @@ def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
     return 0.0, f"the median of the accelerometer is {length:.3g} m/s^2, gravity is {GRAVITY:.4g} m/s^2"
 
 
-def _disagreement(topic: str, ups: NDArray[np.float64], acceleration: NDArray[np.float64], fault: str) -> list[str]:
+def _disagreement(
+    topic: str, directions: NDArray[np.float64], acceleration: NDArray[np.float64], fault: str
+) -> list[str]:
     """Yield a warning if up by orientations differs from up by the accelerometer."""
-    if fault or not len(ups):
+    if fault or not len(directions):
         return []
     with np.errstate(all="ignore"):
-        cosines = np.einsum("ni,ni->n", ups, acceleration) / np.sqrt(np.square(acceleration).sum(axis=1))
+        cosines = np.einsum("ni,ni->n", directions, acceleration) / np.sqrt(np.square(acceleration).sum(axis=1))
         angle = float(np.degrees(np.arccos(np.clip(np.nanmedian(cosines), -1.0, 1.0))))
     if angle < _MAX_DISAGREEMENT:
         return []

@@ -63,7 +63,7 @@ class UpByImu:
         Topic and frame of the IMU.
     stamps_ns
         (N,) increasing, N > 0.
-    ups
+    directions
         (N, 3) directions of up in the IMU's frame.
     buffer, tolerance_ns
         See `pc2scan.tf.placing.Placer`.
@@ -72,7 +72,7 @@ class UpByImu:
     topic: str
     imu_frame: str
     stamps_ns: NDArray[np.int64]
-    ups: NDArray[np.float64]
+    directions: NDArray[np.float64]
     buffer: TransformBuffer
     tolerance_ns: int = 0
 
@@ -113,9 +113,9 @@ class UpByImu:
                 hint="`fixed_frame` levels by transforms instead",
             )
         ratio = (stamp_ns - begin_ns) / max(end_ns - begin_ns, 1) if newer > older else 0.0
-        between: NDArray[np.float64] = (1 - ratio) * self.ups[older] + ratio * self.ups[newer]
+        between: NDArray[np.float64] = (1 - ratio) * self.directions[older] + ratio * self.directions[newer]
         # There is no direction between two opposite ones.
-        return between if between.any() else self.ups[older]
+        return between if between.any() else self.directions[older]
 
     def _outside_error(self, stamp_ns: int, outside_ns: int) -> TransformError:
         first, last = (stamp_text(int(self.stamps_ns[place])) for place in (0, -1))

@@ -137,8 +137,8 @@ def is_recording(folder: Path) -> bool:
     """Whether everything in a directory is one recording: it has a metadata.yaml, or all are named as parts of one."""
     if (folder / METADATA_NAME).exists():
         return True
-    held = recordings_in(folder)
-    return are_named_as_parts(held) and held == storage_files(folder)
+    recordings = recordings_in(folder)
+    return are_named_as_parts(recordings) and recordings == storage_files(folder)
 
 
 def storage_files(folder: Path) -> list[Path]:
