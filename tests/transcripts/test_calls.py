@@ -27,11 +27,10 @@ NAMES |= {"HALL": str(ROOT / "fixtures" / "hall.bag"), "CASES": ROOT / "fixtures
 INNER = {
     "pc2scan.bags.damage": ["Damage"],
     "pc2scan.cli.fitting": ["table_lines"],
-    "pc2scan.cli.render": ["count", "duration", "size", "stamp"],
     "pc2scan.cli.spelling": ["as_typed"],
     "pc2scan.errors": ["ParameterError", "name_list", "stamp_text", "visible"],
     "pc2scan.options.moment": ["TimeBound"],
-    "pc2scan.text": ["did_you_mean", "nearest"],
+    "pc2scan.text": ["count", "did_you_mean", "duration", "nearest", "size", "stamp"],
 }
 for module, inner in INNER.items():
     NAMES |= {name: getattr(import_module(module), name) for name in inner}

@@ -100,8 +100,8 @@ def narrow_rule(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) ->
     connections
         Those of the source.
     """
-    lasting = {each.topic for each in connections if cut.repeats and is_latched(each)}
-    ids = {each.id for each in connections if each.topic in lasting}
+    latched = {each.topic for each in connections if cut.repeats and is_latched(each)}
+    ids = {each.id for each in connections if each.topic in latched}
     grid = (cut.begin_ns, cut.duration_ns) if cut.duration_ns else None
     return rule._replace(connection_ids=rule.connection_ids - ids, grid=grid)
 
@@ -141,7 +141,7 @@ class SplitWriter:
         self._connections: list[Connection] = []
         self._pool: Threads | None = None
         #: By handle: the data to repeat, each with its sequence number.
-        self._lasting: dict[int, NewestItems[tuple[bytes, int]]] = {}
+        self._latched: dict[int, NewestItems[tuple[bytes, int]]] = {}
         self._all_last: set[int] = set()
         self.parts = [RecordingPart(path_of(cut.first))]
         self._writer, self._before_finish = open_part(self.parts[0].path)
@@ -156,7 +156,7 @@ class SplitWriter:
         handle = self._writer.add_connection(connection)
         self._connections.append(connection)
         if self._cut.repeats and is_latched(connection):
-            self._lasting[handle] = NewestItems(_MOST_STATIC)
+            self._latched[handle] = NewestItems(_MOST_STATIC)
             if is_static(connection.topic):
                 self._all_last.add(handle)
         return handle
@@ -177,7 +177,7 @@ class SplitWriter:
         self._writer.write(handle, log_time_ns, data, publish_time_ns, sequence)
         self._note(log_time_ns, size)
         self.parts[-1].note(handle, 1, log_time_ns, log_time_ns)
-        kept = self._lasting.get(handle)
+        kept = self._latched.get(handle)
         if kept is not None:
             # Of static transforms all that differ.
             kept.add([bytes(data) if handle in self._all_last else None], (bytes(data), sequence))
@@ -251,7 +251,7 @@ class SplitWriter:
             self._writer.add_connection(connection)
         if self._pool is not None:
             self._writer.compress_ahead(self._pool)
-        for handle, messages in self._lasting.items():
+        for handle, messages in self._latched.items():
             for data, sequence in messages:
                 # Like `rosbag record --repeat-latched`: with their own times, a gap would follow them.
                 try:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 STABILIZED = "_stabilized"
 
 
-class Level(NamedTuple):
+class LevelFrame(NamedTuple):
     """A frame without roll and pitch, with the origin and the yaw of another frame.
 
     Attributes
@@ -45,7 +45,7 @@ class Level(NamedTuple):
 
 
 class LevelTransform(NamedTuple):
-    """The transform of a level frame, as in a TFMessage, and its tilt, radians; see `Level`."""
+    """The transform of a level frame, as in a TFMessage, and its tilt, radians; see `LevelFrame`."""
 
     row: TransformRow
     tilt: float
@@ -59,7 +59,7 @@ class Placement(NamedTuple):
 
     frame_id: str
     target_from_source: Rigid | None
-    level: Level | None = None
+    level: LevelFrame | None = None
 
 
 class Placer(NamedTuple):
@@ -128,7 +128,7 @@ class Placer(NamedTuple):
             return target, transform
         return level.name, level.frame_from_level.inverse().compose(transform)
 
-    def level(self, frame: str, stamp_ns: int) -> Level | None:
+    def level(self, frame: str, stamp_ns: int) -> LevelFrame | None:
         """Return the level frame of a frame at a stamp; None if messages are not converted in one.
 
         Raises
@@ -141,7 +141,7 @@ class Placer(NamedTuple):
         from pc2scan.core.gravity import tilt, upright_rotation  # noqa: PLC0415  # only where scans are level
 
         up = self.up(frame, stamp_ns)
-        level = Level(frame, upright_rotation(up), tilt(up))
+        level = LevelFrame(frame, upright_rotation(up), tilt(up))
         if self.buffer is not None and self.buffer.history(level.name) is not None:
             raise UnconnectedError(
                 f"the recording already has a frame {level.name!r}, the name that `level` would use",

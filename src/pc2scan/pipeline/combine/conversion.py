@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.pipeline.stages.select import Select
-    from pc2scan.tf.placing import Level, Placer
+    from pc2scan.tf.placing import LevelFrame, Placer
 
     from .matching import Grouper
     from .rebinned import Rebinned
@@ -120,7 +120,7 @@ class Prepared(NamedTuple):
     fixed_from_source: Rigid | None
     gap_ns: int
     track: Track | None
-    level: Level | None
+    level: LevelFrame | None
     rejected: Mapping[str, int]
     flat: bool
     nearest: ProjectedScan | None = None
