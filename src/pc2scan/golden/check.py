@@ -93,7 +93,7 @@ def _run_case(case: Case, command: Command, *, update: bool) -> tuple[CaseOutcom
         actual = Path(folder) / "actual.mcap"
         result = _run_conversion(case, command, actual, "--compression", "none")
         if result.status != case.exit_status:
-            text = f"the conversion result with exit status {result.status}, expected was {case.exit_status}"
+            text = f"the conversion ended with exit status {result.status}, expected was {case.exit_status}"
             return CaseOutcome.failed, [text, *result.messages.splitlines()], None
         if not actual.exists():
             # The conversion failed as expected.
