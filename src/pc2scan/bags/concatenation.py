@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 MAX_PARTS = 64
 
 
-class AnotherBeginsError(Exception):
+class NextRecordingError(Exception):
     """Another recording begins at this offset of the file; readers raise and catch it."""
 
     def __init__(self, offset: int) -> None:

@@ -108,7 +108,7 @@ def render_messages(messages: Iterable[RawMessage]) -> str:
             declared.add(key)
             lines += ["", f"topic {json.dumps(key[0])} {key[1]} {key[2]}"]
         own = ["", f"message {json.dumps(connection.topic)}", *_message_lines(message)]
-        _check(message, own[1:])
+        _check_text(message, own[1:])
         lines += own
     return "\n".join(lines) + "\n"
 
@@ -188,7 +188,7 @@ def _numbers(texts: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
     return numbers
 
 
-def _check(message: RawMessage, lines: Sequence[str]) -> None:
+def _check_text(message: RawMessage, lines: Sequence[str]) -> None:
     """Raise if the text does not read back as the same message."""
     connection = message.connection
     try:

@@ -15,7 +15,7 @@ from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder, P
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
@@ -238,15 +238,11 @@ class Clouds(Stream[Cloud]):
         sizes = [len(cloud) for cloud in clouds]
         stamps = np.array([cloud.stamp for cloud in clouds], "datetime64[ns]")
         table: dict[str, Any] = {"stamp": np.repeat(stamps, sizes)}
-        table.update({name: np.concatenate([part[name] for part in parts]) for name in _common_names(names, parts)})
+        names = [name for name in names if all(name in part for part in parts)]
+        table.update({name: np.concatenate([part[name] for part in parts]) for name in names})
         if len(self.topics) > 1:
             table["topic"] = pandas.Categorical(np.repeat([cloud.topic for cloud in clouds], sizes))
         return pandas.DataFrame(table)
-
-
-def _common_names(names: Iterable[str], parts: Sequence[dict[str, NDArray[Any]]]) -> list[str]:
-    """Return the names that every part has."""
-    return [name for name in names if all(name in part for part in parts)]
 
 
 def _own_data(data: Buffer) -> Buffer:

@@ -167,7 +167,7 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
         If the file is not MCAP.
     DamageError
         If it is cut off, or contradicts itself.
-    AnotherBeginsError
+    NextRecordingError
         If another file follows its data.
     """
     index = McapIndex()

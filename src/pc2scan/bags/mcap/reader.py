@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunked.index_checks import SpanCheck
 from pc2scan.bags.chunked.segments import count_messages, isolated_chunks, segment_units
-from pc2scan.bags.concatenation import AnotherBeginsError, PartReader, note_next, open_parts
+from pc2scan.bags.concatenation import NextRecordingError, PartReader, note_next, open_parts
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.lazy_items import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
@@ -91,7 +91,7 @@ class McapReader(PartReader):
         try:
             try:
                 self._index = self._found_index()
-            except AnotherBeginsError as other:
+            except NextRecordingError as other:
                 self._file.end_at(other.offset)
                 self._index = self._found_index()
             note_next(self._file, self._log)

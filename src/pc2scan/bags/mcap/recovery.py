@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.chunked.salvage import SalvagedMessages, clamp_times
 from pc2scan.bags.chunked.segments import times_around
-from pc2scan.bags.concatenation import AnotherBeginsError
+from pc2scan.bags.concatenation import NextRecordingError
 from pc2scan.bags.lazy_items import LazyItems
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
@@ -251,7 +251,7 @@ def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int,
         the next chunk that the index does not have at all.
     """
     walked = McapIndex()
-    with suppress(AnotherBeginsError):
+    with suppress(NextRecordingError):
         deque(_walk(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file)), maxlen=0)
     there = _chunks_by_identity(walked.segments)
     missing = _chunks_by_identity(segments)

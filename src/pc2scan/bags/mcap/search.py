@@ -6,7 +6,7 @@ import re
 import struct
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.concatenation import AnotherBeginsError
+from pc2scan.bags.concatenation import NextRecordingError
 from pc2scan.errors import DamageError
 
 from . import records
@@ -255,5 +255,5 @@ def refuse_another(file: RecordFile, start: int, stop: int) -> None:
         while 0 <= at <= len(window) - overlap - 1:
             opcode, length = RECORD.unpack_from(window, at + len(MAGIC))
             if begin + at > 0 and opcode == Opcode.HEADER and length <= _MAX_HEADER:
-                raise AnotherBeginsError(begin + at)
+                raise NextRecordingError(begin + at)
             at = window.find(MAGIC, at + 1)

@@ -58,7 +58,7 @@ class _RecoveredRecords:
     gaps: list[tuple[int, int, str]] = field(default_factory=list)
 
 
-class _Stamps:
+class _MessageRun:
     """The log times and connections of consecutive messages."""
 
     def __init__(self) -> None:
@@ -91,17 +91,17 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
 
     Raises
     ------
-    AnotherBeginsError
+    NextRecordingError
         If another bag begins where something is damaged.
     """
     if log.strict:
         raise problem
     found = _RecoveredRecords(Connections(file))
     position = _next_after_header(file)
-    loose = _Stamps()
+    loose = _MessageRun()
     loose_start = position
     # The index records after the last chunk; None if they cannot be used.
-    index: _Stamps | None = None
+    index: _MessageRun | None = None
     previous: tuple[int, BagRecord] | None = None
 
     def end_run(at: int) -> None:
@@ -111,7 +111,7 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
             found.segments.append(
                 Segment(loose_start, size, "none", size, 0, loose.first_ns, loose.last_ns, frozenset(loose.counts))
             )
-        loose = _Stamps()
+        loose = _MessageRun()
 
     while position < file.size:
         record = record_at(file.nearby, position, file.size)
@@ -158,7 +158,7 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
                 _set_times(found, index)
                 _note_record(file, found, position, record)
                 noted = record.kind == CHUNK and found.segments and found.segments[-1].offset == record.start
-                index = _Stamps() if noted else None
+                index = _MessageRun() if noted else None
         previous, position = (position, record), record.stop
     end_run(file.size)
     _find_times(file, found, log)
@@ -185,7 +185,7 @@ def _note_record(file: BagFile, found: _RecoveredRecords, position: int, record:
             found.gaps.append((position, record.stop, str(err)))
 
 
-def _with_entries(index: _Stamps | None, file: BagFile, record: BagRecord) -> _Stamps | None:
+def _with_entries(index: _MessageRun | None, file: BagFile, record: BagRecord) -> _MessageRun | None:
     """Add the entries of an index record: times and places of a connection's messages, 12 bytes each."""
     count = uint32_field(record.fields, "count")
     if index is None or 12 * count != record.stop - record.start or uint32_field(record.fields, "ver") != 1:
@@ -197,7 +197,7 @@ def _with_entries(index: _Stamps | None, file: BagFile, record: BagRecord) -> _S
     return index
 
 
-def _set_times(found: _RecoveredRecords, index: _Stamps | None) -> None:
+def _set_times(found: _RecoveredRecords, index: _MessageRun | None) -> None:
     """Set the last chunk's times to those in its index records."""
     if index is not None and index.counts and found.segments and not found.segments[-1].end_ns:
         found.segments[-1] = replace(
@@ -246,7 +246,7 @@ def _find_times(file: BagFile, found: _RecoveredRecords, log: DamageLog) -> None
             data = payload(file, segment)
         except FormatError:
             data = payload_prefix(file, segment)
-        stamps = _Stamps()
+        stamps = _MessageRun()
         for fields, start, stop, sound in find_records(data):
             if not sound:
                 continue

@@ -6,7 +6,7 @@ import re
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.concatenation import AnotherBeginsError
+from pc2scan.bags.concatenation import NextRecordingError
 
 from .records import (
     BAG_HEADER,
@@ -155,4 +155,4 @@ def record_behind(file: BagFile, start: int) -> int | None:
 def refuse_another(file: BagFile, start: int, stop: int) -> None:
     """Raise if another bag begins in this part of the file."""
     if (found := another_bag(file, start, stop)) is not None:
-        raise AnotherBeginsError(found)
+        raise NextRecordingError(found)
