@@ -1,4 +1,9 @@
-"""Compares two recordings, topic by topic."""
+"""Compares two recordings, topic by topic.
+
+Scans and clouds are compared field by field, all other messages by their bytes: they are matched by log time. If the
+wire formats differ (ROS 1 and ROS 2, byte order and padding of CDR), both messages are re-encoded and compared again,
+so that only their content matters.
+"""
 
 from __future__ import annotations
 

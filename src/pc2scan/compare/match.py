@@ -1,4 +1,4 @@
-"""Matches the messages of two topics, with one pair in memory at a time.
+"""Matches the messages of two topics, with one pair in memory at a time; reads many small topics into memory.
 
 Messages are matched by their header's stamp, which is the same in every container and every re-recording. Repeated
 stamps are matched in order. Messages whose stamp is 0 or cannot be read are matched by their log time.

@@ -1,4 +1,4 @@
-"""Compares two messages, each in any wire format."""
+"""Compares two scans or two clouds, each in any wire format: values of beams and points, geometry, layout, header."""
 
 from __future__ import annotations
 

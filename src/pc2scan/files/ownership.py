@@ -1,4 +1,4 @@
-"""What a run may write, replace and remove: the one rule of ownership, which everything that writes files asks.
+"""What a run may write, replace and remove: the one rule of ownership, which everything that writes files uses.
 
 A run replaces or removes a path only if one of these is true:
 

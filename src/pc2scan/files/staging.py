@@ -118,7 +118,7 @@ def check_destination(
     Raises
     ------
     DestinationError, OutputError
-        See `staged_output` and `made_folder`.
+        See `staged_output` and `output_folder`.
     """
     if folder is not None and not folder.is_dir():
         check_new_folder(folder)

@@ -1,4 +1,8 @@
-"""Files and folders at URLs: their sizes and versions, reading and writing them, and errors in one line."""
+"""Files and folders at URLs: their sizes and versions, reading and writing them, and errors in one line.
+
+The stores' libraries only notice silence. A server that sends a byte now and then is never silent and never done, so
+each transfer has a pace: in every minute 64 KiB arrive, or all that was asked for.
+"""
 
 from __future__ import annotations
 

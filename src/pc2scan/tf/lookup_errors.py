@@ -1,4 +1,4 @@
-"""The errors for lookups without a transform: why there is none, and what to do about it."""
+"""Why a lookup has no transform, and what to do about it; and which transforms tf2 rejects, and why."""
 
 from __future__ import annotations
 

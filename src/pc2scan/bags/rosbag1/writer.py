@@ -308,7 +308,7 @@ def _pack_bag_header(index_pos: int, connection_count: int, chunk_count: int) ->
 
 
 def _pack_connection(identity: int, connection: Connection) -> bytes:
-    """Pack a connection's record; the inverse of `parsed_connection`."""
+    """Pack a connection's record; the inverse of `parse_connection`."""
     metadata = {name: value for name, value in connection.metadata.items() if name not in OWN_FIELDS}
     header = {
         **metadata,

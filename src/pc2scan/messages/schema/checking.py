@@ -1,4 +1,4 @@
-"""Collects a type and all nested types, and checks their names and sizes."""
+"""Checks definitions: their names and sizes, the minimum size of a message, and whether two have the same layout."""
 
 from __future__ import annotations
 

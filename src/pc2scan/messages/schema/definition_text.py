@@ -1,4 +1,7 @@
-"""Reads the definition texts of recordings: ``ros1msg`` and ``ros2msg`` here, ``ros2idl`` with `idl`."""
+"""Reads the definition texts of recordings: ``ros1msg``, ``ros2msg``, and IDL as ROS 2 generates it (``ros2idl``).
+
+IDL is read with rosbags' parser; IDL that would take the parser long is refused.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes definitions as text, for either ROS version."""
+"""Writes definitions as text, for either ROS version, and computes ROS's hashes of them: md5sum and RIHS01."""
 
 from __future__ import annotations
 
