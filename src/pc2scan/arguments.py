@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     PathText: TypeAlias = str | PathLike[str]
 
-
 #: Maximum number of characters of a value in an error message.
 _LONGEST = 80
 

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer, Connection, RawMessage
 
-
 #: Pairs of messages between two reports.
 _EVERY = 32
 
@@ -72,103 +71,6 @@ class ProgressMeter:
         read = sum(now - before if now >= before else now for now, before in passed)
         done = self._topic * self._size + min(read, self._size)
         self._progress(done, max(1, self._topics) * self._size, self._messages)
-
-
-#: The messages of one log time, by the number of their topic.
-_Group = dict[int, list["RawMessage"]]
-
-
-def compare_others(
-    pairs: Sequence[tuple[TopicStream, TopicStream]], entries: Sequence[TopicDifference], rules: Rules
-) -> None:
-    """Compare several topics in one pass over both recordings.
-
-    Parameters
-    ----------
-    pairs
-        Topics of one A and one B.
-    entries
-        The result of each pair; changed here.
-    rules
-        ``ignore`` may have ``seq``; tolerances are not used.
-    """
-    content = _ByteComparison(numbered="seq" not in rules.ignore)
-    for log_time_ns, groups in _merge_by_log_time(
-        *(_groups_by_log_time([pair[side] for pair in pairs]) for side in (0, 1))
-    ):
-        times = MessageTimes(None, log_time_ns)
-        for number in sorted({*groups[0], *groups[1]}):
-            entry = entries[number]
-            ours, theirs = (group.get(number, ()) for group in groups)
-            entry.messages_a += len(ours)
-            entry.messages_b += len(theirs)
-            for a, b in zip(ours, theirs, strict=False):
-                entry.count_pair(times, content.compare(a, b))
-            for _ in ours[len(theirs) :]:
-                entry.missing.add(times)
-            for _ in theirs[len(ours) :]:
-                entry.extra.add(times)
-
-
-def _groups_by_log_time(streams: Sequence[TopicStream]) -> Iterator[tuple[int, _Group]]:
-    """Yield the messages of several topics of one recording, grouped by log time."""
-    numbers = {connection.id: n for n, stream in enumerate(streams) for connection in stream.connections}
-    connections = tuple(connection for stream in streams for connection in stream.connections)
-    messages = TopicStream(streams[0].source, connections).messages()
-    for log_time_ns, together in groupby(messages, lambda message: message.log_time_ns):
-        group: _Group = {}
-        for message in together:
-            group.setdefault(numbers[message.connection.id], []).append(message)
-        yield log_time_ns, group
-
-
-def _merge_by_log_time(
-    a: Iterator[tuple[int, _Group]], b: Iterator[tuple[int, _Group]]
-) -> Iterator[tuple[int, tuple[_Group, _Group]]]:
-    """Yield both sides' groups by log time; an empty one if a side has none."""
-    x, y = next(a, None), next(b, None)
-    while x is not None or y is not None:
-        if y is None or (x is not None and x[0] < y[0]):
-            assert x is not None
-            yield x[0], (x[1], {})
-            x = next(a, None)
-        elif x is None or y[0] < x[0]:
-            yield y[0], ({}, y[1])
-            y = next(b, None)
-        else:
-            yield x[0], (x[1], y[1])
-            x, y = next(a, None), next(b, None)
-
-
-class _ByteComparison:
-    """Compares messages of any type, in either ROS version's wire format."""
-
-    def __init__(self, *, numbered: bool) -> None:
-        self._numbered = numbered
-
-    def compare(self, a: RawMessage, b: RawMessage) -> MessageDifference:
-        """Compare two messages; those that cannot be re-encoded, by their bytes alone."""
-        alike = a.connection.serialization == b.connection.serialization
-        if alike and bytes(a.data) == bytes(b.data):
-            return MessageDifference()
-        note = ""
-        ros_versions = (a.connection.ros_version, b.connection.ros_version)
-        # ROS 1's format has no padding and one byte order, so equal messages have equal bytes.
-        if None not in ros_versions and not (self._numbered and ros_versions == (1, 1)):
-            try:
-                if self._ros1_bytes(a) == self._ros1_bytes(b):
-                    return MessageDifference()
-            except DecodeError as err:
-                note = f"; not decoded: {err.message}"
-        return MessageDifference(0, (Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes{note}"),))
-
-    def _ros1_bytes(self, message: RawMessage) -> Buffer:
-        """Return the message in ROS 1's format, its headers without sequence numbers."""
-        connection, data = message.connection, message.data
-        for ros_version in (1,) if connection.ros_version == 2 else (2, 1):
-            coding = transcoder(connection, ros_version)
-            connection, data = coding.connection, coding.encode(data)
-        return data
 
 
 #: If there are more topics of scans or clouds, they are read together, because one after the other takes too long.
@@ -365,7 +267,7 @@ def _compare(
         else:
             others.append(((one, other), entry))
     if others:
-        compare_others([pair for pair, _ in others], [entry for _, entry in others], rules)
+        _compare_others([pair for pair, _ in others], [entry for _, entry in others], rules)
 
 
 def _entry(one: TopicStream, other: TopicStream, rules: Rules) -> TopicDifference:
@@ -399,3 +301,102 @@ def _compare_stream(
 
 def _times_of(message: RawMessage) -> MessageTimes:
     return MessageTimes(header_stamp_ns(message), message.log_time_ns)
+
+
+# --- other messages ---
+
+#: The messages of one log time, by the number of their topic.
+_Group = dict[int, list["RawMessage"]]
+
+
+def _compare_others(
+    pairs: Sequence[tuple[TopicStream, TopicStream]], entries: Sequence[TopicDifference], rules: Rules
+) -> None:
+    """Compare several topics in one pass over both recordings.
+
+    Parameters
+    ----------
+    pairs
+        Topics of one A and one B.
+    entries
+        The result of each pair; changed here.
+    rules
+        ``ignore`` may have ``seq``; tolerances are not used.
+    """
+    content = _ByteComparison(numbered="seq" not in rules.ignore)
+    for log_time_ns, groups in _merge_by_log_time(
+        *(_groups_by_log_time([pair[side] for pair in pairs]) for side in (0, 1))
+    ):
+        times = MessageTimes(None, log_time_ns)
+        for number in sorted({*groups[0], *groups[1]}):
+            entry = entries[number]
+            ours, theirs = (group.get(number, ()) for group in groups)
+            entry.messages_a += len(ours)
+            entry.messages_b += len(theirs)
+            for a, b in zip(ours, theirs, strict=False):
+                entry.count_pair(times, content.compare(a, b))
+            for _ in ours[len(theirs) :]:
+                entry.missing.add(times)
+            for _ in theirs[len(ours) :]:
+                entry.extra.add(times)
+
+
+def _groups_by_log_time(streams: Sequence[TopicStream]) -> Iterator[tuple[int, _Group]]:
+    """Yield the messages of several topics of one recording, grouped by log time."""
+    numbers = {connection.id: n for n, stream in enumerate(streams) for connection in stream.connections}
+    connections = tuple(connection for stream in streams for connection in stream.connections)
+    messages = TopicStream(streams[0].source, connections).messages()
+    for log_time_ns, together in groupby(messages, lambda message: message.log_time_ns):
+        group: _Group = {}
+        for message in together:
+            group.setdefault(numbers[message.connection.id], []).append(message)
+        yield log_time_ns, group
+
+
+def _merge_by_log_time(
+    a: Iterator[tuple[int, _Group]], b: Iterator[tuple[int, _Group]]
+) -> Iterator[tuple[int, tuple[_Group, _Group]]]:
+    """Yield both sides' groups by log time; an empty one if a side has none."""
+    x, y = next(a, None), next(b, None)
+    while x is not None or y is not None:
+        if y is None or (x is not None and x[0] < y[0]):
+            assert x is not None
+            yield x[0], (x[1], {})
+            x = next(a, None)
+        elif x is None or y[0] < x[0]:
+            yield y[0], ({}, y[1])
+            y = next(b, None)
+        else:
+            yield x[0], (x[1], y[1])
+            x, y = next(a, None), next(b, None)
+
+
+class _ByteComparison:
+    """Compares messages of any type, in either ROS version's wire format."""
+
+    def __init__(self, *, numbered: bool) -> None:
+        self._numbered = numbered
+
+    def compare(self, a: RawMessage, b: RawMessage) -> MessageDifference:
+        """Compare two messages; those that cannot be re-encoded, by their bytes alone."""
+        alike = a.connection.serialization == b.connection.serialization
+        if alike and bytes(a.data) == bytes(b.data):
+            return MessageDifference()
+        note = ""
+        ros_versions = (a.connection.ros_version, b.connection.ros_version)
+        # ROS 1's format has no padding and one byte order, so equal messages have equal bytes.
+        if None not in ros_versions and not (self._numbered and ros_versions == (1, 1)):
+            try:
+                if self._ros1_bytes(a) == self._ros1_bytes(b):
+                    return MessageDifference()
+            except DecodeError as err:
+                note = f"; not decoded: {err.message}"
+        return MessageDifference(0, (Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes{note}"),))
+
+    def _ros1_bytes(self, message: RawMessage) -> Buffer:
+        """Return the message in ROS 1's format, its headers without sequence numbers."""
+        connection, data = message.connection, message.data
+        for ros_version in (1,) if connection.ros_version == 2 else (2, 1):
+            coding = transcoder(connection, ros_version)
+            connection, data = coding.connection, coding.encode(data)
+        return data

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-
 #: A direction of unit length: x, y, z.
 Up: TypeAlias = tuple[float, float, float]
 

@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from .formats import ExportFormat, TopicWriter
     from .poses import Poses
 
-
 #: The longest name: file systems allow 255 bytes, and staging adds an ending.
 _MAX_NAME = 120
 

@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     from .records import FileState, FolderRecord, Record
 
-
 #: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
 

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from .findings import Finding
 
-
 #: How many frames, and how many damaged places, are shown as text.
 _MAX_SHOWN = 5
 

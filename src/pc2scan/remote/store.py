@@ -22,7 +22,6 @@ from .urls import LIBRARIES, shown_url, url_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-
 #: The slowest transfer: so many bytes, or all that are left, arrive in so many seconds.
 LEAST_BYTES = 1 << 16
 SLOWEST_SECONDS = 60.0

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from .history import FrameHistory
     from .summary import Tree
 
-
 ACCEPTED, NO_CHILD, NO_PARENT, SELF, NOT_FINITE, ZERO, DENORMALIZED = range(7)
 REASONS = {
     NO_CHILD: "TF_NO_CHILD_FRAME_ID: child_frame_id is empty",

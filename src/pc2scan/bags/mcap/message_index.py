@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from .records import RecordFile
 
-
 #: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
 _HEAD = struct.Struct("<BQHI")
 

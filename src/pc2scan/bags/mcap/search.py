@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from .chunks import ChunkSegment
     from .records import RecordFile
 
-
 #: Bytes that are searched at a time.
 WINDOW = 1 << 20
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from .index import ExtraIndex, McapIndex
     from .records import RecordFile
 
-
 _SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
 
 

@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-
 _Result = TypeVar("_Result")
 
 #: Later than any time that a bag can hold.

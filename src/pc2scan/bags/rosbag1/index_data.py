@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from .records import BagFile
 
-
 #: The stored seconds and nanoseconds of one message, and its place in the chunk.
 _ENTRY = struct.Struct("<8sI")
 

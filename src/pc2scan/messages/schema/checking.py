@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from .types import Constant, Field, Schema, Struct
 
-
 #: Bytes of the primitives that have a fixed size.
 _WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
     f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)

@@ -30,68 +30,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Definition
 
-
-_IDL_STRING = r'"(?:\\.|[^"\\])*"'
-_IDL_TOKENS = re.compile(
-    rf'(?P<string>{_IDL_STRING})|/\*.*?\*/|//[^\n]*|(?P<open>"|/\*)|'
-    rf'@(?P<annotation>\w+)(?:\s*\((?:{_IDL_STRING}|[^()"])*\))?',
-    re.DOTALL,
-)
-
-
-def parse_idl(text: str, name: str) -> dict[str, Struct]:
-    """Read IDL as ROS 2 generates it."""
-    from rosbags.typesys import TypesysError, get_types_from_idl  # noqa: PLC0415
-
-    try:
-        return structs_of(get_types_from_idl(_plain_idl(text, name)))
-    except (
-        TypesysError,
-        ArithmeticError,
-        AssertionError,
-        AttributeError,
-        LookupError,
-        RecursionError,
-        TypeError,
-        ValueError,
-    ) as err:
-        raise DecodeError(f"{name}: its IDL cannot be read: {excerpt(str(err))}") from err
-
-
-def _plain_idl(text: str, name: str) -> str:
-    r"""Strip comments, annotations and includes, and refuse what ROS 2 does not generate.
-
-    rosbags' parser needs 64 times as long for every nested parenthesis and twice as long for every nested
-    sequence, and a shift can ask for any number of bits. ``\\`` is refused because rosbags' parser and this function
-    disagree on where such a string ends, and an optional member because it is not plain CDR.
-    """
-
-    def keep(match: re.Match[str]) -> str:
-        if match["annotation"] == "optional":
-            raise DecodeError(f"{name}: its IDL has an optional member")
-        if match["open"]:
-            # Raises at the first: searching the end of each would take quadratic time.
-            raise DecodeError(
-                f"{name}: its IDL has a {'string' if match['open'] == chr(34) else 'comment'} without an end"
-            )
-        return match["string"] or " "
-
-    text = re.sub(r"^[ \t]*#.*$", "", text, flags=re.MULTILINE)
-    text = _IDL_TOKENS.sub(keep, text)
-    bare = re.sub(_IDL_STRING, " ", text)
-    for pattern, what in (
-        (r"\([^)]*\(", "nested parentheses"),
-        (r"<<", "a shift"),
-        (r"sequence\s*<\s*sequence", "a sequence of sequences"),
-        (r'"', "a string without an end"),
-    ):
-        if re.search(pattern, bare):
-            raise DecodeError(f"{name}: its IDL has {what}")
-    if "\\\\" in text:
-        raise DecodeError(f"{name}: its IDL has an escaped backslash")
-    return text
-
-
 MAX_BYTES = 1 << 20
 
 _SEPARATOR = re.compile(r"^=+[ \t]*$", re.MULTILINE)
@@ -219,3 +157,66 @@ def _number(digits: str) -> int:
     if len(digits) > 10:
         raise DecodeError(f"size of {len(digits)} digits in a definition")
     return int(digits)
+
+
+# --- IDL ---
+
+_IDL_STRING = r'"(?:\\.|[^"\\])*"'
+_IDL_TOKENS = re.compile(
+    rf'(?P<string>{_IDL_STRING})|/\*.*?\*/|//[^\n]*|(?P<open>"|/\*)|'
+    rf'@(?P<annotation>\w+)(?:\s*\((?:{_IDL_STRING}|[^()"])*\))?',
+    re.DOTALL,
+)
+
+
+def parse_idl(text: str, name: str) -> dict[str, Struct]:
+    """Read IDL as ROS 2 generates it."""
+    from rosbags.typesys import TypesysError, get_types_from_idl  # noqa: PLC0415
+
+    try:
+        return structs_of(get_types_from_idl(_plain_idl(text, name)))
+    except (
+        TypesysError,
+        ArithmeticError,
+        AssertionError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as err:
+        raise DecodeError(f"{name}: its IDL cannot be read: {excerpt(str(err))}") from err
+
+
+def _plain_idl(text: str, name: str) -> str:
+    r"""Strip comments, annotations and includes, and refuse what ROS 2 does not generate.
+
+    rosbags' parser needs 64 times as long for every nested parenthesis and twice as long for every nested
+    sequence, and a shift can ask for any number of bits. ``\\`` is refused because rosbags' parser and this function
+    disagree on where such a string ends, and an optional member because it is not plain CDR.
+    """
+
+    def keep(match: re.Match[str]) -> str:
+        if match["annotation"] == "optional":
+            raise DecodeError(f"{name}: its IDL has an optional member")
+        if match["open"]:
+            # Raises at the first: searching the end of each would take quadratic time.
+            raise DecodeError(
+                f"{name}: its IDL has a {'string' if match['open'] == chr(34) else 'comment'} without an end"
+            )
+        return match["string"] or " "
+
+    text = re.sub(r"^[ \t]*#.*$", "", text, flags=re.MULTILINE)
+    text = _IDL_TOKENS.sub(keep, text)
+    bare = re.sub(_IDL_STRING, " ", text)
+    for pattern, what in (
+        (r"\([^)]*\(", "nested parentheses"),
+        (r"<<", "a shift"),
+        (r"sequence\s*<\s*sequence", "a sequence of sequences"),
+        (r'"', "a string without an end"),
+    ):
+        if re.search(pattern, bare):
+            raise DecodeError(f"{name}: its IDL has {what}")
+    if "\\\\" in text:
+        raise DecodeError(f"{name}: its IDL has an escaped backslash")
+    return text

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from .logs import PageLog
 
-
 ERROR = 1
 CORRUPT = 11
 FULL = 13

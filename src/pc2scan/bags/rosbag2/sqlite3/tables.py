@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     Query = Callable[[str, Sequence[Any]], Any]
 
-
 #: The columns that place a message.
 _COLUMNS = ("id", "topic_id", "timestamp")
 
