@@ -1,11 +1,14 @@
-"""Reads arguments of the public functions: paths and names in any of their usual forms; finds misspelt keywords."""
+"""Calls of the public functions: paths and names in any of their usual forms, misspelt keywords, callable packages."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterable
+from importlib import import_module
 from os import PathLike
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 from .errors import UsageError
@@ -13,7 +16,8 @@ from .text import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from typing import TypeAlias
+    from inspect import Signature
+    from typing import Any, TypeAlias
 
     PathText: TypeAlias = str | PathLike[str]
 
@@ -170,3 +174,37 @@ def refuse_unknown(
         synonym = (synonyms or {}).get(word)
         meant = synonym if synonym in candidates else nearest(word, candidates)
         raise TypeError(f"{function}() has no argument {name!r}{f'; did you mean {meant!r}?' if meant else ''}")
+
+
+# --- packages with the name of a public function ---
+#
+# ``pc2scan.tf`` and ``pc2scan.golden`` are packages. Python sets them as attributes of ``pc2scan`` when anything in
+# them is imported, so a function of that name would be there or not depending on what was imported before.
+
+
+class _CallablePackage(ModuleType):
+    """A package that is called like the function of its name in ``pc2scan.api``."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return _function(self)(*args, **kwargs)
+
+    @property
+    def __signature__(self) -> Signature:
+        from inspect import signature  # noqa: PLC0415  # only who looks at signatures pays for it
+
+        return signature(_function(self))
+
+    @property
+    def __doc__(self) -> str | None:  # type: ignore[override]  # what help() shows
+        doc: str | None = _function(self).__doc__
+        return doc
+
+
+def _function(package: ModuleType) -> Any:
+    parent, _, name = package.__name__.rpartition(".")
+    return getattr(import_module(f"{parent}.api"), name)
+
+
+def make_callable(name: str) -> None:
+    """Make a package callable; to be called in its ``__init__`` with ``__name__``."""
+    sys.modules[name].__class__ = _CallablePackage

@@ -158,7 +158,9 @@ def test_the_table_is_consistent() -> None:
     assert len(suffixes) == len(set(suffixes))
     for name, entry in FORMATS.items():
         assert entry.name == name
-        assert bool(entry.magic) != bool(entry.is_in), "a file is known by its beginning, a directory by its files"
+        assert bool(entry.magic) != bool(entry.holds_recording), (
+            "a file is known by its beginning, a directory by its files"
+        )
         assert entry.default_compression in entry.compressions
         assert set(entry.storages) <= storages().keys()
         assert entry.open_writer is not None or FORMATS[entry.written_as].open_writer is not None

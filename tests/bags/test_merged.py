@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.merged import MergedReader, merged_summary, unified
+from pc2scan.bags.merged import MergedReader, merge_summaries, unify_connections
 from pc2scan.errors import UsageError
 from pc2scan.model import Connection, Definition, RawMessage, Summary
 from support.memory_reader import MemoryReader
@@ -66,7 +66,7 @@ def test_a_single_source_passes_through(tmp_path: Path) -> None:
 
 
 def test_equal_connections_of_one_source_stay_two() -> None:
-    merged, ids = unified(
+    merged, ids = unify_connections(
         [[connection(1), connection(2)], [connection(7), connection(8), connection(9, count=None)], [connection(1)]]
     )
     assert [(c.id, c.message_count) for c in merged] == [(1, 3), (2, 2), (3, None)]
@@ -88,7 +88,7 @@ def test_equal_connections_of_one_source_stay_two() -> None:
     ],
 )
 def test_connections_that_differ_in_anything_stay_apart(other: dict[str, object]) -> None:
-    merged, _ = unified([[connection(1)], [replace(connection(1), **other)]])  # type: ignore[arg-type]
+    merged, _ = unify_connections([[connection(1)], [replace(connection(1), **other)]])  # type: ignore[arg-type]
     assert len(merged) == 2
 
 
@@ -162,10 +162,10 @@ def test_recordings_that_cannot_be_merged_are_refused(tmp_path: Path) -> None:
 def test_summaries_add_up() -> None:
     one = Summary("rosbag2", "mcap", ("none", "zstd"), 10, 4, 100, 200, "ros2")
     other = Summary("rosbag2", "sqlite3", ("lz4",), 5, 2, 50, 150, "")
-    assert merged_summary([one, other]) == Summary("rosbag2", "", ("lz4", "none", "zstd"), 15, 6, 50, 200, "")
+    assert merge_summaries([one, other]) == Summary("rosbag2", "", ("lz4", "none", "zstd"), 15, 6, 50, 200, "")
     empty = other._replace(message_count=0, start_ns=None, end_ns=None)
-    assert merged_summary([one, empty]).start_ns == 100
-    assert merged_summary([empty]).start_ns is None
+    assert merge_summaries([one, empty]).start_ns == 100
+    assert merge_summaries([empty]).start_ns is None
     unknown = other._replace(container="mcap", message_count=None, start_ns=None, end_ns=None)
-    both = merged_summary([one, unknown])
+    both = merge_summaries([one, unknown])
     assert (both.container, both.message_count, both.start_ns, both.end_ns) == ("mixed", None, None, None)

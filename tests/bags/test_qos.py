@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pc2scan.bags.qos import latches, parsed_qos, respelled_qos
+from pc2scan.bags.qos import latches, parse_qos, respell_qos
 from support.mcap_files import QOS
 from support.rosbag2_files import QOS_NAMES, QOS_NUMBERS
 
@@ -31,19 +31,19 @@ def test_latches(qos: str, *, expected: bool) -> None:
 
 
 def test_respelling_profiles() -> None:
-    assert respelled_qos(QOS_NUMBERS, by_name=True) == QOS_NAMES
-    assert respelled_qos(QOS_NAMES, by_name=False) == QOS_NUMBERS
+    assert respell_qos(QOS_NUMBERS, by_name=True) == QOS_NAMES
+    assert respell_qos(QOS_NAMES, by_name=False) == QOS_NUMBERS
     verbatim = f"# as it was\n{QOS_NUMBERS}"
-    assert respelled_qos(verbatim, by_name=False) == verbatim
-    assert respelled_qos("", by_name=True) == ""
+    assert respell_qos(verbatim, by_name=False) == verbatim
+    assert respell_qos("", by_name=True) == ""
     odd = "- history: 99\n  reliability: sometimes\n  durability: true\n  liveliness: null\n  speed: 3"
     for by_name in (True, False):
-        assert respelled_qos(odd, by_name=by_name).startswith(odd)
-    assert respelled_qos("- reliability: Best_Effort", by_name=False).startswith("- reliability: 2\n")
+        assert respell_qos(odd, by_name=by_name).startswith(odd)
+    assert respell_qos("- reliability: Best_Effort", by_name=False).startswith("- reliability: 2\n")
 
 
 def test_missing_keys_get_the_defaults_of_rmw() -> None:
-    (profile,) = parsed_qos(respelled_qos("- durability: 1", by_name=True)) or []
+    (profile,) = parse_qos(respell_qos("- durability: 1", by_name=True)) or []
     assert profile == {
         "durability": "transient_local",
         "history": "keep_last",

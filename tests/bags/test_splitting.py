@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.splitting import Cut, Part, SplitWriter, narrowed
+from pc2scan.bags.splitting import Cut, RecordingPart, SplitWriter, narrow_rule
 from pc2scan.errors import UnwritableError, UsageError
-from pc2scan.files.numbered import part_name
+from pc2scan.files.places import part_name
 from pc2scan.model import ChunkRule, Connection, StoredChunk
 from support.rosbag1_files import connection
 
@@ -64,7 +64,7 @@ class Files:
         self.writers: list[Written] = []
         self.finishing: list[int] = []
 
-        def open_part(path: Path) -> tuple[Written, Callable[[Part], None]]:
+        def open_part(path: Path) -> tuple[Written, Callable[[RecordingPart], None]]:
             self.writers.append(Written(path))
             return self.writers[-1], lambda part: self.finishing.append(sum(part.counts.values()))
 
@@ -192,12 +192,12 @@ def test_chunks_that_a_part_ends_in_are_not_whole() -> None:
     rule = ChunkRule("mcap", frozenset(), frozenset({1, 2, 3}))
     connections = [replace(each, id=number) for number, each in enumerate((PLAIN, MAP, replace(PLAIN, topic="/b")), 1)]
     cut = Cut(duration_ns=10, begin_ns=100)
-    by_time = narrowed(rule, cut, connections)
+    by_time = narrow_rule(rule, cut, connections)
     assert by_time.connection_ids == rule.connection_ids
     spans = {(50, 109): False, (100, 110): True, (110, 119): False, (119, 120): True, (90, 111): True}
     assert {span: by_time.is_cut(*span) for span in spans} == spans
-    assert not narrowed(rule, Cut(size=5), connections).is_cut(0, 1000)
-    assert narrowed(rule, replace(cut, repeats=True), connections).connection_ids == {1, 3}
+    assert not narrow_rule(rule, Cut(size=5), connections).is_cut(0, 1000)
+    assert narrow_rule(rule, replace(cut, repeats=True), connections).connection_ids == {1, 3}
 
 
 @pytest.mark.parametrize("latching", [False, True])

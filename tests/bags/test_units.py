@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.units import Extent, Unit, by_start, in_time_order
+from pc2scan.bags.units import Extent, Unit, merge_by_time, sort_units
 from pc2scan.errors import RecordingError
 from pc2scan.model import Connection, RawMessage, StoredChunk
 
@@ -56,28 +56,28 @@ CHUNKS = st.lists(st.lists(st.integers(0, 60), min_size=1, max_size=4), min_size
 
 @given(CHUNKS, st.integers(1, 9))
 def test_the_order_is_that_of_a_stable_sort(chunks: list[list[int]], room: int) -> None:
-    units = by_start(unit(number, times) for number, times in enumerate(chunks))
+    units = sort_units(unit(number, times) for number, times in enumerate(chunks))
     expected = sorted(((time, number) for number, times in enumerate(chunks) for time in times))
-    assert found(in_time_order(units, max_open_bytes=room)) == expected
+    assert found(merge_by_time(units, max_open_bytes=room)) == expected
 
 
 @given(CHUNKS, st.lists(st.booleans(), min_size=8, max_size=8))
 def test_the_order_is_that_without_whole_chunks(chunks: list[list[int]], whole: list[bool]) -> None:
     """Also where a chunk that may be whole does not stand alone after all."""
-    units = by_start(unit(n, times, whole=may) for (n, times), may in zip(enumerate(chunks), whole, strict=False))
+    units = sort_units(unit(n, times, whole=may) for (n, times), may in zip(enumerate(chunks), whole, strict=False))
     expected = sorted(((time, number) for number, times in enumerate(chunks) for time in times))
-    assert found(in_time_order(units)) == expected
+    assert found(merge_by_time(units)) == expected
 
 
 def test_a_chunk_alone_is_handed_on_whole() -> None:
     units = [unit(1, [0, 1]), unit(2, [3], whole=True), unit(3, [5, 6])]
-    items = list(in_time_order(units))
+    items = list(merge_by_time(units))
     assert [isinstance(item, StoredChunk) for item in items] == [False, False, True, False, False]
     assert [calls(made) for made in units] == [[False], [True], [False]]
 
 
 def test_the_callback_makes_the_items() -> None:
-    items = in_time_order([unit(1, [0, 4]), unit(2, [2])], lambda message: message._replace(sequence=7))
+    items = merge_by_time([unit(1, [0, 4]), unit(2, [2])], lambda message: message._replace(sequence=7))
     assert [(item.log_time_ns, item.sequence) for item in items if isinstance(item, RawMessage)] == [
         (0, 7),
         (2, 7),
@@ -93,7 +93,7 @@ def test_units_are_made_when_they_are_needed() -> None:
             made.append(number)
             yield unit(number, [10 * number])
 
-    items = in_time_order(units())
+    items = merge_by_time(units())
     next(items)
     # The next unit bounds the messages of the first one, and one more waits to be announced.
     assert len(made) <= 3
@@ -103,7 +103,7 @@ def test_units_are_made_when_they_are_needed() -> None:
 def test_what_overlaps_beyond_the_bound_is_loaded_again() -> None:
     units = [unit(number, [number, 10 + number, 20 + number], size=10) for number in range(4)]
     expected = sorted((time, number) for number in range(4) for time in (number, 10 + number, 20 + number))
-    assert found(in_time_order(units, max_open_bytes=25)) == expected
+    assert found(merge_by_time(units, max_open_bytes=25)) == expected
     assert max(len(calls(made)) for made in units) > 1
 
 
@@ -111,7 +111,7 @@ def test_a_unit_that_declares_too_much_drives_no_other_out() -> None:
     """One damaged chunk made every message load a chunk again."""
     liar = unit(0, [0, 50, 100], size=1 << 60)
     units = [liar, *(unit(number, [number, 100 + number]) for number in range(1, 9))]
-    assert len(list(in_time_order(units, max_open_bytes=20_000))) == 3 + 16
+    assert len(list(merge_by_time(units, max_open_bytes=20_000))) == 3 + 16
     assert [len(calls(made)) for made in units] == [1] * 9
 
 
@@ -120,9 +120,9 @@ def test_what_would_be_loaded_again_and_again_is_refused() -> None:
         return [unit(number, list(range(number, 2 * count, 2)), size=1 << 26) for number in range(2)]
 
     # A gigabyte, and four times their size: one of them may be loaded 24 times more.
-    assert len(list(in_time_order(overlapping(25), max_open_bytes=1))) == 50
+    assert len(list(merge_by_time(overlapping(25), max_open_bytes=1))) == 50
     with pytest.raises(RecordingError, match="overlap in time"):
-        list(in_time_order(overlapping(26), max_open_bytes=1))
+        list(merge_by_time(overlapping(26), max_open_bytes=1))
 
 
 class File:
@@ -151,7 +151,7 @@ def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:
         return loading
 
     units = [Unit(at, (at,), size, load(at), extent=Extent(file, at, size - 100)) for at in places]
-    assert len(list(in_time_order(units))) == 12
+    assert len(list(merge_by_time(units))) == 12
     ends = [at + size - 100 for at in places]
     # Four bring it beyond 32 MiB, and when no more than half of that is left, the next ones follow.
     assert file.announced == [

@@ -30,7 +30,7 @@ def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
     assert zstd.is_zstd(packed)
     folder = tmp_path / "unpacked"
     folder.mkdir()
-    assert zstd.unpacked_file(packed, folder, DamageLog(strict=True)) == folder / "b.mcap"
+    assert zstd.decompress_file(packed, folder, DamageLog(strict=True)) == folder / "b.mcap"
     assert (folder / "b.mcap").read_bytes() == b"content"
 
 
@@ -38,10 +38,10 @@ def test_files_are_recognised_by_content_and_unpacked(tmp_path: Path) -> None:
 def test_messages_are_unpacked(told: bool, cut_off: str, tmp_path: Path) -> None:
     data = random.Random(1).randbytes(20_000)
     frame = zstandard.ZstdCompressor(write_content_size=told).compress(data)
-    assert zstd.unpacked_message(memoryview(frame), tmp_path, "/a") == data
+    assert zstd.decompress_message(memoryview(frame), tmp_path, "/a") == data
     for wrong, why in ((frame[:-1], cut_off), (b"nonsense", "a message cannot be decompressed")):
         with pytest.raises(RecordingError, match=why) as caught:
-            zstd.unpacked_message(wrong, tmp_path, "/a")
+            zstd.decompress_message(wrong, tmp_path, "/a")
         assert (caught.value.path, caught.value.topic) == (tmp_path, "/a")
 
 
@@ -49,9 +49,9 @@ def test_messages_are_unpacked(told: bool, cut_off: str, tmp_path: Path) -> None
 def test_a_message_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: bool) -> None:
     monkeypatch.setattr(limits, "MAX_UNPACKED", 1_000)
     compress = zstandard.ZstdCompressor(write_content_size=told).compress
-    assert zstd.unpacked_message(compress(bytes(1_000)), tmp_path, "/a") == bytes(1_000)
+    assert zstd.decompress_message(compress(bytes(1_000)), tmp_path, "/a") == bytes(1_000)
     with pytest.raises(RecordingError, match="unpacks to more than"):
-        zstd.unpacked_message(compress(bytes(300_000)), tmp_path, "/a")
+        zstd.decompress_message(compress(bytes(300_000)), tmp_path, "/a")
 
 
 def test_a_file_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,7 +59,7 @@ def test_a_file_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "a.mcap.zst").write_bytes(zstandard.compress(bytes(10_000_000)))
     (tmp_path / "unpacked").mkdir()
     with pytest.raises(RecordingError, match="1000 times its size"):
-        zstd.unpacked_file(tmp_path / "a.mcap.zst", tmp_path / "unpacked", DamageLog())
+        zstd.decompress_file(tmp_path / "a.mcap.zst", tmp_path / "unpacked", DamageLog())
 
 
 def test_of_a_damaged_file_the_front_is_kept(tmp_path: Path) -> None:
@@ -72,11 +72,11 @@ def test_of_a_damaged_file_the_front_is_kept(tmp_path: Path) -> None:
     for damaged, least in ((whole[: len(whole) * 3 // 4], 0.5), (bytes(broken), 0.25)):
         packed.write_bytes(damaged)
         log = DamageLog()
-        unpacked = zstd.unpacked_file(packed, folder, log).read_bytes()
+        unpacked = zstd.decompress_file(packed, folder, log).read_bytes()
         assert content.startswith(unpacked[: int(len(content) * least)])
         assert len(content) >= len(unpacked) > least * len(content)
         (damage,) = log.found
         assert damage.path == packed
         assert "cannot be decompressed" in damage.what
         with pytest.raises(DamageError):
-            zstd.unpacked_file(packed, folder, DamageLog(strict=True))
+            zstd.decompress_file(packed, folder, DamageLog(strict=True))

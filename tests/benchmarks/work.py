@@ -15,7 +15,7 @@ from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid
 from pc2scan.pipeline.stages.deskew import Deskew, PointTime
 from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -55,7 +55,7 @@ def params_of(beams: int, heights: str) -> ProjectionParams:
     return ProjectionParams(min_height=low, max_height=high, angle_increment=2 * math.pi / beams)
 
 
-def driven() -> Frames:
+def driven() -> Placer:
     """A robot at 1.5 m/s and 1 rad/s, with odometry at 50 Hz and a tilted lidar."""
     builder = TransformBuilder()
     for number in range(-50, 51):
@@ -63,7 +63,7 @@ def driven() -> Frames:
         pose = Rigid.from_rpy(0.0, 0.0, seconds, (1.5 * math.sin(seconds), 1.5 - 1.5 * math.cos(seconds), 0.0)).pose
         builder.add([("odom", "base_link", T0 + number * SECOND // 50, *pose)], static=False)
     builder.add([("base_link", "lidar", T0, *Rigid.from_rpy(0.1, -0.2, 0.7, (0.3, -0.1, 0.5)).pose)], static=True)
-    return Frames("base_link", "", builder.build(), 0)
+    return Placer("base_link", "", builder.build(), 0)
 
 
 def timed_cloud(layout: str) -> Points:

@@ -13,9 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.compare import held as held_module
-from pc2scan.compare.held import held
-from pc2scan.compare.match import Match, TopicStream, matched
+from pc2scan.compare import match as match_module
+from pc2scan.compare.match import Match, TopicStream, match_messages, read_into_memory
 from pc2scan.compare.scan_text import ScanText
 from pc2scan.errors import RecordingError
 from pc2scan.messages.wire import Packer
@@ -60,7 +59,7 @@ STAMPS = st.lists(st.integers(1, 6), max_size=12) | st.permutations(range(1, 9))
 
 @given(STAMPS, STAMPS)
 def test_every_message_once_with_the_partner_of_its_stamp(a: list[int], b: list[int]) -> None:
-    found = places(matched(stream(a), stream(b)))
+    found = places(match_messages(stream(a), stream(b)))
     assert [i for i, _, _ in found if i is not None] == list(range(len(a)))
     assert sorted(j for _, j, _ in found if j is not None) == list(range(len(b)))
     pairs = [(i, j, moved) for i, j, moved in found if i is not None and j is not None]
@@ -81,7 +80,7 @@ def test_every_message_once_with_the_partner_of_its_stamp(a: list[int], b: list[
 
 def test_a_clock_that_jumps_back_after_a_gap() -> None:
     a = [*range(1000, 1100), *range(1, 100)]
-    found = places(matched(stream(a), stream([*a[:20], *a[60:]])))
+    found = places(match_messages(stream(a), stream([*a[:20], *a[60:]])))
     assert [i for i, j, _ in found if j is None] == list(range(20, 60))
     assert not any(moved for _, _, moved in found)
 
@@ -99,7 +98,7 @@ def test_a_clock_that_jumps_back_after_a_gap() -> None:
     ],
 )
 def test_stamps_and_log_times(a: TopicStream, b: TopicStream, pairs: set[tuple[int | None, int | None]]) -> None:
-    assert {(i, j) for i, j, _ in places(matched(a, b))} == pairs
+    assert {(i, j) for i, j, _ in places(match_messages(a, b))} == pairs
 
 
 @dataclass(frozen=True)
@@ -131,7 +130,7 @@ def test_memory_does_not_grow_with_the_recording(change: str) -> None:
     streams = [TopicStream(Endless(s), (CONNECTION,)) for s in (stamps, other)]
     tracemalloc.start()
     try:
-        pairs = sum(m.a is not None and m.b is not None for m in matched(*streams))
+        pairs = sum(m.a is not None and m.b is not None for m in match_messages(*streams))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
@@ -166,17 +165,17 @@ class Counted:
 def test_a_recording_that_changes_meanwhile_is_an_error() -> None:
     changing = Counted([*stream([3, 2, 1]).messages()], lost=True)
     with pytest.raises(RecordingError, match="changed while it was read"):
-        list(matched(stream([1, 2, 3]), TopicStream(changing, (CONNECTION,))))
+        list(match_messages(stream([1, 2, 3]), TopicStream(changing, (CONNECTION,))))
 
 
 def test_a_recording_of_many_topics_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     content = [RawMessage(TOPICS[k], 5, memoryview(b"data"), 5, place) for place, k in enumerate((2, 0, 1, 0, 2, 1))]
     source, again = Counted(content), Counted(content)
-    copy = held(source, TOPICS[:2])
+    copy = read_into_memory(source, TOPICS[:2])
     for chosen in (TOPICS[:1], TOPICS[1:2], TOPICS[:2]):
         for cut in ((None, None), (5, 6), (6, None), (None, 5)):
             assert list(copy.messages(chosen, *cut)) == list(again.messages(chosen, *cut))
     assert source.reads == 1
     # What takes too much memory is read as it is.
-    monkeypatch.setattr(held_module, "_MAX_BYTES", 1000)
-    assert held(source, TOPICS) is source
+    monkeypatch.setattr(match_module, "_MAX_BYTES", 1000)
+    assert read_into_memory(source, TOPICS) is source

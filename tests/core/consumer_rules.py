@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.core.verdicts import Scan, ScanTransforms
+    from pc2scan.core.verdicts import ConsumerScan, ScanTransforms
 
 f = np.float32
 
@@ -26,7 +26,7 @@ def std_round(value: float) -> float:
     return math.copysign(math.floor(abs(value) + 0.5), value)
 
 
-def number_of_range_readings(scan: Scan) -> int:
+def number_of_range_readings(scan: ConsumerScan) -> int:
     """LaserAssistant::makeLaser and karto::LaserRangeFinder::Update of slam_toolbox."""
     angle_min, angle_max, angle_increment = f(scan.angle_min), f(scan.angle_max), f(scan.angle_increment)
     is_360_lidar = False
@@ -55,7 +55,7 @@ def worst(off: float, increment: float, least: float = 0.1) -> str:
     return "shifted" if share <= 1.1 else "misplaced"
 
 
-def slam_toolbox(scan: Scan, first: Scan | None, placed: ScanTransforms) -> str:
+def slam_toolbox(scan: ConsumerScan, first: ConsumerScan | None, placed: ScanTransforms) -> str:
     if not transforms(("odometry", "robot"), placed):
         return "ignored"
     laser = first or scan
@@ -80,7 +80,7 @@ def slam_toolbox(scan: Scan, first: Scan | None, placed: ScanTransforms) -> str:
     return worst(off, float(f(scan.angle_increment)))
 
 
-def turned(scan: Scan, first: Scan) -> bool:
+def turned(scan: ConsumerScan, first: ConsumerScan) -> bool:
     """Whether a beam lies more than a tenth of an increment from where the first scan says."""
     if scan is first:
         return False
@@ -91,7 +91,7 @@ def turned(scan: Scan, first: Scan) -> bool:
     )
 
 
-def cartographer(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
+def cartographer(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTransforms) -> str:
     if not transforms(("robot",), placed):
         return "ignored"
     if not f(scan.range_min) >= f(0):
@@ -116,7 +116,7 @@ def cartographer(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str
     return found if found != "accepted" else added_up(scan)
 
 
-def added_up(scan: Scan) -> str:
+def added_up(scan: ConsumerScan) -> str:
     """``float angle = msg.angle_min; ...; angle += msg.angle_increment;`` of Cartographer and of Nav2."""
     off = drift(scan.angle_min, scan.angle_increment, scan.beams)
     return worst(off, float(f(scan.angle_increment)), 0.5)
@@ -130,12 +130,12 @@ def drift(low: float, step: float, beams: int) -> float:
     return float(np.abs(np.array(angles[:beams], np.float64) - right).max(initial=0.0))
 
 
-def infinite_hits(scan: Scan) -> str:
+def infinite_hits(scan: ConsumerScan) -> str:
     """``range <= range_max`` for an infinite range."""
     return "misplaced" if scan.infinite and f(np.inf) <= f(scan.range_max) else "accepted"
 
 
-def gmapping(scan: Scan, first: Scan | None, placed: ScanTransforms) -> str:
+def gmapping(scan: ConsumerScan, first: ConsumerScan | None, placed: ScanTransforms) -> str:
     if not transforms(("odometry", "robot"), placed):
         return "ignored"
     # initMapper: abs(abs(up.z()) - 1) > 0.001
@@ -178,7 +178,7 @@ def gmapping_off(low: float, high: float, step: float, beams: int, *, upwards: b
     return off
 
 
-def amcl(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
+def amcl(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTransforms) -> str:
     if not transforms(("odometry", "robot"), placed):
         return "ignored"
     if float(f(scan.range_max)) <= 0.0:
@@ -194,14 +194,14 @@ def amcl(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
     return worst(abs(between) * max(0, scan.beams - 1), float(f(scan.angle_increment)), 0.5)
 
 
-def nav2(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
+def nav2(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTransforms) -> str:
     if not transforms(("robot",), placed):
         return "ignored"
     found = infinite_hits(scan)
     return found if found != "accepted" else added_up(scan)
 
 
-def mrpt(scan: Scan, _first: Scan | None, placed: ScanTransforms) -> str:
+def mrpt(scan: ConsumerScan, _first: ConsumerScan | None, placed: ScanTransforms) -> str:
     if not transforms(("robot",), placed):
         return "ignored"
     if not scan.beams > 2:
@@ -256,6 +256,6 @@ def mrpt_ros_bridge_3_2(low: float, high: float, n: int) -> list[int]:
     return [wrapped(int(quotient), n) for quotient in quotients.tolist()]
 
 
-RULES: dict[str, Callable[[Scan, Scan | None, ScanTransforms], str]] = {
+RULES: dict[str, Callable[[ConsumerScan, ConsumerScan | None, ScanTransforms], str]] = {
     rule.__name__: rule for rule in (slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt)
 }

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.core.beam_filters import between_surfaces, shadows, speckles_by_distance, speckles_by_neighbors
+from pc2scan.core.beam_filters import shadows, speckles_by_distance, speckles_by_neighbors, veiled_beams
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -116,7 +116,7 @@ def test_shadows_are_those_of_laser_filters(low: float, high: float, window: int
 
 
 def is_between_surfaces(ranges: Any, beam: int, increment: float, closed: bool) -> bool:
-    """The rule of `between_surfaces`, for one beam."""
+    """The rule of `veiled_beams`, for one beam."""
     count = len(ranges)
 
     def returns(place: int) -> bool:
@@ -160,7 +160,7 @@ def test_returns_between_surfaces_are_those_of_the_rule(increment: float, closed
     total = 0
     for ranges in (*scans(), np.full(3, 2.0, F), np.array([1.0, 2.0], F), np.array([4.0], F), np.empty(0, F)):
         expected = [is_between_surfaces(ranges, beam, increment, closed) for beam in range(ranges.size)]
-        found = between_surfaces(ranges, increment, closed=closed)
+        found = veiled_beams(ranges, increment, closed=closed)
         np.testing.assert_array_equal(found, np.array(expected, bool))
         total += int(found.sum())
     assert total > 3
@@ -191,7 +191,7 @@ def test_a_full_circle_has_no_end() -> None:
     step = 2 * math.pi / ranges.size
     limits: dict[str, Any] = {"max_range": 9.0, "max_range_difference": 0.1, "filter_window": 3}
     filters: list[Callable[[Any], Any]] = [
-        lambda r: between_surfaces(r, step, closed=True),
+        lambda r: veiled_beams(r, step, closed=True),
         lambda r: shadows(r, step, min_angle=10, max_angle=170, window=2, neighbors=7, closed=True),
         lambda r: speckles_by_distance(r, closed=True, **limits),
         lambda r: speckles_by_neighbors(r, step, closed=True, **limits),
@@ -211,7 +211,7 @@ def test_points_between_an_edge_and_its_wall_are_shadows() -> None:
     assert found[[79, 120]].all()
     assert not found[82:118].any()
     assert not found[:70].any()
-    assert np.flatnonzero(between_surfaces(ranges, 0.0025)).tolist() == [78, 79, 120, 121]
+    assert np.flatnonzero(veiled_beams(ranges, 0.0025)).tolist() == [78, 79, 120, 121]
 
 
 def test_a_single_near_return_is_a_speckle_and_a_far_one_is_not() -> None:

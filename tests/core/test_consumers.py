@@ -16,7 +16,7 @@ from core.consumer_rules import RULES, mrpt_2_5, number_of_range_readings
 from pc2scan.core.consumers import CONSUMERS, expected_by_karto, judge, last_beam
 from pc2scan.core.layout import beam_count
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.verdicts import OUTCOMES, Scan, ScanTransforms, Verdict
+from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, ScanTransforms, Verdict
 
 #: Degrees.
 FIELDS = (30, 45, 60, 90, 100, 120, 135, 150, 180, 190, 200, 220, 240, 250, 270, 300, 330, 350, 359, 360)
@@ -24,30 +24,32 @@ INCREMENTS = (0.1, 0.125, 0.2, 0.225, 0.25, 0.3, 1 / 3, 0.35, 0.36, 0.4, 0.5, 0.
 GRID = [(field, increment) for field in FIELDS for increment in INCREMENTS]
 INF, NAN = math.inf, math.nan
 
-GOOD = Scan(angle_min=-1, angle_max=1, angle_increment=0.25, range_min=0.5, range_max=30, beams=9, returns=9)
+GOOD = ConsumerScan(angle_min=-1, angle_max=1, angle_increment=0.25, range_min=0.5, range_max=30, beams=9, returns=9)
 #: What is good for all: gmapping alone places the beams half an increment to the right.
 FINE = dict.fromkeys(CONSUMERS, "accepted") | {"gmapping": "shifted"}
 PLACED = ScanTransforms(frame_id="laser", odometry=True, robot=True, up=1.0)
 
 
-def upstream(**params: float) -> Scan:
+def upstream(**params: float) -> ConsumerScan:
     """What upstream advertises: the sector that was asked for."""
     asked = ProjectionParams(**params)  # type: ignore[arg-type]
     names = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
-    return Scan(**{name: getattr(asked, name) for name in names}, beams=asked.length)
+    return ConsumerScan(**{name: getattr(asked, name) for name in names}, beams=asked.length)
 
 
-def pair(field: float, increment: float) -> Scan:
+def pair(field: float, increment: float) -> ConsumerScan:
     half = math.radians(field) / 2
     return upstream(angle_min=-half, angle_max=half, angle_increment=math.radians(increment), range_max=30)
 
 
-def circle(beams: int, low: float) -> Scan:
+def circle(beams: int, low: float) -> ConsumerScan:
     scan = replace(GOOD, angle_min=low, angle_increment=2 * math.pi / beams, beams=beams)
     return replace(scan, angle_max=last_beam(scan))
 
 
-def judged(scan: Scan, first: Scan | None = None, placed: ScanTransforms | None = None) -> dict[str, str]:
+def judged(
+    scan: ConsumerScan, first: ConsumerScan | None = None, placed: ScanTransforms | None = None
+) -> dict[str, str]:
     """The outcome for each consumer, which is that of its rule."""
     found: dict[str, str] = {consumer: judge(consumer, scan, first, placed).outcome for consumer in CONSUMERS}
     assert found == {consumer: rule(scan, first, placed or ScanTransforms()) for consumer, rule in RULES.items()}
@@ -61,7 +63,7 @@ few = st.integers(0, 2)
 
 
 @st.composite
-def scans(draw: st.DrawFn) -> Scan:
+def scans(draw: st.DrawFn) -> ConsumerScan:
     """Scans of all kinds, upstream's with a beam more or less, and sectors that are symmetric but for roundings."""
     kind = draw(st.sampled_from(["any", "grid", "around 0", "many beams"]))
     counts = {name: draw(few) for name in ("returns", "infinite", "short", "full")}
@@ -81,7 +83,7 @@ def scans(draw: st.DrawFn) -> Scan:
         half = (beams - 1) * step / 2
         ulp = float(np.spacing(np.float32(half)))
         low, high = (side * half + draw(st.integers(-6, 6)) * ulp for side in (-1, 1))
-    return Scan(
+    return ConsumerScan(
         angle_min=low,
         angle_max=high,
         angle_increment=step if kind == "around 0" else draw(st.sampled_from([step, -step])),
@@ -107,13 +109,15 @@ places = st.builds(
 
 
 @given(scans(), st.one_of(st.none(), scans()), places)
-def test_every_consumer_does_what_its_rule_says(scan: Scan, first: Scan | None, placed: ScanTransforms) -> None:
+def test_every_consumer_does_what_its_rule_says(
+    scan: ConsumerScan, first: ConsumerScan | None, placed: ScanTransforms
+) -> None:
     judged(scan)
     judged(scan, first, placed)
 
 
 @given(scans(), st.data())
-def test_no_numbers_stop_the_check(scan: Scan, data: st.DataObject) -> None:
+def test_no_numbers_stop_the_check(scan: ConsumerScan, data: st.DataObject) -> None:
     special = st.one_of(numbers, st.sampled_from([NAN, INF, -INF, 0.0, 3e38, -3e38, 1e-45]))
     names = ("angle_min", "angle_max", "angle_increment", "time_increment")
     scan = replace(scan, **{name: data.draw(special) for name in names})  # type: ignore[arg-type]
@@ -297,7 +301,7 @@ MOVED = PLACED._replace(turned=math.radians(30), moved=0.2)
     ],
 )  # fmt: skip
 def test_what_is_observed(
-    consumer: str, scan: Scan, first: Scan | None, placed: ScanTransforms | None, told: str
+    consumer: str, scan: ConsumerScan, first: ConsumerScan | None, placed: ScanTransforms | None, told: str
 ) -> None:
     assert told in judge(consumer, scan, first, placed).observed
 
@@ -358,9 +362,9 @@ def test_the_rule_misreads_what_mrpt_2_5_misread(
 # What is in a scan.
 
 
-def scan_of(ranges: list[float], **header: float) -> Scan:
+def scan_of(ranges: list[float], **header: float) -> ConsumerScan:
     usual = {"angle_min": -1, "angle_max": 1, "angle_increment": 0.25, "range_min": 0.5, "range_max": 30}
-    return Scan.of(np.array(ranges, np.float32), **usual | header)  # type: ignore[arg-type]
+    return ConsumerScan.of(np.array(ranges, np.float32), **usual | header)  # type: ignore[arg-type]
 
 
 def test_what_is_in_the_ranges() -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.core.ground import Ground, agreed, look_at
-from pc2scan.core.level import thinned
+from pc2scan.core.ground import Ground, common_ground, find_ground
+from pc2scan.core.level import thin_points
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, decode_pointcloud2
 from support import RECORDINGS, needs_shared, sampled
@@ -24,7 +24,7 @@ MOUNTINGS = [
 
 def seen(place: Place, sensor: str, roll: float, pitch: float, height: float, stand: int = 0) -> Ground:
     rotation = mounted(roll, pitch, optical="optical" in sensor)
-    return look_at(thinned(*cloud(place, sensor, rotation, height, stand).T))
+    return find_ground(thin_points(*cloud(place, sensor, rotation, height, stand).T))
 
 
 def degrees_between(one: object, other: object) -> float:
@@ -96,7 +96,7 @@ def test_no_false_alarm_where_it_is_level(name: str, sensor: str) -> None:
 @pytest.mark.parametrize("roll", [-25, 12])
 def test_a_tilted_lidar_is_named(name: str, roll: float) -> None:
     looks = [seen(PLACES[name], "32 rings", roll, 10, 0.6, stand) for stand in range(3)]
-    found = agreed(looks)
+    found = common_ground(looks)
     assert (found.kind, found.sampled) == ("tilted", 3)
     assert found.height == pytest.approx(0.6, abs=0.03)
     level = Rigid.from_rpy(*found.level_from_frame)
@@ -108,14 +108,14 @@ def test_a_tilted_lidar_is_named(name: str, roll: float) -> None:
 
 @pytest.mark.parametrize(("name", "height"), [("hall", 0.6), ("field", 1.8), ("wood", 0.6)])
 def test_a_lidar_that_is_upside_down_is_named(name: str, height: float) -> None:
-    found = agreed([seen(PLACES[name], "16 rings", 180, 0, height, stand) for stand in range(3)])
+    found = common_ground([seen(PLACES[name], "16 rings", 180, 0, height, stand) for stand in range(3)])
     assert found.kind == "upside-down"
     assert found.height == pytest.approx(height, abs=0.05)
     assert abs(found.level_from_frame[0]) == pytest.approx(math.pi, abs=0.03)
 
 
 def test_an_optical_frame_is_named_and_how_its_camera_looks() -> None:
-    found = agreed([seen(PLACES["hall"], "camera, optical", 0, 20, 0.6, stand) for stand in range(3)])
+    found = common_ground([seen(PLACES["hall"], "camera, optical", 0, 20, 0.6, stand) for stand in range(3)])
     assert found.kind == "optical"
     assert found.height == pytest.approx(0.6, abs=0.05)
     level = Rigid.from_rpy(*found.level_from_frame).matrix
@@ -138,11 +138,11 @@ def test_floor_and_ceiling_are_measured_where_they_are_seen() -> None:
 def test_clouds_that_disagree_say_nothing() -> None:
     tilted = Ground("tilted", (0.0, math.sin(0.3), math.cos(0.3)), 0.5)
     other = Ground("tilted", (math.sin(0.3), 0.0, math.cos(0.3)), 0.5)
-    assert agreed([tilted, tilted, Ground("unknown")]).kind == "tilted"
+    assert common_ground([tilted, tilted, Ground("unknown")]).kind == "tilted"
     for looks in ([tilted, other], [tilted, Ground("level", (0, 0, 1), 0.5)], [tilted, *[Ground("unknown")] * 2], []):
-        assert agreed(looks).kind == "unknown", looks
+        assert common_ground(looks).kind == "unknown", looks
     farther = Ground("tilted", tilted.up, 0.9)
-    assert agreed([tilted, farther]).kind == "unknown"
+    assert common_ground([tilted, farther]).kind == "unknown"
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_clouds_that_disagree_say_nothing() -> None:
     ],
 )
 def test_what_has_no_ground(points: object) -> None:
-    assert not look_at(thinned(*np.asarray(points).T)).off
+    assert not find_ground(thin_points(*np.asarray(points).T)).off
 
 
 @needs_shared
@@ -176,9 +176,9 @@ def test_every_real_cloud_is_called_what_it_is(name: str, kind: str, height: flo
     reader = open_recording(RECORDINGS / name)
     clouds = reader.messages([c for c in reader.connections if c.ros_type == POINTCLOUD2])
     looks = [
-        look_at(thinned(*decode_pointcloud2(message.data, message.connection.serialization).xyz()))
+        find_ground(thin_points(*decode_pointcloud2(message.data, message.connection.serialization).xyz()))
         for message in clouds
     ]
     reader.close()
     assert {look.kind for look in looks} == {kind}
-    assert agreed(looks).height == pytest.approx(height, rel=0.12)
+    assert common_ground(looks).height == pytest.approx(height, rel=0.12)

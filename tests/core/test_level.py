@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.level import LEVEL, MOST_POINTS, cells_of, level_floor, thinned
+from pc2scan.core.level import LEVEL, MOST_POINTS, cells_of, level_floor, thin_points
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -52,9 +52,9 @@ def test_a_large_cloud_is_thinned_all_over_and_without_the_robot() -> None:
     points = np.tile(floor(0, 0, 1.0), (10, 1))
     points[::5] = 0.01
     x, y, z = points.T
-    few = thinned(x, y, z)
+    few = thin_points(x, y, z)
     assert 0.75 * MOST_POINTS < len(few) < 0.85 * MOST_POINTS
     assert np.abs(few.mean(axis=0) - points[np.arange(len(points)) % 5 > 0].mean(axis=0)).max() < 0.3
-    rows = thinned(*(part.reshape(100, -1) for part in (x, y, z)))
+    rows = thin_points(*(part.reshape(100, -1) for part in (x, y, z)))
     np.testing.assert_array_equal(rows, few)
-    assert len(thinned(x[:50], y[:50], z[:50])) == 40
+    assert len(thin_points(x[:50], y[:50], z[:50])) == 40

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.core import kernel, plain
-from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN, OccupancyGrid, observing_beams, placed_beams
+from pc2scan.core.occupancy import FREE, OCCUPIED, UNSEEN, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectParams, deskew, unproject
 from pc2scan.errors import DecodeError, ParameterError, UsageError
@@ -166,7 +166,7 @@ def test_beams_are_where_laser_geometry_has_them(moving: bool) -> None:
     angles = float(angle_min) + np.arange(300) * float(increment)
     beams = observing_beams(ranges, 0.5, 10.0)
     directions = np.stack((np.cos(angles), np.sin(angles)))
-    origins, ends = placed_beams(beams, directions, 300, start, end if moving else None)
+    origins, ends = place_beams(beams, directions, 300, start, end if moving else None)
     points = unproject(
         ranges,
         np.empty(0, np.float32),

@@ -16,7 +16,7 @@ from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import project
-from pc2scan.core.verdicts import Scan, ScanTransforms, Verdict
+from pc2scan.core.verdicts import ConsumerScan, ScanTransforms, Verdict
 from pc2scan.errors import ParameterError
 
 PI = math.pi
@@ -25,10 +25,10 @@ PI = math.pi
 POINTS = np.array([[3.0, 0.1, 0], [2.0, -1, 0], [0.0, 0.0, 0.0], [-4, 3, 0], [250, 3, 0]])
 
 
-def scan_of(params: ProjectionParams) -> Scan:
+def scan_of(params: ProjectionParams) -> ConsumerScan:
     """A scan as the message would have it."""
     layout, made = params.layout, project(POINTS, params)
-    return Scan.of(
+    return ConsumerScan.of(
         made.ranges,
         angle_min=layout.angle_min,
         angle_max=layout.angle_max,
@@ -106,7 +106,7 @@ def test_a_symmetric_circle_is_accepted_by_all(low: float, beams: int) -> None:
 def test_mrpt_reads_very_many_beams(half: float, beams: int) -> None:
     layout = ProjectionParams.preset("mrpt", angle_min=-half, angle_max=half, beams=beams).layout
     angles = {name: getattr(layout, name) for name in ("angle_min", "angle_max", "angle_increment")}
-    assert judge("mrpt", Scan(**angles, range_min=0.1, range_max=100, beams=beams)) == Verdict("mrpt")
+    assert judge("mrpt", ConsumerScan(**angles, range_min=0.1, range_max=100, beams=beams)) == Verdict("mrpt")
 
 
 def test_every_preset_has_a_consumer_with_rules() -> None:

@@ -18,7 +18,7 @@ from core.reference import Expected, reference_moved, reference_scan
 from pc2scan import PointCounts, ProjectionParams, project
 from pc2scan.core import plain
 from pc2scan.core.params import CHOICES
-from pc2scan.core.project import Part, ProjectedScan, Projector, compact
+from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import rule_of
 from support.loops import BOTH_LOOPS
@@ -188,7 +188,7 @@ def clouds(draw: st.DrawFn, reductions: tuple[str, ...]) -> tuple[NDArray[np.flo
 
 def parts_of(
     cloud: NDArray[np.float32], cut: int, moved: tuple[bool, bool], lit: tuple[bool, bool]
-) -> tuple[list[Part], NDArray[np.float32], list[float]]:
+) -> tuple[list[PointsPart], NDArray[np.float32], list[float]]:
     """Two messages; all points as they are placed, and the value of each."""
     parts, placed = [], []
     values = np.arange(1, len(cloud) + 1, dtype=np.uint16)
@@ -198,7 +198,7 @@ def parts_of(
             own[:] = 0
         placed.append(reference_moved(points.tolist(), *MOUNT) if moved[k] else points)
         x, y, z = points.T
-        parts.append(Part(x, y, z, MOUNT if moved[k] else None, own if lit[k] else None))
+        parts.append(PointsPart(x, y, z, MOUNT if moved[k] else None, own if lit[k] else None))
     return parts, np.concatenate(placed), [float(value) for value in values]
 
 
@@ -253,7 +253,7 @@ def test_any_cloud_is_projected_as_by_the_reference(
             own = project.read_together(parts)
             assert [n + k for k, (mine, _) in zip(begins, own, strict=True) for n in mine.tolist()] == numbers.tolist()
             assert [beam for _, mine in own for beam in mine.tolist()] == beams.tolist()
-            bins, _ = project.bins(Part(x, y, z))
+            bins, _ = project.bins(PointsPart(x, y, z))
             assert np.bincount(bins, minlength=params.length).tolist() == expected.returns.tolist()
 
 
@@ -306,7 +306,9 @@ def test_which_points_the_beams_read(params: dict[str, Any], expected: Any) -> N
 
 def test_heights_do_not_count_for_parts_that_have_none() -> None:
     x, zeros = np.array([1.0, 2.0], np.float32), np.zeros(2, np.float32)
-    found = Projector(ProjectionParams()).together([Part(x, zeros, zeros), Part(x, zeros, zeros - 1, any_height=True)])
+    found = Projector(ProjectionParams()).together(
+        [PointsPart(x, zeros, zeros), PointsPart(x, zeros, zeros - 1, any_height=True)]
+    )
     assert (found.counts.height, found.counts.used, found.ranges.min()) == (2, 2, 1)
 
 
@@ -425,7 +427,7 @@ def test_layouts_and_blocks_make_no_difference(view: str, block: int, monkeypatc
 @pytest.mark.parametrize("view", VIEWS)
 def test_a_compact_copy_has_the_same_points(view: str) -> None:
     cloud = VIEWS[view](SCENE)
-    copied = compact(*cloud)
+    copied = contiguous(*cloud)
     for own, copy in zip(cloud, copied, strict=True):
         np.testing.assert_array_equal(copy, own.reshape(-1))
         assert not np.shares_memory(copy, own)

@@ -14,7 +14,7 @@ from core.reference import reference_moved, reference_rotation
 from pc2scan.core.rigid import (
     IDENTITY_POSE,
     Rigid,
-    are_taken,
+    are_accepted,
     interpolate,
     interpolate_poses,
     lerp,
@@ -215,7 +215,7 @@ def test_quaternions_stay_as_they_are_where_tf2_takes_them() -> None:
 
 def test_the_limit_of_what_tf2_takes() -> None:
     given = np.array([(0, 0, 0, w) for w in (1.0, -1.0, 1.00498, 1.00499, 0.99499, 0.99498, 0.0, math.nan, math.inf)])
-    assert are_taken(given).tolist() == [True, True, True, False, True, False, False, False, False]
+    assert are_accepted(given).tolist() == [True, True, True, False, True, False, False, False, False]
 
 
 @pytest.mark.parametrize(

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from pc2scan.core.gravity import tilt, up_in, upright_rotation
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.upright import tilt, up_in, upright
 
 
 def level_of(world_from_frame: Rigid) -> Rigid:
     """world_from_level."""
-    return world_from_frame.compose(upright(up_in(world_from_frame.quaternion.tolist())))
+    return world_from_frame.compose(upright_rotation(up_in(world_from_frame.quaternion.tolist())))
 
 
 @pytest.mark.parametrize("seed", range(50))
@@ -42,15 +42,17 @@ def test_near_the_vertical_the_level_frame_is_still_level(pitch: float, off: flo
 
 def test_a_level_frame_stays_as_it_is() -> None:
     up = (0.0, 0.0, 1.0)
-    assert upright(up).pose == (0, 0, 0, 0, 0, 0, 1)
+    assert upright_rotation(up).pose == (0, 0, 0, 0, 0, 0, 1)
     assert tilt(up) == 0
 
 
 def test_a_frame_that_is_upside_down_is_turned_about_its_x_axis() -> None:
-    turned = upright((0.0, 0.0, -1.0))
+    turned = upright_rotation((0.0, 0.0, -1.0))
     np.testing.assert_allclose(np.abs(turned.quaternion), [1, 0, 0, 0], atol=1e-12)
     assert tilt((0.0, 0.0, -1.0)) == math.pi
 
 
 def test_the_length_of_up_is_of_no_account() -> None:
-    np.testing.assert_allclose(upright((0.3, -0.6, 2.1)).quaternion, upright((0.1, -0.2, 0.7)).quaternion, atol=1e-15)
+    np.testing.assert_allclose(
+        upright_rotation((0.3, -0.6, 2.1)).quaternion, upright_rotation((0.1, -0.2, 0.7)).quaternion, atol=1e-15
+    )

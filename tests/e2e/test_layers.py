@@ -20,11 +20,10 @@ if TYPE_CHECKING:
 
 PACKAGE = ROOT / "src" / "pc2scan"
 
-#: Every layer may import these; they import nothing of pc2scan but each other. (`callable_package` finds `api` by its
+#: Every layer may import these; they import nothing of pc2scan but each other. (`arguments` finds `api` by its
 #: name when it is called.)
 GROUND = {
     "arguments",
-    "callable_package",
     "errors",
     "memory",
     "model",
@@ -255,21 +254,20 @@ def test_starting_is_cheap(code: str) -> None:
 #: as some thousand points.
 LOADED_BY_CONVERT = {
     "pc2scan": (
-        "arguments bags callable_package cli commands core errors files memory messages model options pipeline "
+        "arguments bags cli commands core errors files memory messages model options pipeline "
         "remote requests result tables text tf threads version"
     ),
     "pc2scan.bags": (
-        "chunked damage destinations formats lasting many mcap opening parts reader rosbag1 topics units zstd"
+        "chunked concatenation damage destinations formats latching lazy_items mcap opening reader rosbag1 topics "
+        "units zstd"
     ),
-    "pc2scan.bags.chunked": "entries segments spans",
-    "pc2scan.bags.mcap": "record_types records writer",
-    "pc2scan.bags.rosbag1": "chunks copies counts entries index lz4_frames reader records",
+    "pc2scan.bags.chunked": "index_checks segments",
+    "pc2scan.bags.mcap": "records writer",
+    "pc2scan.bags.rosbag1": "chunks index index_data reader records",
     "pc2scan.cli": ("app completion convert interrupts next_command options progress render screen spelling usage"),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
-    "pc2scan.files": (
-        "borrowed compression crc32 limits ownership places run_lock same_file source staging system write_ahead"
-    ),
-    "pc2scan.messages": "clouds consumed definitions laserscan outputs pointcloud2 tfmessage wire",
+    "pc2scan.files": ("buffers compression crc32 limits ownership places run_lock source staging system write_ahead"),
+    "pc2scan.messages": "clouds definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.options": "call commands conversion frames option projection running table values",
     "pc2scan.pipeline": (
         "acceptance beforehand cloud_checks cloud_to_scan combine conversion declarations demands first_clouds idle "

@@ -11,7 +11,7 @@ import pytest
 
 from core.consumer_rules import RULES
 from pc2scan.core.presets import PRESETS
-from pc2scan.core.verdicts import Scan, ScanTransforms
+from pc2scan.core.verdicts import ConsumerScan, ScanTransforms
 from support import ROOT
 from support.command import run
 from support.outputs import opened
@@ -23,8 +23,8 @@ HALL = ROOT / "fixtures" / "hall.mcap"
 HEIGHTS = ("--min-height", "-0.3", "--max-height", "1")
 
 
-def described(message: Any) -> Scan:
-    return Scan.of(
+def described(message: Any) -> ConsumerScan:
+    return ConsumerScan.of(
         message.ranges,
         **{name: getattr(message, name) for name in ("angle_min", "angle_max", "angle_increment")},
         **{name: getattr(message, name) for name in ("range_min", "range_max", "scan_time", "time_increment")},

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DestinationError, OutputError
-from pc2scan.files import staged_parts
+from pc2scan.files import parts
 from pc2scan.files.staging import rename_file
 from support import ROOT, sampled
 
@@ -161,7 +161,7 @@ def test_all_parts_appear_or_none(overwrite: bool, existing: Path, monkeypatch: 
             raise OSError(5, "Input/output error")
         rename_file(partial, dst)
 
-    monkeypatch.setattr(staged_parts, "rename_file", failing)
+    monkeypatch.setattr(parts, "rename_file", failing)
     with pytest.raises(OutputError, match="its parts cannot be renamed"):
         convert(existing, overwrite=overwrite)
     assert state(existing.parent) == before

@@ -15,7 +15,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
-from pc2scan.remote import pace, store
+from pc2scan.remote import store
 from support import ROOT, sampled
 from support.batches import batch
 from support.command import run
@@ -143,7 +143,7 @@ def test_a_server_that_sends_a_byte_now_and_then_is_too_slow(
     kind: str, call: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp reads https")
-    monkeypatch.setattr(pace, "SLOWEST_SECONDS", 1)
+    monkeypatch.setattr(store, "SLOWEST_SECONDS", 1)
     url = f"http://me:secret@{place}/{kind}/hall.bag?token=geheim"
     read = partial(pc2scan.info, url) if call == "info" else partial(pc2scan.convert, url, tmp_path / "x.bag")
     with pytest.raises(RecordingError) as caught:

@@ -191,10 +191,10 @@ def test_fields_that_are_the_same_bytes_many_times_are_refused() -> None:
     fields = tuple(PointField(f"f{i}", 0, 8) for i in range(4000))
     cloud = PointCloud2(0, 0, "", 1, 10, fields, False, 8, 80, memoryview(bytes(80)), True)
     with pytest.raises(DecodeError, match="its fields have 32000 bytes, and a point has 8"):
-        cloud.structured()
+        cloud.structured_points()
     huge = PointCloud2(0, 0, "", 0, 0, (PointField("x", 0, 7, 1 << 32),), False, 8, 0, memoryview(b""), True)
     with pytest.raises(DecodeError, match="bytes"):
-        huge.structured()
+        huge.structured_points()
 
 
 def test_kitti_has_returns_alone(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pc2scan.export.formats import FORMATS
-from pc2scan.export.names import file_names
+from pc2scan.export.run import file_names
 from pc2scan.options.table import options_of
 
 

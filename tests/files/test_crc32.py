@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.files import crc32 as module
-from pc2scan.files.crc32 import crc32, crc32_combined
+from pc2scan.files.crc32 import combine_crc32, crc32
 
 NOISE = np.random.default_rng(1).bytes(1 << 20)
 
@@ -51,7 +51,7 @@ def test_the_library_is_loaded_for_large_chunks_only() -> None:
     script = """
 import sys
 from pc2scan.files import crc32 as module
-from pc2scan.files.crc32 import crc32, crc32_combined
+from pc2scan.files.crc32 import crc32, combine_crc32
 crc32(bytes(1000))
 assert "isal" not in sys.modules
 assert crc32(bytes(1 << 20)) == __import__("zlib").crc32(bytes(1 << 20))
@@ -64,11 +64,11 @@ assert "isal" in sys.modules
 @given(st.binary(max_size=200), st.binary(max_size=2000))
 def test_parts_are_combined(first: bytes, second: bytes) -> None:
     expected = zlib.crc32(first + second)
-    assert crc32_combined(zlib.crc32(first), zlib.crc32(second), len(second)) == expected
-    assert module._shifted(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == expected
+    assert combine_crc32(zlib.crc32(first), zlib.crc32(second), len(second)) == expected
+    assert module._shift(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == expected
 
 
 def test_large_parts_are_combined() -> None:
     first, second = NOISE[:100], NOISE[100:]
-    assert crc32_combined(zlib.crc32(first), zlib.crc32(second), len(second)) == zlib.crc32(NOISE)
-    assert module._shifted(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == zlib.crc32(NOISE)
+    assert combine_crc32(zlib.crc32(first), zlib.crc32(second), len(second)) == zlib.crc32(NOISE)
+    assert module._shift(zlib.crc32(first), len(second)) ^ zlib.crc32(second) == zlib.crc32(NOISE)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.errors import OutputError, RecordingError
-from pc2scan.files import borrowed
+from pc2scan.files import buffers
 from pc2scan.files import source as files
 from pc2scan.files.source import FreeIds, NewFile, SourceFile
 from pc2scan.model import own
@@ -128,7 +128,7 @@ def test_a_buffer_that_does_not_fit_into_memory_is_an_error(large: Path, monkeyp
     def refuse(*_: object) -> bytearray:
         raise MemoryError
 
-    monkeypatch.setattr(borrowed.Buffers, "take", refuse)
+    monkeypatch.setattr(buffers.BufferPool, "take", refuse)
     with closing(SourceFile(large)) as file, pytest.raises(RecordingError, match="do not fit into memory"):
         file.borrow(0, 1 << 20, bytes)
 

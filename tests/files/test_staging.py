@@ -14,14 +14,14 @@ import pytest
 from pc2scan.bags.rosbag2.metadata import recorded_in
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.source import NewFile
-from pc2scan.files.staging import staged as staged_anywhere
+from pc2scan.files.staging import staged_output as output_anywhere
 from pc2scan.files.text_output import files_output
 from support.rosbag2_files import compress_file, write_metadata
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-staged = partial(staged_anywhere, record_in=recorded_in)
+staged_output = partial(output_anywhere, record_in=recorded_in)
 
 
 def seen(folder: Path) -> dict[str, Any]:
@@ -38,7 +38,7 @@ def seen(folder: Path) -> dict[str, Any]:
 def refused(destination: Path, message: str, *, overwrite: bool = True) -> DestinationError:
     """Assert that it is refused before anything is made, and changes nothing."""
     before = seen(destination.parent)
-    with pytest.raises(DestinationError, match=message) as caught, staged(destination, overwrite=overwrite):
+    with pytest.raises(DestinationError, match=message) as caught, staged_output(destination, overwrite=overwrite):
         pytest.fail("the body must not run")
     assert seen(destination.parent) == before
     return caught.value
@@ -97,7 +97,7 @@ def test_all_or_nothing_appears(existing: str, make: Callable[[Path], None], tmp
             continue
         make(expected / "out")
         ends: AbstractContextManager[Any] = pytest.raises(ending) if ending else nullcontext()
-        with ends, staged(folder / "out", overwrite=overwrite) as partial:
+        with ends, staged_output(folder / "out", overwrite=overwrite) as partial:
             assert partial == folder / "out.pc2scan-partial"
             assert not partial.exists()
             make(partial)
@@ -127,7 +127,7 @@ def test_what_appears_meanwhile_is_not_replaced(
     make(tmp_path / "expected")
 
     def run() -> None:
-        with staged(tmp_path / "out", overwrite=False) as partial:
+        with staged_output(tmp_path / "out", overwrite=False) as partial:
             make(partial)
             if rival is not None:
                 rival(tmp_path / "out")
@@ -163,7 +163,7 @@ def test_what_is_put_into_a_directory_meanwhile_stays(tmp_path: Path) -> None:
     expected = seen(tmp_path) | {"out/thesis.tex": b"years of work"}
 
     def run() -> None:
-        with staged(tmp_path / "out", overwrite=True) as partial:
+        with staged_output(tmp_path / "out", overwrite=True) as partial:
             make_directory(partial)
             (tmp_path / "out" / "thesis.tex").write_text("years of work")
 
@@ -176,7 +176,7 @@ def test_a_recording_with_its_logs_and_packed_files_is_replaced(tmp_path: Path) 
     make_recording(tmp_path / "out", "x_0.db3-wal", "x_0.db3-shm", "x_1.db3")
     write_metadata(tmp_path / "out", 3, ["x_0.db3", "x_1.db3", "gone.db3"])
     compress_file(tmp_path / "out" / "x_1.db3")
-    with staged(tmp_path / "out", overwrite=True) as partial:
+    with staged_output(tmp_path / "out", overwrite=True) as partial:
         make_directory(partial)
     assert seen(tmp_path / "out") == {"metadata.yaml": b"new", "x_0.db3": b"new"}
 
@@ -191,7 +191,7 @@ def test_a_failing_rename_brings_the_old_back(tmp_path: Path, monkeypatch: pytes
         return rename(self, target)
 
     def run() -> None:
-        with staged(tmp_path / "out", overwrite=True) as partial:
+        with staged_output(tmp_path / "out", overwrite=True) as partial:
             make_directory(partial)
 
     monkeypatch.setattr(Path, "rename", fail_once)
@@ -210,7 +210,7 @@ def test_what_an_interrupted_overwrite_left_comes_back(is_complete: bool, tmp_pa
     if is_complete:
         make_directory(tmp_path / "out")
     expected = seen(tmp_path / ("out" if is_complete else "out.pc2scan-old"))
-    with pytest.raises(DestinationError, match="exists already"), staged(tmp_path / "out", overwrite=False):
+    with pytest.raises(DestinationError, match="exists already"), staged_output(tmp_path / "out", overwrite=False):
         pytest.fail("the body must not run")
     assert seen(tmp_path / "out") == expected
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
@@ -226,7 +226,7 @@ def test_what_a_dead_run_left_is_removed(
     expected = seen(tmp_path / "precious"), seen(tmp_path / "expected")
     left(tmp_path / "out.pc2scan-partial")
     (tmp_path / "out.pc2scan-partial.lock").touch()
-    with staged(tmp_path / "out", overwrite=False) as partial:
+    with staged_output(tmp_path / "out", overwrite=False) as partial:
         assert not os.path.lexists(partial)
         make(partial)
     # A link is not followed.
@@ -235,7 +235,7 @@ def test_what_a_dead_run_left_is_removed(
 
 
 def test_a_body_that_makes_nothing_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="No such file"), staged(tmp_path / "out", overwrite=False):
+    with pytest.raises(OutputError, match="No such file"), staged_output(tmp_path / "out", overwrite=False):
         pass
     assert seen(tmp_path) == {}
 
@@ -257,14 +257,14 @@ def test_a_body_that_makes_nothing_is_an_error(tmp_path: Path) -> None:
 )
 def test_impossible_destinations_are_refused(place: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(DestinationError, match=message), staged(Path(place.format(tmp_path)), overwrite=True):
+    with pytest.raises(DestinationError, match=message), staged_output(Path(place.format(tmp_path)), overwrite=True):
         pytest.fail("the body must not run")
 
 
 def test_a_directory_that_is_not_writable_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Root may write everywhere.
     monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(OutputError, match="not writable"), staged(tmp_path / "out", overwrite=False):
+    with pytest.raises(OutputError, match="not writable"), staged_output(tmp_path / "out", overwrite=False):
         pytest.fail("the body must not run")
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files import run_lock, system
-from pc2scan.files.staging import staged
+from pc2scan.files.staging import staged_output
 from support import ROOT, sampled
 from support.batches import contents
 from support.command import environment, run
@@ -67,7 +67,7 @@ def test_places_are_read_without_pread(tmp_path: Path) -> None:
     places = [(length, offset) for offset in range(0, len(data) + 5, 997) for length in (0, 1, 4096)]
     try:
         with ThreadPoolExecutor(4) as pool:
-            found = pool.map(lambda place: system.sought_and_read(descriptor, *place), places)
+            found = pool.map(lambda place: system.seek_and_read(descriptor, *place), places)
             assert list(found) == [data[offset : offset + length] for length, offset in places]
     finally:
         os.close(descriptor)
@@ -103,7 +103,7 @@ def test_names_that_windows_cannot_have_are_refused(
 
 
 def write(path: Path) -> None:
-    with staged(path, overwrite=False) as partial:
+    with staged_output(path, overwrite=False) as partial:
         partial.touch()
 
 
@@ -111,8 +111,8 @@ def test_a_second_run_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("fcntl")
     program = (
         "import sys, pathlib\n"
-        "from pc2scan.files.staging import staged\n"
-        "with staged(pathlib.Path(sys.argv[1]), overwrite=True) as partial:\n"
+        "from pc2scan.files.staging import staged_output\n"
+        "with staged_output(pathlib.Path(sys.argv[1]), overwrite=True) as partial:\n"
         "    partial.write_text('other'); print('ready', flush=True); sys.stdin.read()\n"
     )
     with subprocess.Popen(
@@ -146,7 +146,7 @@ def test_a_run_goes_on_where_files_cannot_be_locked(tmp_path: Path, monkeypatch:
     monkeypatch.setitem(sys.modules, "fcntl", None)
     write(tmp_path / "windows")
     assert sorted(contents(tmp_path)) == ["file system", "windows"]
-    monkeypatch.setattr(run_lock, "_locked", refuse(errno.EROFS))
+    monkeypatch.setattr(run_lock, "_acquire", refuse(errno.EROFS))
     with pytest.raises(OutputError, match="Read-only file system"):
         write(tmp_path / "out")
 

@@ -48,10 +48,10 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
 def _cloud(data: bytes) -> None:
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
     content, serialization = _serialization(data)
-    CloudToScan(ProjectionParams(min_height=-9.0), Frames()).for_topic("/points", serialization, "cdr")(content)
+    CloudToScan(ProjectionParams(min_height=-9.0), Placer()).for_topic("/points", serialization, "cdr")(content)
 
 
 def _scan(data: bytes) -> None:
@@ -75,7 +75,7 @@ def _transforms(data: bytes) -> None:
 
 def _imu(data: bytes) -> None:
     """Some messages of one length each after the other, and what they tell of up."""
-    from pc2scan.tf.imu_reading import ImuRequest, read_up
+    from pc2scan.tf.imu import ImuRequest, read_up
 
     content, serialization = _serialization(data)
     kind = "sensor_msgs/Imu" if serialization == "ros1" else "sensor_msgs/msg/Imu"
@@ -91,8 +91,8 @@ def _imu(data: bytes) -> None:
             return iter(messages)
 
     found = read_up([Recorded()], ImuRequest("/imu"))  # type: ignore[list-item]  # a part of a reader
-    assert np.isfinite(found.ups).all()
-    assert len(found.ups) == len(found.stamps_ns)
+    assert np.isfinite(found.directions).all()
+    assert len(found.directions) == len(found.stamps_ns)
 
 
 def _wire(data: bytes) -> None:
@@ -173,11 +173,11 @@ def _ros1_frames(data: bytes) -> None:
     """Whatever is packed can be read by ROS 1."""
     import lz4.frame
 
-    from pc2scan.bags.rosbag1.lz4_frames import packed, ros1_reads
+    from pc2scan.bags.rosbag1.chunks import compress_lz4, is_readable_lz4
 
-    ros1_reads(b"\x04\x22\x4d\x18" + data)
-    frame = packed(data)
-    assert ros1_reads(frame)
+    is_readable_lz4(b"\x04\x22\x4d\x18" + data)
+    frame = compress_lz4(data)
+    assert is_readable_lz4(frame)
     assert lz4.frame.decompress(frame) == data
 
 
@@ -188,11 +188,11 @@ def _scan_text(data: bytes) -> None:
 
 
 def _qos(data: bytes) -> None:
-    from pc2scan.bags.qos import latches, respelled_qos
+    from pc2scan.bags.qos import latches, respell_qos
 
     text = data.decode("utf-8", "replace")
     latches(text)
-    respelled_qos(text, by_name=True)
+    respell_qos(text, by_name=True)
 
 
 def _parameters(data: bytes) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.core.verdicts import Scan
+from pc2scan.core.verdicts import ConsumerScan
 from pc2scan.inspect.scan_filling import ScanFilling
 
 
@@ -18,7 +18,7 @@ def kinds(content: list[set[int]], beams: int, frames: int = 1) -> set[str]:
     for number, filled in enumerate(content):
         ranges = np.full(beams, np.inf, np.float32)
         ranges[list(filled)] = 5.0
-        scan = Scan.of(ranges, angle_min=0, angle_max=1, angle_increment=0.1, range_min=0.1, range_max=30)
+        scan = ConsumerScan.of(ranges, angle_min=0, angle_max=1, angle_increment=0.1, range_min=0.1, range_max=30)
         filling.add(f"laser{number % frames}", scan, ranges, number)
     return {finding.kind for finding in filling.findings()}
 

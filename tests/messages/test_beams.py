@@ -10,7 +10,7 @@ import pytest
 from pc2scan.core.points import TIME
 from pc2scan.core.unproject import unproject
 from pc2scan.errors import DecodeError
-from pc2scan.messages.beams import beams_of
+from pc2scan.messages.beams import scan_points
 from pc2scan.messages.laserscan import LaserScan
 
 RANGES = np.array([1, np.nan, np.inf, 0.05, 9.0, 10.0, -np.inf, 12.0, 3.5], np.float32)
@@ -24,7 +24,7 @@ def scan(**changes: object) -> LaserScan:
 
 
 def test_beams_are_points_at_their_own_times() -> None:
-    points, total, rejected = beams_of(scan())
+    points, total, rejected = scan_points(scan())
     expected = unproject(
         RANGES, np.arange(9, dtype=np.float32), angle_min=-1.0, angle_increment=0.25, range_min=0.1, range_max=10.0
     )
@@ -38,11 +38,11 @@ def test_beams_are_points_at_their_own_times() -> None:
 
 
 def test_a_scan_without_intensities_has_points_without() -> None:
-    points, _, _ = beams_of(scan(intensities=np.empty(0, np.float32)))
+    points, _, _ = scan_points(scan(intensities=np.empty(0, np.float32)))
     assert "intensity" not in points.fields
 
 
 def test_a_scan_that_makes_no_sense_is_an_error_with_its_stamp() -> None:
     with pytest.raises(DecodeError) as caught:
-        beams_of(scan(angle_increment=math.nan))
+        scan_points(scan(angle_increment=math.nan))
     assert caught.value.stamp_ns == 17

@@ -12,8 +12,16 @@ from hypothesis.extra.numpy import arrays
 from rosbags.typesys import Stores, get_typestore
 
 from pc2scan.errors import DecodeError
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, _frame_and_geometry, decode_laserscan, encode_laserscan
+from pc2scan.messages.laserscan import (
+    LASERSCAN,
+    LaserScan,
+    _frame_and_geometry,
+    decode_laserscan,
+    encode_laserscan,
+    scan_for_consumers,
+)
 from pc2scan.messages.wire import MAX_CACHED_BYTES
+from support.scan_recordings import GOOD
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -90,3 +98,10 @@ def test_a_stamp_that_does_not_fit_is_an_error(serialization: str, stamp_ns: int
 def test_stamps_before_1970_survive_in_ros_2() -> None:
     encoded = encode_laserscan(scan(floats(), floats(), stamp_ns=-1), "cdr")
     assert decode_laserscan(encoded, "cdr").stamp_ns == -1
+
+
+def test_a_scan_as_the_rules_see_it() -> None:
+    scan = scan_for_consumers(replace(GOOD, intensities=np.ones(3, np.float32)))
+    assert (scan.beams, scan.returns, scan.intensities) == (9, 9, 3)
+    assert (scan.angle_min, scan.angle_max, scan.range_max) == (-1, 1, 30)
+    assert scan.scan_time == float(np.float32(0.1))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, parsed, ros1, ros2
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages import definitions, schema
-from pc2scan.messages.transcode import DISTROS, defined, transcoder
+from pc2scan.messages.transcode import DISTROS, transcoder, with_definition
 from pc2scan.model import LATCHED_QOS, Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared, sampled
 
@@ -23,7 +23,7 @@ from support import RECORDINGS, needs_shared, sampled
 
 @cache
 def common_types() -> list[str]:
-    noetic, jazzy = schema.known("ros1_noetic"), schema.known("ros2_jazzy")
+    noetic, jazzy = schema.known_types("ros1_noetic"), schema.known_types("ros2_jazzy")
     return sorted(name for name in noetic if schema.same_layout(noetic, jazzy, name) and name in jazzy)
 
 
@@ -31,7 +31,7 @@ def common_types() -> list[str]:
 def test_common_types_go_there_and_back(name: str) -> None:
     from rosbags.typesys import Stores, get_typestore
 
-    structs = schema.known("ros1_noetic")
+    structs = schema.known_types("ros1_noetic")
     connection = Connection(1, "/topic", ros1_type(name), "ros1")
     for seed in range(5):
         check_both_ways(connection, name, structs, seed)
@@ -135,7 +135,7 @@ def ros1_definitions(draw: st.DrawFn) -> str:
 @given(text=ros1_definitions(), seed=st.integers(0, 1 << 32))
 def test_any_type_goes_there_and_back(text: str, seed: int) -> None:
     connection = ros1(text)
-    structs = dict(schema.known("ros1_noetic")) | parsed(connection)
+    structs = dict(schema.known_types("ros1_noetic")) | parsed(connection)
     check_both_ways(connection, "pkg/msg/Type", structs, seed)
 
 
@@ -195,14 +195,14 @@ def test_the_other_versions_field_names_for_the_same_layout() -> None:
 
 @pytest.mark.parametrize("msgtype", ["visualization_msgs/Marker", "sensor_msgs/Range"])
 def test_another_layout_keeps_its_definition_and_is_noted(msgtype: str) -> None:
-    name = schema.canonical(msgtype)
+    name = schema.canonical_type(msgtype)
     there = transcoder(Connection(1, "/topic", msgtype, "ros1"), 2)
     assert any(f"layout differs from ROS 2 jazzy's {name}: " in note for note in there.notes)
-    ours, theirs = schema.known("ros1_noetic")[name], schema.known("ros2_jazzy")[name]
+    ours, theirs = schema.known_types("ros1_noetic")[name], schema.known_types("ros2_jazzy")[name]
     written = parsed(there.connection)[name]
     assert [field.name for field in written.fields] == [field.name for field in ours.fields]
     assert [field.name for field in written.fields] != [field.name for field in theirs.fields]
-    check_both_ways(Connection(1, "/topic", msgtype, "ros1"), name, schema.known("ros1_noetic"), 1)
+    check_both_ways(Connection(1, "/topic", msgtype, "ros1"), name, schema.known_types("ros1_noetic"), 1)
 
 
 def test_nested_type_with_another_layout_is_noted_too() -> None:
@@ -218,9 +218,7 @@ def test_without_definition_the_message_set_is_used_and_noted() -> None:
     foxy, noetic = (transcoder(imu, 1, distro=distro) for distro in ("foxy", "noetic"))
     for plan, assumed in ((transcoder(imu, 1), "jazzy"), (foxy, "foxy"), (noetic, "jazzy")):
         assert plan.notes == (f"no definition in the recording: ROS 2 {assumed}'s sensor_msgs/msg/Imu is assumed",)
-    # Another connection's definition comes before it, and what a definition lacks is filled in.
-    extra = {"sensor_msgs/Imu": Definition("ros2msg", b"uint8 only\n")}
-    assert transcoder(imu, 1, definitions=extra).connection.definition.text == "uint8 only\n"
+    # What a definition lacks is filled in.
     filled = transcoder(ros2("geometry_msgs/Point[] points\n"), 1).connection
     assert "MSG: geometry_msgs/Point\nfloat64 x\n" in filled.definition.text
 
@@ -230,23 +228,24 @@ def test_a_connection_without_definition_gets_the_distributions(msgtype: str) ->
     from rosbags.typesys import Stores, get_typestore
 
     plain = Connection(1, "/t", msgtype, "cdr")
-    found = defined(plain)
+    found = with_definition(plain)
     jazzy = get_typestore(Stores.ROS2_JAZZY)
     assert (found.definition.encoding, found.digest) == ("ros2msg", jazzy.hash_rihs01(msgtype))
-    assert parsed(found)[msgtype] == schema.known("ros2_jazzy")[msgtype]
-    assert defined(found) is found
+    assert parsed(found)[msgtype] == schema.known_types("ros2_jazzy")[msgtype]
+    assert with_definition(found) is found
     # A digest that it has stays; what no distribution knows has none.
-    assert defined(replace(plain, digest="RIHS01_0")).digest == "RIHS01_0"
+    assert with_definition(replace(plain, digest="RIHS01_0")).digest == "RIHS01_0"
     unknown = Connection(1, "/t", "pkg/msg/Unknown", "cdr")
-    assert defined(unknown) is unknown
-    ros1_scan = defined(Connection(1, "/t", ros1_type(msgtype), "ros1"), "noetic")
+    assert with_definition(unknown) is unknown
+    ros1_scan = with_definition(Connection(1, "/t", ros1_type(msgtype), "ros1"), "noetic")
     assert ros1_scan.digest == get_typestore(Stores.ROS1_NOETIC).generate_msgdef(msgtype, ros_version=1)[1]
 
 
 def test_distribution_tells_the_layout() -> None:
     """Range got a ``variance`` after humble."""
     messages = {
-        distro: Twin(schema.known(f"ros2_{distro}"), "sensor_msgs/msg/Range", 1).cdr for distro in ("humble", "jazzy")
+        distro: Twin(schema.known_types(f"ros2_{distro}"), "sensor_msgs/msg/Range", 1).cdr
+        for distro in ("humble", "jazzy")
     }
     assert len(messages["humble"]) < len(messages["jazzy"])
     connection = Connection(1, "/t", "sensor_msgs/msg/Range", "cdr")
@@ -405,7 +404,7 @@ def test_real_recording_goes_there_and_back(name: str) -> None:
             text = Definition("ros1msg", recorded.msgdef.data.encode())
             connection = Connection(recorded.id, recorded.topic, ros1_type(recorded.msgtype), "ros1", text)
             structs = schema.parse(text, recorded.msgtype)
-            own = schema.closure(schema.canonical(recorded.msgtype), structs.get)
+            own = schema.closure(schema.canonical_type(recorded.msgtype), structs.get)
             assert schema.md5sum(own) == recorded.digest
             there = transcoder(connection, 2)
             plans[recorded.id] = there, transcoder(there.connection, 1), "std_msgs/msg/Header" in own

@@ -90,7 +90,7 @@ class Twin:
             self.primitive(CODES[word], low + self.random.getrandbits(bits))
 
     def message(self, name: str) -> None:
-        if schema.builtin(name):
+        if schema.is_builtin(name):
             self.primitive("i", self.random.getrandbits(31))
             self.primitive("I", self.random.randrange(1_000_000_000))
             return

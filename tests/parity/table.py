@@ -26,7 +26,7 @@ from pc2scan.errors import TransformError
 from pc2scan.messages.laserscan import encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from support import ROOT
 from tf.through import assert_close, found, random_drive, random_throughs
 from tf.trees import SECOND, built, changing_tree, random_pose, random_questions, random_tree
@@ -153,7 +153,7 @@ def _way_back(oracle: Path, rng: np.random.Generator, count: int) -> Row:
     compared = differing = 0
     for target in ("laser", "base_link", "odom"):
         for deskewed in (False, True):
-            conversion = ScanToCloud(None, Frames(target, "", built(rows), 0), deskewed=deskewed)
+            conversion = ScanToCloud(None, Placer(target, "", built(rows), 0), deskewed=deskewed)
             convert = conversion.for_topic("/scan", "ros1", "ros1")
             scans = [debian.random_scan(rng) for _ in range(count // 6 + 1)]
             commands = [debian.scan_command(target, deskewed, scan) for scan in scans]

@@ -18,7 +18,7 @@ from pc2scan.errors import MessageError
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from tf.trees import EPOCH, SECOND, built, row
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def assert_same_clouds(program: Path, rows: Rows, target: str, deskewed: bool, s
 
     NaNs may have any sign and payload; all else, signs of zeros included, is equal.
     """
-    convert = ScanToCloud(None, Frames(target, "", built(rows), 0), deskewed=deskewed).for_topic("/t", "ros1", "ros1")
+    convert = ScanToCloud(None, Placer(target, "", built(rows), 0), deskewed=deskewed).for_topic("/t", "ros1", "ros1")
     refused = 0
     answers = debian.ask(program, rows, [debian.scan_command(target, deskewed, scan) for scan in scans])
     for scan, theirs in zip(scans, answers, strict=True):

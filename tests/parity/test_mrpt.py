@@ -13,7 +13,7 @@ import pytest
 from core.consumer_rules import mrpt_2_5
 from pc2scan.core.consumers import judge
 from pc2scan.core.params import ProjectionParams
-from pc2scan.core.verdicts import Scan
+from pc2scan.core.verdicts import ConsumerScan
 
 SOURCE = Path(__file__).with_name("mrpt.cpp")
 HEADERS = Path("/usr/include/mrpt")
@@ -86,7 +86,7 @@ def test_no_accepted_scan_is_misread_by_mrpt_2_5(bridge: Path) -> None:
         beams, increment = rng.randint(3, 800), float(np.float32(rng.uniform(0.001, 0.02)))
         half = (beams - 1) * increment / 2
         low, high = (float(np.float32(side * half + rng.randint(-3, 3) * 1.2e-7)) for side in (-1, 1))
-        scan = Scan(
+        scan = ConsumerScan(
             angle_min=low,
             angle_max=high,
             angle_increment=increment,

@@ -19,7 +19,7 @@ from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.conversion import Conversion, Converted, Measured
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from support.tables import rows
 
 TABLES = Path(__file__).parent / "stages/times.txt"
@@ -52,7 +52,7 @@ def scan(ranges: Any, stamp_ns: int = 5 * SECOND, **changes: Any) -> bytes:
     return encode_laserscan(LaserScan(**{**values, **changes}), "ros1")
 
 
-def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Frames:
+def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Placer:
     """Frames that move along x and turn about z: parent, child, stamp, x, yaw."""
     builder = TransformBuilder()
     builder.add(
@@ -62,7 +62,7 @@ def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Frames:
         ),
         static=False,
     )
-    return Frames(target, "", builder.build(), 0)
+    return Placer(target, "", builder.build(), 0)
 
 
 def once(
@@ -81,7 +81,7 @@ def points_of(message: PointCloud2) -> Any:
 )
 def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, expected: int) -> None:
     params = ProjectionParams(scan_time="auto", time_increment="auto")
-    conversion = CloudToScan(params, Frames(), {"/front": Measured(0.125, -0.25, first_beam_ns)})
+    conversion = CloudToScan(params, Placer(), {"/front": Measured(0.125, -0.25, first_beam_ns)})
     serialization = "ros1" if stamp_ns >= 0 else "cdr"
     message = encode_pointcloud2(
         serialization=serialization, sequence=0, stamp_ns=stamp_ns, frame_id="f", fields=XYZ, point_step=12, data=b""
@@ -111,7 +111,7 @@ def test_the_way_back_carries_the_header_and_all_channels() -> None:
     every = UnprojectParams(distances=True, stamps=True, viewpoint=True)
     ranges = [1, 2, math.nan, 40, 3, 0.01, math.inf]
     message = scan(ranges, intensities=np.arange(7, dtype=np.float32), time_increment=0.25)
-    made = once(ScanToCloud(every, Frames()), message, "ros1", "cdr")
+    made = once(ScanToCloud(every, Placer()), message, "ros1", "cdr")
     read = decode_pointcloud2(made.data, "cdr")
     assert (read.stamp_ns, read.frame_id, read.height, read.width, read.is_dense) == (5 * SECOND, "laser", 1, 3, False)
     names = ["x", "y", "z", "intensity", "index", "distances", "stamps", "vp_x", "vp_y", "vp_z"]
@@ -163,13 +163,13 @@ def test_a_transformed_cloud_has_the_header_of_the_transform(stamp_ns: int, stat
     builder = TransformBuilder()
     for second in (4, 5, 6) if not static else (5,):
         builder.add([("odom", "laser", second * SECOND, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)], static=static)
-    known = Frames("odom", "", builder.build(), 0)
+    known = Placer("odom", "", builder.build(), 0)
     message = scan([2.0] * 3, stamp_ns)
     newest = stamp_ns or (0 if static else 6 * SECOND)
     for conversion, expected in (
         (ScanToCloud(None, known), (0, newest, "odom")),
         (ScanToCloud(None, known, deskewed=True), (9, stamp_ns, "odom")),
-        (ScanToCloud(None, Frames()), (9, stamp_ns, "laser")),
+        (ScanToCloud(None, Placer()), (9, stamp_ns, "laser")),
     ):
         read = decode_pointcloud2(once(conversion, message).data, "ros1")
         assert (read.sequence, read.stamp_ns, read.frame_id) == expected
@@ -183,9 +183,9 @@ NO_SCANS: list[tuple[Any, bytes, type[Exception], str]] = [
         TransformError,
         "too late",
     ),
-    (ScanToCloud(None, Frames()), scan([1, 2], intensities=np.array([1.0], np.float32)), DecodeError, "intensities"),
+    (ScanToCloud(None, Placer()), scan([1, 2], intensities=np.array([1.0], np.float32)), DecodeError, "intensities"),
     (
-        CloudToScan(ProjectionParams(intensity_field="r"), Frames()),
+        CloudToScan(ProjectionParams(intensity_field="r"), Placer()),
         cloud([[2, 0, 0]]),
         DecodeError,
         "no field 'r'; the",
@@ -216,8 +216,8 @@ def test_there_and_back_is_within_half_a_beam_of_its_middle(polar: list[tuple[fl
         min_height=-1, angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / beams, range_max=30.0
     )
     points = np.array([[r * math.cos(a), r * math.sin(a), 0] for a, r in polar], np.float32)
-    there = once(CloudToScan(params, Frames()), cloud(points))
-    back = once(ScanToCloud(None, Frames()), there.data)
+    there = once(CloudToScan(params, Placer()), cloud(points))
+    back = once(ScanToCloud(None, Placer()), there.data)
     returned = points_of(decode_pointcloud2(back.data, "ros1"))
     assert len(returned) >= 1
     angles = np.arctan2(points[:, 1], points[:, 0], dtype=np.float64)

@@ -150,11 +150,11 @@ class Counts:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.done: list[str] = []
         for module, name, what in (
-            (mcap_chunks, "_decompressed", "decompressed"),
-            (rosbag1_reader, "decompressed", "decompressed"),
+            (mcap_chunks, "_decompress", "decompressed"),
+            (rosbag1_reader, "decompress_chunk", "decompressed"),
             (rosbag1_reader, "with_payload", "decompressed"),
-            (mcap_reader, "messages_in", "split"),
-            (rosbag1_writer, "_compressed", "compressed"),
+            (mcap_reader, "scan_messages", "split"),
+            (rosbag1_writer, "_compress", "compressed"),
             (mcap_writer, "compress", "compressed"),
         ):
             monkeypatch.setattr(module, name, self._counting(getattr(module, name), what))

@@ -15,7 +15,7 @@ from pc2scan.pipeline import measure as measure_module
 from pc2scan.pipeline.measure import measure
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap
 
 if TYPE_CHECKING:
@@ -46,13 +46,13 @@ def recorded(stream: Stream, stamps: Sequence[int], points: NDArray[np.float32],
 
 
 def measured(
-    folder: Path, items: list[Item], params: ProjectionParams, frames: Frames | None = None, **cut: Any
+    folder: Path, items: list[Item], params: ProjectionParams, frames: Placer | None = None, **cut: Any
 ) -> tuple[dict[str, Measured], list[str]]:
     streams = tuple(dict.fromkeys(entry.stream for entry in items))
     items = sorted(items, key=lambda entry: entry.log_time_ns)
     reader = open_recording(write_mcap(folder / "drive.mcap", Recording(streams, tuple(items))))
     try:
-        return measure(reader, reader.connections, ScanSpec(params=params), frames or Frames(), **cut)
+        return measure(reader, reader.connections, ScanSpec(params=params), frames or Placer(), **cut)
     finally:
         reader.close()
 
@@ -120,7 +120,7 @@ def test_beams_are_timed_in_the_scans_frame(tmp_path: Path) -> None:
         static=True,
     )
     items = recorded(FRONT, [T0], turning(), NAMES)
-    frames = Frames("base", "", builder.build(), 0)
+    frames = Placer("base", "", builder.build(), 0)
     _, notes = measured(tmp_path, items, AUTO, frames)
     assert "`angle_min=1.7" in notes[1]
 
@@ -183,7 +183,7 @@ def test_each_topic_has_the_beams_of_its_lidar(tmp_path: Path) -> None:
 def test_the_resolution_is_that_around_the_sensor(tmp_path: Path) -> None:
     builder = TransformBuilder()
     builder.add([("base", "lidar", T0, 3.0, 1.0, 0.5, 0.0, 0.0, 0.6, 0.8)], static=True)
-    frames = Frames("base", "lidar", builder.build(), 0)
+    frames = Placer("base", "lidar", builder.build(), 0)
     params = ProjectionParams(beams="auto", time_increment="auto", geometry="centered")
     found, notes = measured(tmp_path, recorded(FRONT, [T0], rings(900), RINGS), params, frames)
     assert TURN / found["/front"].azimuth_step == pytest.approx(900, rel=1e-3)

@@ -252,7 +252,7 @@ def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrin
 @pytest.mark.parametrize("queue_size", [1, 3])
 def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     read = written = worst = 0
-    load, write = units.loaded, stream._write
+    load, write = units.load_unit, stream._write
     lock = threading.Lock()
 
     def loading(*args: Any, **options: Any) -> Any:
@@ -267,7 +267,7 @@ def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch:
         write(*args)
         written += 1
 
-    monkeypatch.setattr(scheduler, "loaded", loading)
+    monkeypatch.setattr(scheduler, "load_unit", loading)
     monkeypatch.setattr(stream, "_write", writing)
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
     convert(drive, jobs=2, params=params)

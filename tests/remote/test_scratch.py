@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.errors import UsageError
-from pc2scan.remote.scratch import Limit, Room, ScratchError, scratch_folder
+from pc2scan.remote.scratch import ScratchError, ScratchSpace, SizeLimit, scratch_folder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,7 +42,7 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
 
 
 def test_room_is_shared(tmp_path: Path) -> None:
-    room = Room(tmp_path, 100)
+    room = ScratchSpace(tmp_path, 100)
     freed: list[None] = []
     room.listeners.append(lambda: freed.append(None))
     assert room.reserve(60)
@@ -56,7 +56,7 @@ def test_room_is_shared(tmp_path: Path) -> None:
 def test_a_limit_counts_all_files(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a").write_bytes(b"x" * 60)
-    limit = Limit(tmp_path, 100)
+    limit = SizeLimit(tmp_path, 100)
     called: list[int] = []
     limit.watching(lambda done, _total, _messages: called.append(done))(1, 2, 3)
     (tmp_path / "b").write_bytes(b"x" * 41)

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pc2scan.remote.names import Names
-from pc2scan.remote.urls import is_url, shown_path, url_of
+from pc2scan.remote.urls import UrlNames, is_url, shown_path, url_of
 
 
 @pytest.mark.parametrize("url", ["s3://bucket/a/b.mcap", "gs://b/c", "az://b/c", "https://h/x.bag?s=1", "memory://b/c"])
@@ -27,7 +26,7 @@ def test_secrets_are_not_shown() -> None:
 
 
 def test_folders_become_urls() -> None:
-    names = Names()
+    names = UrlNames()
     names.add(Path("/t/0"), "s3://b/in")
     assert names.of(["/t/0/x.mcap: damaged", ("/t/0", 1), {"a": Path("/t/0/x")}]) == [
         "s3://b/in/x.mcap: damaged",

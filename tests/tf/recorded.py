@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection, RawMessage
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def row(parent: str, child: str, stamp_ns: int, x: float) -> tuple[Any, ...]:
     return (parent, child, stamp_ns, x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
-def frames(recordings: list[Any], options: FrameOptions | None = None, **kwargs: Any) -> tuple[Frames, list[str]]:
+def frames(recordings: list[Any], options: FrameOptions | None = None, **kwargs: Any) -> tuple[Placer, list[str]]:
     options = options or FrameOptions()
     buffer, warnings = read_transforms(recordings, options)
-    return Frames(kwargs.get("target", "base"), options.source_frame, buffer, kwargs.get("tolerance_ns", 0)), warnings
+    return Placer(kwargs.get("target", "base"), options.source_frame, buffer, kwargs.get("tolerance_ns", 0)), warnings

@@ -4,12 +4,12 @@ import pytest
 
 from pc2scan.errors import TransformError
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Frames, Placement
+from pc2scan.tf.placing import Placement, Placer
 from tf.recorded import Recording, frames, row
 
 
 def test_no_target_frame_leaves_everything_in_its_place() -> None:
-    assert Frames().place("lidar", 5) == Placement("lidar", None)
+    assert Placer().place("lidar", 5) == Placement("lidar", None)
 
 
 @pytest.mark.parametrize("own", ["base", "/base"])
@@ -22,7 +22,7 @@ def test_the_source_frame_is_overridden() -> None:
     recording = Recording(("/tf_static", [row("base", "lidar", 0, 0.5)]))
     known, _ = frames([recording], FrameOptions(source_frame="lidar"))
     assert known.place("", 5).target_from_source is not None
-    assert Frames(source_frame="lidar").place("wrong", 5) == Placement("lidar", None)
+    assert Placer(source_frame="lidar").place("wrong", 5) == Placement("lidar", None)
 
 
 def test_the_tolerance_takes_the_nearest_transform() -> None:

@@ -11,7 +11,7 @@ module             contents
 ``merged``         reads several recordings as one
 ``topics``         finds topics by the names that users give
 ``damage``         the damage of a recording, noted by its reader
-``zstd``           decompresses zstd files and messages; ``unpacked`` reads such files
+``zstd``           decompresses zstd files and messages; ``zstd_reader`` reads such files
 ``qos``            QoS profiles
 ``chunked``        common parts of containers with chunks
 ``rosbag1``        ROS 1 bags (``.bag``)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pc2scan.files.records import Record
     from pc2scan.model import Summary, Writer
 
-    from .splitting import Cut, Part
+    from .splitting import Cut, RecordingPart
 
 _METADATA_VERSIONS = (8, 9)
 
@@ -147,7 +147,7 @@ def plan_destination(
             "a recording is not written to standard output", hint="name a file: `destination=scans.mcap`"
         )
     suffix = path.suffix.lower()
-    written = _written()
+    written = _formats_by_suffix()
     if suffix not in written and (suffix in _REFUSED_SUFFIXES or (_is_like_a_file(suffix) and not is_directory)):
         names = ", ".join(f"NAME{known}" for known in written if known)
         why = _REFUSED_SUFFIXES.get(suffix, "a directory of this name would look like a file; `to=rosbag2` makes it")
@@ -192,14 +192,14 @@ def _is_like_a_file(suffix: str) -> bool:
     return len(letters) in range(2, 5) and letters.isalnum() and letters[0].isalpha() and not is_version
 
 
-def _written() -> dict[str, Format]:
+def _formats_by_suffix() -> dict[str, Format]:
     """Return the formats that are destinations, by suffix."""
     return {entry.suffix: entry for entry in FORMATS.values() if entry.open_writer is not None}
 
 
 def _format_of(path: Path) -> Format:
     """Return the format of a destination of this name."""
-    written = _written()
+    written = _formats_by_suffix()
     return written.get(path.suffix.lower(), written[""])
 
 
@@ -232,10 +232,10 @@ def default_destination(
     to
         One of `pc2scan.bags.formats.destinations`; None: the source's format.
     """
-    return named_after(sources[0], summaries[0].container, mark, folder=folder, to=to)
+    return name_after(sources[0], summaries[0].container, mark, folder=folder, to=to)
 
 
-def named_after(
+def name_after(
     source: Path, container: str, mark: str = "_scan", *, folder: Path | None = None, to: str | None = None
 ) -> Path:
     """Name a destination as `default_destination` does, after a source in a container of this name."""
@@ -246,10 +246,10 @@ def named_after(
     for leftover in LEFTOVERS:
         stem = stem.removesuffix(leftover) or stem
     # A directory's name has no suffix to remove.
-    if entry.is_in is None:
+    if entry.holds_recording is None:
         for suffix in _source_suffixes():
             stem = stem[: -len(suffix)] if stem.lower().endswith(suffix) and len(stem) > len(suffix) else stem
-    written = FORMATS[entry.written_as or entry.name] if to is None else _to(to)
+    written = FORMATS[entry.written_as or entry.name] if to is None else _to_text(to)
     return (source.parent if folder is None else folder) / f"{stem}{mark}{written.suffix}"
 
 
@@ -261,7 +261,7 @@ def check_to(path: Path, to: str | None) -> None:
     DestinationError
         If it does, or there is no such format.
     """
-    if to is not None and (wanted := _to(to)) is not _format_of(path):
+    if to is not None and (wanted := _to_text(to)) is not _format_of(path):
         raise DestinationError(
             f"`to={to}` asks for another format than this name does",
             path=path,
@@ -269,7 +269,7 @@ def check_to(path: Path, to: str | None) -> None:
         )
 
 
-def _to(name: str) -> Format:
+def _to_text(name: str) -> Format:
     known = destinations()
     if name not in known:
         raise DestinationError(f"`to={name}` is not a format; allowed: {', '.join(known)}")
@@ -290,7 +290,7 @@ def default_storage(path: Path, summaries: Sequence[Summary]) -> str | None:
     return first.container if FORMATS[first.container].written_as else first.storage or None
 
 
-def kept_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str | None]:
+def source_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str | None]:
     """Return the first source's storage and compression, as far as a destination of this name can keep them."""
     first = summaries[0]
     entry = _format_of(path)
@@ -318,8 +318,8 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
     destination
         From `plan_destination`.
     staged_path
-        The path to write to; see `pc2scan.files.staging.staged`. For several files that are no directory: the
-        directory that they are written in; see `pc2scan.files.staged_parts.staged_parts`.
+        The path to write to; see `pc2scan.files.staging.staged_output`. For several files that are no directory: the
+        directory that they are written in; see `pc2scan.files.parts.staged_parts`.
     name
         The final name; a rosbag2 directory's files, and several files, are named after it.
     cut
@@ -342,11 +342,11 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
     assert writer is not None  # a destination without one is never planned
     if cut is None or destination.storage:
         return writer(staged_path, options)
-    from pc2scan.files.numbered import part_name  # noqa: PLC0415  # most recordings are one file
+    from pc2scan.files.places import part_name  # noqa: PLC0415  # most recordings are one file
 
     from .splitting import SplitWriter  # noqa: PLC0415
 
-    def open_part(path: Path) -> tuple[Writer, Callable[[Part], None]]:
+    def open_part(path: Path) -> tuple[Writer, Callable[[RecordingPart], None]]:
         return writer(path, options), lambda _: None
 
     return SplitWriter(lambda number: staged_path / part_name(name, number), open_part, cut)

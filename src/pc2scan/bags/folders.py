@@ -78,7 +78,7 @@ _ENDS = ("", ".active", *zstd.SUFFIXES)
 
 def _holds_recording(folder: Path) -> bool:
     with suppress(OSError):
-        return any(entry.is_in is not None and entry.is_in(folder) for entry in FORMATS.values())
+        return any(entry.holds_recording is not None and entry.holds_recording(folder) for entry in FORMATS.values())
     return False
 
 
@@ -88,13 +88,14 @@ def natural_order(path: Path) -> list[int | str]:
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name, flags=re.ASCII)]
 
 
-def several_recordings(folder: Path, held: Sequence[Path], why: str = "") -> UsageError:
+def several_recordings(folder: Path, recordings: Sequence[Path], why: str = "") -> UsageError:
     """Return the error for a folder that holds several recordings, where one was expected."""
-    names = [f"{path.name}/" if path.is_dir() else path.name for path in held]
+    names = [f"{path.name}/" if path.is_dir() else path.name for path in recordings]
     more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
-    one, all_of_them = shlex.quote(str(held[0])), shlex.quote(str(folder))
+    one, all_of_them = shlex.quote(str(recordings[0])), shlex.quote(str(folder))
     return UsageError(
-        f"holds {len(held)} recordings, not one: {', '.join(names[:_MAX_NAMED])}{more}{f' ({why})' if why else ''}",
+        f"holds {len(recordings)} recordings, not one: {', '.join(names[:_MAX_NAMED])}{more}"
+        f"{f' ({why})' if why else ''}",
         path=folder,
         hint=f"name one of them: {one}; pc2scan batch {all_of_them} -o DIR/ converts each by itself",
     )
@@ -160,9 +161,9 @@ def refuse_unrelated(folder: Path, files: Sequence[Path], readers: Sequence[Read
 
 def _why_unrelated(files: Sequence[Path], readers: Sequence[Reader]) -> str:
     """Return why files that are named as parts cannot be parts; empty if they may be."""
-    opened = [(file, reader) for file, reader in zip(files, readers, strict=True) if _has_messages(reader)]
+    opened = [(file, reader) for file, reader in zip(files, readers, strict=True) if reader.summary.message_count != 0]
     for (file, reader), (other, other_reader) in combinations(opened, 2):
-        types, others = _types(reader), _types(other_reader)
+        types, others = _types_by_topic(reader), _types_by_topic(other_reader)
         for topic in types.keys() & others.keys():
             if types[topic] != others[topic]:
                 return f"{topic} has other types in {file.name} and {other.name}"
@@ -212,8 +213,9 @@ def overlap_warnings(readers: Sequence[Reader]) -> list[str]:
     if not found:
         return []
     warning = (
-        f"{_some(list(found))} overlap in time, by up to {_seconds_text(longest_ns)}, on {_some(list(topics))}: their "
-        "messages are mixed into one recording; pc2scan batch converts each by itself"
+        f"{_names_text(list(found))} overlap in time, by up to {_seconds_text(longest_ns)}, on "
+        f"{_names_text(list(topics))}: their messages are mixed into one recording; "
+        "pc2scan batch converts each by itself"
     )
     return [warning]
 
@@ -242,18 +244,14 @@ def _moving_topics(reader: Reader) -> set[str]:
     }
 
 
-def _types(reader: Reader) -> dict[str, frozenset[str]]:
+def _types_by_topic(reader: Reader) -> dict[str, frozenset[str]]:
     types: dict[str, frozenset[str]] = {}
     for connection in reader.connections:
         types[connection.topic] = types.get(connection.topic, frozenset()) | {connection.ros_type}
     return types
 
 
-def _has_messages(reader: Reader) -> bool:
-    return reader.summary.message_count != 0
-
-
-def _some(names: Sequence[str]) -> str:
+def _names_text(names: Sequence[str]) -> str:
     more = len(names) - _MAX_NAMED
     if more > 0:
         return f"{', '.join(names[:_MAX_NAMED])} and {more} more"

@@ -80,9 +80,9 @@ class Format(NamedTuple):
         The command that plays a recording of the format's ``ros_version``, with ``{}`` for its path; empty for none.
     plays_several
         Whether that command takes several files.
-    is_in
+    holds_recording
         For a directory: whether a directory holds one or several such recordings.
-    is_one
+    is_recording
         For a directory: whether everything in a directory is one recording.
     open_storage
         Starts a file of a directory; returns its writer, and a function that takes the directory's metadata as text.
@@ -124,8 +124,8 @@ class Format(NamedTuple):
     to: str = ""
     play: str = ""
     plays_several: bool = False
-    is_in: Callable[[Path], bool] | None = None
-    is_one: Callable[[Path], bool] | None = None
+    holds_recording: Callable[[Path], bool] | None = None
+    is_recording: Callable[[Path], bool] | None = None
     open_storage: Callable[[Path, WriteOptions], tuple[Writer, Callable[[str], None]]] | None = None
     storages: tuple[str, ...] = ()
     written_as: str = ""
@@ -187,8 +187,8 @@ FORMATS = _table(
         open_writer=_late(".rosbag2.writer:open_writer"),
         to="rosbag2",
         play="ros2 bag play {} --clock",
-        is_in=_late(".rosbag2.metadata:is_in"),
-        is_one=_late(".rosbag2.metadata:is_one"),
+        holds_recording=_late(".rosbag2.metadata:holds_recording"),
+        is_recording=_late(".rosbag2.metadata:is_recording"),
         storages=("mcap", "sqlite3"),
         one_a_topic=True,
         times_ns=(-MAX_ROSBAG2_NS - 1, MAX_ROSBAG2_NS),

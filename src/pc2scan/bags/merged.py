@@ -19,20 +19,12 @@ from .reader import Reader
 from .units import UNKNOWN_START_NS
 
 if TYPE_CHECKING:
-    from collections.abc import (
-        Callable,
-        Collection,
-        Hashable,
-        Iterable,
-        Iterator,
-        Mapping,
-        Sequence,
-    )
+    from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
 
-    from .damage import Damage
+    from .damage import Damage, DamageLog
     from .units import Item, Load, Loaded, Unit
 
 
@@ -67,7 +59,7 @@ class MergedReader(Reader):
             connections = readers[0].connections
             maps = [{connection.id: connection for connection in connections}]
         else:
-            connections, ids = unified([reader.connections for reader in readers])
+            connections, ids = unify_connections([reader.connections for reader in readers])
             ConnectionLimit(readers[0].path).add(count=len(connections))
             by_id = {connection.id: connection for connection in connections}
             maps = [{own: by_id[merged] for own, merged in numbers.items()} for numbers in ids]
@@ -104,7 +96,7 @@ class MergedReader(Reader):
     @property
     def summary(self) -> Summary:
         """The summary of all sources."""
-        return merged_summary([reader.summary for reader in self._readers])
+        return merge_summaries([reader.summary for reader in self._readers])
 
     @property
     def bytes_read(self) -> int:
@@ -146,7 +138,7 @@ class MergedReader(Reader):
                 same = frozenset(own for own, connection in known.items() if own == connection.id)
                 own_rule = rule._replace(connection_ids=rule.connection_ids & same)
             sources.append(_Source(index, reader, known, (chosen, start_ns, stop_ns, own_rule)))
-        return _one_by_one(sources)
+        return _units_in_turn(sources)
 
     def _stands_alone(self, reader: Reader) -> bool:
         """Whether no other source has messages between the first and the last of this one."""
@@ -167,9 +159,9 @@ class MergedReader(Reader):
         """Count the messages of each connection in all sources; see `pc2scan.bags.reader.Reader`."""
         found = dict.fromkeys((connection.id for connection in connections), 0)
         for reader, known in zip(self._readers, self._maps, strict=True):
-            asked = [own for own in reader.connections if known[own.id].id in found]
-            counted = reader.counts(asked, start_ns, stop_ns)
-            for own in asked:
+            requested = [own for own in reader.connections if known[own.id].id in found]
+            counted = reader.counts(requested, start_ns, stop_ns)
+            for own in requested:
                 merged_id = known[own.id].id
                 if own.id in counted and merged_id in found:
                     found[merged_id] += counted[own.id]
@@ -212,10 +204,10 @@ class _Source(NamedTuple):
     def units(self) -> Iterator[Unit]:
         """Yield its units, with messages of the merged connections."""
         for unit in self.reader.units(*self.selection):
-            yield unit._replace(place=(self.number, *unit.place), load=_Renaming(unit.load, self.known))
+            yield unit._replace(place=(self.number, *unit.place), load=_ConnectionReplacer(unit.load, self.known))
 
 
-class _Renaming(NamedTuple):
+class _ConnectionReplacer(NamedTuple):
     """Loads a unit and replaces its connections."""
 
     load: Load
@@ -226,25 +218,25 @@ class _Renaming(NamedTuple):
         return self.load(lambda m: callback(m._replace(connection=known[m.connection.id])), whole=whole)
 
 
-def _one_by_one(sources: Iterable[_Source]) -> Iterator[Unit]:
+def _units_in_turn(sources: Iterable[_Source]) -> Iterator[Unit]:
     """Yield the units of all sources by start; a source that overlaps no other is read after the ones before it."""
     together: list[_Source] = []
     latest: float = -math.inf
     for source in sorted(sources, key=lambda source: (source.times_ns[0], source.number)):
         start_ns, end_ns = source.times_ns
         if start_ns > latest:
-            yield from _by_start(together)
+            yield from _sources_by_start(together)
             together.clear()
         together.append(source)
         latest = max(latest, end_ns)
-    yield from _by_start(together)
+    yield from _sources_by_start(together)
 
 
-def _by_start(sources: Iterable[_Source]) -> Iterator[Unit]:
+def _sources_by_start(sources: Iterable[_Source]) -> Iterator[Unit]:
     return heapq.merge(*(source.units() for source in sources), key=attrgetter("start_ns", "place"))
 
 
-def unified(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:
+def unify_connections(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:
     """Find the connections that several sources share.
 
     Connections are the same if they agree in everything but id and message count. Two such connections within one
@@ -297,7 +289,7 @@ def _identity(connection: Connection) -> Hashable:
     )
 
 
-def merged_summary(summaries: Sequence[Summary]) -> Summary:
+def merge_summaries(summaries: Sequence[Summary]) -> Summary:
     """Merge summaries: sizes and counts are added, times span all.
 
     A value that is unknown in one is unknown in the result. ``container``, ``storage`` and ``profile`` are those that
@@ -354,3 +346,20 @@ def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
             f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot be merged",
             hint="convert them one by one, or with pc2scan batch",
         )
+
+
+class ConcatenatedReader(MergedReader):
+    """Reads all recordings of a file as one."""
+
+    def __init__(self, readers: Sequence[Reader], log: DamageLog) -> None:
+        super().__init__(readers)
+        self._log = log
+
+    @staticmethod
+    def _refuse(readers: Sequence[Reader]) -> None:
+        """Accept several readers of one file, also with different ROS versions."""
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """The damage in the parts, and between them."""
+        return (*super().damage, *self._log.found)

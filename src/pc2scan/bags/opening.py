@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import MissingError, RecordingError, UsageError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
 from pc2scan.files.places import working_names
-from pc2scan.files.source import opened_bytes
+from pc2scan.files.source import open_bytes
 from pc2scan.remote.urls import is_url, shown_path
 
 from .formats import FORMATS, ReadOptions, and_list
@@ -67,25 +67,25 @@ def sniff(path: Path) -> str:
             return _sniff_directory(path)
         if not stat.S_ISREG(mode):
             raise RecordingError("is neither a file nor a directory", path=path, hint="save it as a file first")
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             head = file.read(64)
     except FileNotFoundError as err:
         if is_url(path):
             raise UsageError(
                 "only convert, info and tf read URLs", path=shown_path(path), hint="download it, and convert the copy"
             ) from err
-        from pc2scan.files.nearby import missing_hint  # noqa: PLC0415  # only for errors
+        from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415  # only for errors
 
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
-        hint = _interrupted(path) or missing_hint(path, suffixes)
+        hint = _interruption_hint(path) or missing_hint(path, suffixes)
         raise MissingError("does not exist", path=path, hint=hint) from err
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
     if head.startswith(ZSTD_MAGIC):
         from . import zstd  # noqa: PLC0415  # few recordings are compressed as a whole
 
-        return f"{_recognised(zstd.unpacked_head(path), path, ' (after zstd decompression)')}+zstd"
-    return _recognised(head, path)
+        return f"{_content_hint(zstd.decompress_head(path), path, ' (after zstd decompression)')}+zstd"
+    return _content_hint(head, path)
 
 
 def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> Reader:
@@ -110,9 +110,9 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     name, _, packed = sniff(path).partition("+")
     options = ReadOptions(verify=verify, strict=strict)
     if packed:
-        from .unpacked import UnpackedReader  # noqa: PLC0415  # few recordings need it
+        from .zstd_reader import ZstdReader  # noqa: PLC0415  # few recordings need it
 
-        return UnpackedReader(path, FORMATS[name], options)
+        return ZstdReader(path, FORMATS[name], options)
     return FORMATS[name].open_reader(path, options)
 
 
@@ -128,7 +128,7 @@ def open_recordings(
     return readers
 
 
-def _interrupted(path: Path) -> str | None:
+def _interruption_hint(path: Path) -> str | None:
     """Return the hint for a recording that is missing because the run that wrote it was killed."""
     partial, old, _ = working_names(path) or (path, path, path)
     # Not Path.exists: with the ending, the name may be too long.
@@ -141,21 +141,25 @@ def _interrupted(path: Path) -> str | None:
 
 def _sniff_directory(path: Path) -> str:
     for name, entry in FORMATS.items():
-        if entry.is_in is not None and entry.is_in(path) and (entry.is_one is None or entry.is_one(path)):
+        if (
+            entry.holds_recording is not None
+            and entry.holds_recording(path)
+            and (entry.is_recording is None or entry.is_recording(path))
+        ):
             return name
     from .folders import recordings_in, several_recordings  # noqa: PLC0415  # only folders need it
 
-    held = recordings_in(path)
-    if len(held) > 1:
-        raise several_recordings(path, held)
+    recordings = recordings_in(path)
+    if len(recordings) > 1:
+        raise several_recordings(path, recordings)
     raise RecordingError(
         "is a directory without a rosbag2 recording (no metadata.yaml, .db3 or .mcap files)",
         path=path,
-        hint=f"name the recording in it: {shlex.quote(str(held[0]))}" if held else None,
+        hint=f"name the recording in it: {shlex.quote(str(recordings[0]))}" if recordings else None,
     )
 
 
-def _recognised(head: bytes, path: Path, state: str = "") -> str:
+def _content_hint(head: bytes, path: Path, state: str = "") -> str:
     magics = {entry.magic: name for name, entry in FORMATS.items() if entry.magic}
     for magic, name in magics.items():
         if head.startswith(magic):

@@ -60,7 +60,7 @@ def latches(qos: str) -> bool:
     return re.search(_TRANSIENT_LOCAL, qos, re.IGNORECASE) is not None
 
 
-def parsed_qos(text: str) -> list[dict[str, Any]] | None:
+def parse_qos(text: str) -> list[dict[str, Any]] | None:
     """Return profiles as mappings; None if the text is not a list of mappings, or too long."""
     if len(text) > MAX_CHARACTERS:
         return None
@@ -71,7 +71,7 @@ def parsed_qos(text: str) -> list[dict[str, Any]] | None:
     return None
 
 
-def merged_qos(texts: Sequence[str]) -> str:
+def merge_qos(texts: Sequence[str]) -> str:
     r"""Put the profiles of several publishers of a topic into one list.
 
     rosbag2's recorder lists one profile for each publisher, equal ones too, and so does ``ros2 bag convert`` for the
@@ -83,14 +83,14 @@ def merged_qos(texts: Sequence[str]) -> str:
         ``offered_qos_profiles`` of each; empty if not recorded. A text that is not a list of profiles is ignored, if
         another one is. If the lists are too long, equal texts are used once.
 
-    >>> merged_qos(["- depth: 1", "", "[{depth: 2}]", "- depth: 1"])
+    >>> merge_qos(["- depth: 1", "", "[{depth: 2}]", "- depth: 1"])
     '- depth: 1\n- depth: 2\n- depth: 1\n'
     """
     known = [text for text in texts if text]
     distinct = dict.fromkeys(known)
     if len(known) < 2 or sum(map(len, distinct)) > MAX_CHARACTERS:
         return known[0] if known else ""
-    lists = {text: profiles for text in distinct if (profiles := parsed_qos(text))}
+    lists = {text: profiles for text in distinct if (profiles := parse_qos(text))}
     if not lists:
         return known[0]
     written = {text: dump_yaml(profiles) for text, profiles in lists.items()}
@@ -98,22 +98,22 @@ def merged_qos(texts: Sequence[str]) -> str:
     return merged if len(merged) <= MAX_CHARACTERS else "".join(written.values())
 
 
-def respelled_qos(text: str, *, by_name: bool) -> str:
+def respell_qos(text: str, *, by_name: bool) -> str:
     r"""Complete QoS profiles, and spell them as a rosbag2 directory's metadata version requires.
 
     rosbag2 and rosbags refuse a directory whose profiles lack a key; missing keys get rmw's defaults and infinite
     durations. Enumerations are spelled as names (metadata version 9) or as numbers (before). Complete text in this
     spelling, and text that is not a list of profiles, is returned verbatim; so are unknown keys and values.
 
-    >>> respelled_qos("- depth: 10\n  durability: 1", by_name=True).splitlines()[:3]
+    >>> respell_qos("- depth: 10\n  durability: 1", by_name=True).splitlines()[:3]
     ['- depth: 10', '  durability: transient_local', '  history: keep_last']
     """
-    profiles = parsed_qos(text) if text else None
+    profiles = parse_qos(text) if text else None
     if profiles is None:
         return text
     changed = [
         {
-            key: _respelled(key, value, by_name=by_name) if key in _NAMES else value
+            key: _respell(key, value, by_name=by_name) if key in _NAMES else value
             for key, value in (profile | {key: _DEFAULTS[key] for key in _DEFAULTS if key not in profile}).items()
         }
         for profile in profiles
@@ -121,7 +121,7 @@ def respelled_qos(text: str, *, by_name: bool) -> str:
     return text if changed == profiles else dump_yaml(changed).rstrip("\n")
 
 
-def _respelled(key: str, value: Any, *, by_name: bool) -> Any:
+def _respell(key: str, value: Any, *, by_name: bool) -> Any:
     names = _NAMES[key]
     if by_name and isinstance(value, int) and not isinstance(value, bool):
         return names[value] if 0 <= value < len(names) else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, cast
 
-from .units import in_time_order
+from .units import merge_by_time
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
@@ -116,7 +116,7 @@ class Reader(ABC):
             If the file is damaged, and damage is an error.
         """
         units = self.units(connections, start_ns, stop_ns)
-        return cast("Generator[RawMessage]", in_time_order(units, path=self.path))
+        return cast("Generator[RawMessage]", merge_by_time(units, path=self.path))
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield MCAP attachments; other containers have none."""

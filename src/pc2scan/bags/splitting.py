@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import OutputError, UnwritableError, UsageError
 
-from .lasting import Newest, is_static, lasts
+from .latching import NewestItems, is_latched, is_static
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -56,7 +56,7 @@ class Cut:
 
 
 @dataclass(slots=True)
-class Part:
+class RecordingPart:
     """One of the files.
 
     Attributes
@@ -86,7 +86,7 @@ class Part:
         self.span_ns = (min(earliest_ns, first_ns), max(latest_ns, last_ns))
 
 
-def narrowed(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> ChunkRule:
+def narrow_rule(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> ChunkRule:
     """Return the rule of the chunks that can be copied whole into parts.
 
     No part ends within one, and none has messages that are to be repeated.
@@ -100,8 +100,8 @@ def narrowed(rule: ChunkRule, cut: Cut, connections: Sequence[Connection]) -> Ch
     connections
         Those of the source.
     """
-    lasting = {each.topic for each in connections if cut.repeats and lasts(each)}
-    ids = {each.id for each in connections if each.topic in lasting}
+    latched = {each.topic for each in connections if cut.repeats and is_latched(each)}
+    ids = {each.id for each in connections if each.topic in latched}
     grid = (cut.begin_ns, cut.duration_ns) if cut.duration_ns else None
     return rule._replace(connection_ids=rule.connection_ids - ids, grid=grid)
 
@@ -130,7 +130,7 @@ class SplitWriter:
     def __init__(
         self,
         path_of: Callable[[int], Path],
-        open_part: Callable[[Path], tuple[Writer, Callable[[Part], None]]],
+        open_part: Callable[[Path], tuple[Writer, Callable[[RecordingPart], None]]],
         cut: Cut,
     ) -> None:
         self._path_of = path_of
@@ -141,9 +141,9 @@ class SplitWriter:
         self._connections: list[Connection] = []
         self._pool: Threads | None = None
         #: By handle: the data to repeat, each with its sequence number.
-        self._lasting: dict[int, Newest[tuple[bytes, int]]] = {}
+        self._latched: dict[int, NewestItems[tuple[bytes, int]]] = {}
         self._all_last: set[int] = set()
-        self.parts = [Part(path_of(cut.first))]
+        self.parts = [RecordingPart(path_of(cut.first))]
         self._writer, self._before_finish = open_part(self.parts[0].path)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
@@ -155,8 +155,8 @@ class SplitWriter:
         """Declare a connection, in every part with the same handle."""
         handle = self._writer.add_connection(connection)
         self._connections.append(connection)
-        if self._cut.repeats and lasts(connection):
-            self._lasting[handle] = Newest(_MOST_STATIC)
+        if self._cut.repeats and is_latched(connection):
+            self._latched[handle] = NewestItems(_MOST_STATIC)
             if is_static(connection.topic):
                 self._all_last.add(handle)
         return handle
@@ -177,7 +177,7 @@ class SplitWriter:
         self._writer.write(handle, log_time_ns, data, publish_time_ns, sequence)
         self._note(log_time_ns, size)
         self.parts[-1].note(handle, 1, log_time_ns, log_time_ns)
-        kept = self._lasting.get(handle)
+        kept = self._latched.get(handle)
         if kept is not None:
             # Of static transforms all that differ.
             kept.add([bytes(data) if handle in self._all_last else None], (bytes(data), sequence))
@@ -242,7 +242,7 @@ class SplitWriter:
             )
         self._before_finish(self.parts[-1])
         self._writer.finish()
-        part = Part(self._path_of(number))
+        part = RecordingPart(self._path_of(number))
         self._writer, self._before_finish = self._open_part(part.path)
         self.parts.append(part)
         if self._reserved:
@@ -251,7 +251,7 @@ class SplitWriter:
             self._writer.add_connection(connection)
         if self._pool is not None:
             self._writer.compress_ahead(self._pool)
-        for handle, messages in self._lasting.items():
+        for handle, messages in self._latched.items():
             for data, sequence in messages:
                 # Like `rosbag record --repeat-latched`: with their own times, a gap would follow them.
                 try:

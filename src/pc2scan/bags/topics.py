@@ -13,12 +13,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 
-def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
+def find_topic(requested: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
     """Return the topic of a type by its name, with or without the leading slash.
 
     Parameters
     ----------
-    asked
+    requested
         The name.
     types
         The types that each topic of the recording has.
@@ -33,16 +33,16 @@ def find_topic(asked: str, types: dict[str, set[str]], candidates: list[str], *k
         If there is no such topic, or it has another type.
     """
     there = f"{short_types(kinds)} topics: {name_list(candidates)}"
-    for name in (asked, f"/{asked}", asked.removeprefix("/")):
+    for name in (requested, f"/{requested}", requested.removeprefix("/")):
         if name in types:
             if not types[name].isdisjoint(kinds):
                 return name
             raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {' or '.join(kinds)}", hint=there)
-    near = did_you_mean(asked, candidates)
-    raise TopicError(f"no topic {asked} in the recording", hint=f"{near} {there}".strip())
+    near = did_you_mean(requested, candidates)
+    raise TopicError(f"no topic {requested} in the recording", hint=f"{near} {there}".strip())
 
 
-def find_topics(asked: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> list[str]:
+def find_topics(requested: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> list[str]:
     """Return the topics that a name or a glob (``/lidar*``) means; see `find_topic`.
 
     Raises
@@ -50,13 +50,13 @@ def find_topics(asked: str, types: dict[str, set[str]], candidates: list[str], *
     TopicError
         As `find_topic` does, and if a glob matches no topic of the type.
     """
-    if asked in types or not is_glob(asked):
-        return [find_topic(asked, types, candidates, *kinds)]
-    found = [topic for topic in candidates if matches(topic, (asked,))]
+    if requested in types or not is_glob(requested):
+        return [find_topic(requested, types, candidates, *kinds)]
+    found = [topic for topic in candidates if matches(topic, (requested,))]
     if not found:
         there = f"{short_types(kinds)} topics: {name_list(candidates)}"
-        near = did_you_mean(re.sub(r"[*?\[\]]", "", asked), candidates)
-        raise TopicError(f"no {short_types(kinds)} topic matches {asked}", hint=f"{near} {there}".strip())
+        near = did_you_mean(re.sub(r"[*?\[\]]", "", requested), candidates)
+        raise TopicError(f"no {short_types(kinds)} topic matches {requested}", hint=f"{near} {there}".strip())
     return found
 
 
@@ -72,12 +72,12 @@ def matches(topic: str, patterns: Sequence[str]) -> bool:
     )
 
 
-def new_topic(asked: str, option: str) -> str:
+def new_topic(requested: str, option: str) -> str:
     """Return a topic that is going to be written, with its leading slash.
 
     Parameters
     ----------
-    asked
+    requested
         The name; a ``*`` in it stands for what one on the other side matches.
     option
         What names it, for errors.
@@ -87,18 +87,18 @@ def new_topic(asked: str, option: str) -> str:
     UsageError
         If it is not a name that ROS can have.
     """
-    if not re.fullmatch(r"/?[A-Za-z_*][\w*]*(/[\w*]+)*", asked, re.ASCII):
+    if not re.fullmatch(r"/?[A-Za-z_*][\w*]*(/[\w*]+)*", requested, re.ASCII):
         raise UsageError(
-            f"{option}: {asked!r} is not a name that a topic can have",
+            f"{option}: {requested!r} is not a name that a topic can have",
             hint="a name has letters, digits and _, with / between its parts: /robot/scan",
         )
-    return asked if asked.startswith("/") else f"/{asked}"
+    return requested if requested.startswith("/") else f"/{requested}"
 
 
-def renamed(topic: str, pattern: str, target: str) -> str:
+def fill_glob(topic: str, pattern: str, target: str) -> str:
     """Return ``target`` with each ``*`` in it replaced by what the ``*`` in ``pattern`` matched, in their order.
 
-    >>> renamed("/lidar_left/points", "/lidar_*/points", "/scan_*")
+    >>> fill_glob("/lidar_left/points", "/lidar_*/points", "/scan_*")
     '/scan_left'
 
     Raises

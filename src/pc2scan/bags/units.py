@@ -14,7 +14,7 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
-from pc2scan.bags.many import ITEM_BYTES, Many
+from pc2scan.bags.lazy_items import ITEM_BYTES, LazyItems
 from pc2scan.errors import RecordingError
 from pc2scan.model import RawMessage, StoredChunk, owned
 
@@ -43,7 +43,7 @@ _ANNOUNCED_BYTES = 32 << 20
 _GAP_BYTES = 64 << 10
 
 
-class Timed(Protocol):
+class TimedItem(Protocol):
     """Anything with a log time and a size: a message, or a callback's result."""
 
     @property
@@ -57,10 +57,10 @@ class Timed(Protocol):
         ...
 
 
-Item = TypeVar("Item", bound=Timed)
+Item = TypeVar("Item", bound=TimedItem)
 
 #: The result of loading a unit: items in the order of the file, or the chunk as a whole.
-Loaded: TypeAlias = list[Item] | Many[Item] | StoredChunk
+Loaded: TypeAlias = list[Item] | LazyItems[Item] | StoredChunk
 
 
 class Load(Protocol):
@@ -129,33 +129,33 @@ class Handle(NamedTuple):
     result: Callable[[], Loaded[Any]]
 
 
-def by_start(units: Iterable[Unit]) -> list[Unit]:
+def sort_units(units: Iterable[Unit]) -> list[Unit]:
     """Sort units in the order in which they are due."""
     return sorted(units, key=attrgetter("start_ns", "place"))
 
 
-def loaded(unit: Unit, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
+def load_unit(unit: Unit, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
     """Load a unit, its messages sorted by log time."""
     found = unit.load(callback, whole=whole)
-    if isinstance(found, Many):
-        return found.in_time_order()
+    if isinstance(found, LazyItems):
+        return found.sort_by_time()
     if not isinstance(found, StoredChunk):
         # A stable sort, which takes almost no time if the messages are in order.
         found.sort(key=attrgetter("log_time_ns"))
     return found
 
 
-def when_due(units: Iterable[Unit], callback: Callable[[RawMessage], Item]) -> Generator[Handle]:
+def load_when_due(units: Iterable[Unit], callback: Callable[[RawMessage], Item]) -> Generator[Handle]:
     """Load each unit when its result is needed."""
     for unit in units:
-        yield Handle(unit, partial(loaded, unit, callback, whole=unit.may_be_whole))
+        yield Handle(unit, partial(load_unit, unit, callback, whole=unit.may_be_whole))
 
 
-def in_time_order(
+def merge_by_time(
     units: Iterable[Unit],
     callback: Callable[[RawMessage], Item] = owned,  # type: ignore[assignment]  # the default makes messages of messages
     *,
-    loading: Callable[[Iterable[Unit], Callable[[RawMessage], Item]], Generator[Handle]] = when_due,
+    loading: Callable[[Iterable[Unit], Callable[[RawMessage], Item]], Generator[Handle]] = load_when_due,
     max_open_bytes: int = MAX_OPEN_BYTES,
     path: Path | None = None,
 ) -> Generator[Item | StoredChunk]:
@@ -164,7 +164,7 @@ def in_time_order(
     Parameters
     ----------
     units
-        By start; see `by_start`. They may come from a generator.
+        By start; see `sort_units`. They may come from a generator.
     callback
         Makes the items of messages; see `Load`. Called once a message, except that a unit is loaded again if more than
         ``max_open_bytes`` of units overlap at one time, or if one that may be whole overlaps another after all.
@@ -186,14 +186,14 @@ def in_time_order(
     RecordingError
         If units that overlap would have to be loaded again and again.
     """
-    handles = loading(_announced(units), callback)
+    handles = loading(_announce(units), callback)
     try:
-        yield from _merged(handles, callback, max_open_bytes, path)
+        yield from _merge(handles, callback, max_open_bytes, path)
     finally:
         handles.close()
 
 
-def _announced(units: Iterable[Unit]) -> Iterator[Unit]:
+def _announce(units: Iterable[Unit]) -> Iterator[Unit]:
     """Yield the units, and announce their extents to the system ahead of their turn.
 
     Units that follow each other are announced by one call, because every call lets other threads take the
@@ -233,7 +233,7 @@ def _append(extents: list[Extent], following: Extent) -> None:
     extents.append(following)
 
 
-class _Open:
+class _OpenUnit:
     """A loaded unit on the heap, keyed by its next item's log time, then by its place."""
 
     __slots__ = ("items", "key", "position", "size", "unit", "whole")
@@ -241,7 +241,7 @@ class _Open:
     def __init__(self, unit: Unit, found: Loaded[Any], max_open_bytes: int) -> None:
         self.unit = unit
         self.size = unit.size
-        if isinstance(found, Many):
+        if isinstance(found, LazyItems):
             self.size = found.size
         elif not isinstance(found, StoredChunk):
             if unit.size > max_open_bytes:
@@ -250,7 +250,7 @@ class _Open:
             self.size += ITEM_BYTES * len(found)
         self.position = 0
         #: None if they were dropped, and for a whole chunk.
-        self.items: list[Any] | Many[Any] | None = None
+        self.items: list[Any] | LazyItems[Any] | None = None
         self.whole: StoredChunk | None = None
         if isinstance(found, StoredChunk):
             self.whole = found
@@ -259,15 +259,15 @@ class _Open:
             self.items = found
             self.key = (found[0].log_time_ns, unit.place)
 
-    def __lt__(self, other: _Open) -> bool:
+    def __lt__(self, other: _OpenUnit) -> bool:
         return self.key < other.key
 
 
-def _merged(
+def _merge(
     handles: Iterator[Handle], callback: Callable[[RawMessage], Any], max_open_bytes: int, path: Path | None
 ) -> Generator[Any]:
     """Merge units that are loaded in the order in which they are due."""
-    heap: list[_Open] = []
+    heap: list[_OpenUnit] = []
     coming = next(handles, None)
     total = again = 0
     most = _MAX_FREE_MESSAGES
@@ -283,7 +283,7 @@ def _merged(
                 if most < 0:
                     raise RecordingError("has more messages than bytes, which no recording does", path=path)
             if found:
-                heapq.heappush(heap, _Open(unit, found, max_open_bytes))
+                heapq.heappush(heap, _OpenUnit(unit, found, max_open_bytes))
                 _evict(heap, max_open_bytes)
             del found, unit
             coming = next(handles, None)
@@ -307,7 +307,7 @@ def _merged(
                     f"its chunks overlap in time so much that each would have to be read {_MAX_AGAIN} times", path=path
                 )
             _evict(heap, max_open_bytes - current.unit.size)
-            split = loaded(current.unit, callback, whole=False)
+            split = load_unit(current.unit, callback, whole=False)
             assert not isinstance(split, StoredChunk)
             current.items, current.whole = split, None
             del split
@@ -324,7 +324,7 @@ def _merged(
         del items, current
 
 
-def _evict(heap: list[_Open], max_open_bytes: int) -> None:
+def _evict(heap: list[_OpenUnit], max_open_bytes: int) -> None:
     """Drop the items of the units that are needed last, until the rest fits."""
     if len(heap) <= 1:
         return

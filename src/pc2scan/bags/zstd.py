@@ -11,11 +11,11 @@ from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files import compression
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError
 from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
-from pc2scan.files.source import opened_bytes
+from pc2scan.files.source import open_bytes
 from pc2scan.model import owned
 
 from .damage import RECOVER
-from .many import Many
+from .lazy_items import LazyItems
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from .damage import DamageLog
 
-    Messages = list[RawMessage] | Many[RawMessage]
+    Messages = list[RawMessage] | LazyItems[RawMessage]
 
 #: Bytes that are decompressed at a time. The result, which may be 30,000 times as large, is held in memory.
 _PIECE = 1 << 11
@@ -37,13 +37,13 @@ SUFFIXES = (".zstd", ".zst")
 def is_zstd(path: Path) -> bool:
     """Whether a file is compressed as a whole, by its content."""
     try:
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             return file.read(4) == ZSTD_MAGIC
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=path) from err
 
 
-def unpacked_head(path: Path) -> bytes:
+def decompress_head(path: Path) -> bytes:
     """Decompress the first bytes of a zstd file, enough to detect its format.
 
     Raises
@@ -52,13 +52,13 @@ def unpacked_head(path: Path) -> bytes:
         If they cannot be decompressed.
     """
     try:
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             return compression.zstd_head(file, 64)
     except (OSError, CompressionError) as err:
         raise RecordingError(f"cannot be decompressed: {err}", path=path) from err
 
 
-def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
+def decompress_file(path: Path, folder: Path, log: DamageLog) -> Path:
     """Decompress a zstd file into a directory, in pieces; returns the new file.
 
     Parameters
@@ -75,11 +75,11 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
     RecordingError
         If there is not enough space for the result.
     """
-    from pc2scan.files.temporary import making_copy  # noqa: PLC0415  # few recordings are packed
+    from pc2scan.files.copies import copy_errors  # noqa: PLC0415  # few recordings are packed
 
     target = folder / without_suffix(path.name)
-    with making_copy(path, folder):
-        broken = _unpack(path, target)
+    with copy_errors(path, folder):
+        broken = _decompress_pieces(path, target)
         if broken is not None:
             offset, reason = broken
             log.note(
@@ -88,14 +88,14 @@ def unpacked_file(path: Path, folder: Path, log: DamageLog) -> Path:
                 bytes_lost=path.stat().st_size - offset,
             )
             # Once more, with small pieces near the damage, because a piece that fails is lost.
-            _unpack(path, target, broken_at=offset)
+            _decompress_pieces(path, target, broken_at=offset)
     return target
 
 
-def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int, str] | None:
+def _decompress_pieces(path: Path, target: Path, broken_at: int | None = None) -> tuple[int, str] | None:
     """Write the decompressed file; returns the offset of the first piece that cannot be decompressed, and why."""
     offset = 0
-    with opened_bytes(path) as packed, target.open("wb") as out:
+    with open_bytes(path) as packed, target.open("wb") as out:
         complete = True
         decoder = compression.decoder("zstd")
         allowed = MAX_UNPACKED + MAX_FILE_RATIO * path.stat().st_size
@@ -117,7 +117,7 @@ def _unpack(path: Path, target: Path, broken_at: int | None = None) -> tuple[int
     return None if complete else (offset, "it is cut off")
 
 
-def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
+def decompress_message(data: Buffer, path: Path, topic: str) -> bytes:
     """Decompress a message that was compressed by itself (rosbag2's compression mode ``message``).
 
     Raises
@@ -147,7 +147,7 @@ def unpacked_message(data: Buffer, path: Path, topic: str) -> bytes:
     return b"".join(parts)
 
 
-def unpacked_messages(messages: Messages, log: DamageLog, place: int, path: Path) -> Messages:
+def decompress_messages(messages: Messages, log: DamageLog, place: int, path: Path) -> Messages:
     """Decompress the messages of one segment if they are compressed one by one; only metadata.yaml declares that.
 
     Parameters
@@ -168,25 +168,25 @@ def unpacked_messages(messages: Messages, log: DamageLog, place: int, path: Path
     """
     if not messages or not (is_frame(messages[0]) or is_frame(messages[-1])):
         return messages
-    unpacked = partial(_decompressed_message, log, place, path)
-    if isinstance(messages, list) and sum(map(_least_size, messages)) > MAX_UNPACKED:
+    unpacked = partial(_decompress_or_note, log, place, path)
+    if isinstance(messages, list) and sum(map(_min_size, messages)) > MAX_UNPACKED:
         # Together they would take more memory than a chunk may, so each is decompressed when it is needed.
         packed = list(map(owned, messages))
         times = array("Q", (message.log_time_ns for message in packed))
         size = sum(message.size for message in packed)
-        messages = Many(times, array("Q", range(len(packed))), packed.__getitem__, size)
-    if isinstance(messages, Many):
-        readable = messages.kept(lambda message: unpacked(message) is not None)
-        return readable.mapped(lambda message: unpacked(message) or message)
+        messages = LazyItems(times, array("Q", range(len(packed))), packed.__getitem__, size)
+    if isinstance(messages, LazyItems):
+        readable = messages.filter(lambda message: unpacked(message) is not None)
+        return readable.map(lambda message: unpacked(message) or message)
     return [message for message in map(unpacked, messages) if message is not None]
 
 
-def _decompressed_message(log: DamageLog, place: int, path: Path, message: RawMessage) -> RawMessage | None:
+def _decompress_or_note(log: DamageLog, place: int, path: Path, message: RawMessage) -> RawMessage | None:
     """Unpack a message; None, and a note, if that is not possible."""
     if message.connection.serialization != "cdr":
         return message
     try:
-        return message._replace(data=unpacked_message(message.data, path, message.connection.topic))
+        return message._replace(data=decompress_message(message.data, path, message.connection.topic))
     except DamageError as err:
         when = message.log_time_ns
         log.note(
@@ -201,7 +201,7 @@ def _decompressed_message(log: DamageLog, place: int, path: Path, message: RawMe
         return None
 
 
-def _least_size(message: RawMessage) -> int:
+def _min_size(message: RawMessage) -> int:
     """The least number of bytes that a message takes in memory when it is unpacked, as far as it declares."""
     with suppress(CompressionError):
         return compression.zstd_content_size(message.data) or allowed_bytes(message.size)

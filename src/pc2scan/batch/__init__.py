@@ -1,5 +1,5 @@
 """Converts a whole dataset: each recording by itself, in worker processes; a killed run can be continued."""
 
-from pc2scan.callable_package import make_callable
+from pc2scan.arguments import make_callable
 
 make_callable(__name__)

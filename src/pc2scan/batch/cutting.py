@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags.destinations import recorded_in
 from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.source import changed_while_read
-from pc2scan.files.staging import staged
+from pc2scan.files.staging import staged_output
 from pc2scan.pipeline.piece import Piece
 from pc2scan.pipeline.pieces import join, joined_report, may_be_cut, read_stretch, stretches_of
 from pc2scan.pipeline.run import run_piece
@@ -265,7 +265,7 @@ class _Recording:
         self.stretches = list(cut.stretches)
         destination = Path(self.job.destination)
         self.folder = self.stack.enter_context(
-            staged(
+            staged_output(
                 destination,
                 overwrite=self.job.request.output.overwrite,
                 owned=self.job.owned,

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.arguments import local_path
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.files.nearby import missing_hint
-from pc2scan.files.source import opened_bytes
+from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.source import open_bytes
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import Flag, PathName, Texts
 from pc2scan.pipeline.parameters import RIVALS
@@ -100,7 +100,7 @@ def load_dataset_file(path: Path) -> DatasetFile:
         If it cannot be read, is not YAML, or does not match the schema; the message names the line.
     """
     try:
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             data = file.read(_MAX_BYTES + 1)
     except OSError as err:
         hint = missing_hint(path, (".yaml", ".yml")) if isinstance(err, FileNotFoundError) else None

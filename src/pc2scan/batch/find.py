@@ -14,7 +14,7 @@ from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.places import working_names
-from pc2scan.files.source import opened_bytes
+from pc2scan.files.source import open_bytes
 from pc2scan.remote.urls import is_url
 
 from .identity import Identity, identity_of
@@ -222,7 +222,7 @@ def _paths_in_list(path: Path, stores: Stores) -> list[Path] | None:
         sniff(path)
         return None
     try:
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             text = file.read(_MAX_LIST_BYTES).decode("utf-8")
     except (OSError, UnicodeDecodeError):
         return None
@@ -404,7 +404,7 @@ def _is_rosbag2(folder: Path, search: _Search | None = None) -> bool:
     if search is not None and search.known(_absolute(folder), identity_of([folder])):
         return True
     try:
-        with opened_bytes(folder / _METADATA) as file:
+        with open_bytes(folder / _METADATA) as file:
             return _METADATA_MARK in file.read(_METADATA_HEAD)
     except OSError:
         return False

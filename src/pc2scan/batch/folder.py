@@ -27,7 +27,7 @@ _WAIT_SECONDS = 15.0
 
 
 def check_folder(out: Path) -> None:
-    """Raise the errors that `made_folder` would raise, without making the folder."""
+    """Raise the errors that `output_folder` would raise, without making the folder."""
     if out.is_dir():
         return
     if os.path.lexists(out):

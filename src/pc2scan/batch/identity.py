@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.files.records import RECORD
-from pc2scan.files.source import file_beside, opened_bytes
+from pc2scan.files.source import file_beside, open_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -117,7 +117,7 @@ def checksum_of(paths: Iterable[Path]) -> str:
         files = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
         for file in files:
             digest.update(f"{file.name if path.is_dir() else ''}\0{file.stat().st_size}\0".encode())
-            with opened_bytes(file) as opened:
+            with open_bytes(file) as opened:
                 while piece := opened.read(_PIECE_BYTES):
                     digest.update(piece)
     return digest.hexdigest()

@@ -7,13 +7,13 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.destinations import named_after
+from pc2scan.bags.destinations import name_after
 from pc2scan.bags.formats import file_suffixes
 from pc2scan.errors import DestinationError
+from pc2scan.files.ownership import name_key
 from pc2scan.files.places import working_names
-from pc2scan.files.records import Left
+from pc2scan.files.records import FileState
 from pc2scan.files.records import Record as FileRecord
-from pc2scan.files.same_file import name_key
 from pc2scan.text import size
 from pc2scan.version import __version__
 
@@ -96,10 +96,10 @@ class History:
         if output not in self.owned and (there is None or not there.files or there != self.left.get(output)):
             return None
         name = PurePosixPath(output).name
-        files: dict[str, Left | None] = {name: None}
+        files: dict[str, FileState | None] = {name: None}
         for entry in self.left.get(output, Identity()).files:
             is_beside = entry[0] == name or is_numbered(output)
-            files[entry[0] if is_beside else f"{name}/{entry[0]}"] = Left(*entry[1:])
+            files[entry[0] if is_beside else f"{name}/{entry[0]}"] = FileState(*entry[1:])
         return FileRecord(files, MANIFEST)
 
 
@@ -194,7 +194,7 @@ def _result_name(found: Found, request: Request, *, distinct: bool = False) -> s
     source = Path(found.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
-    name = named_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to)
+    name = name_after(source, found.container, f"{suffix}{mark}", folder=source.parent, to=to)
     in_parts = request.output.cut is not None and request.export is None and name.suffix in file_suffixes()
     return first_part(name.as_posix()) if in_parts else name.as_posix()
 

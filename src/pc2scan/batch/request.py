@@ -81,7 +81,7 @@ def _source_identity(path: Path) -> Identity:
     place = RemotePath(path)
     files = place.files()
     return Identity(
-        tuple((name, *each.stated()) for name, each in ({place.name: place} if files is None else files).items())
+        tuple((name, *each.stat()) for name, each in ({place.name: place} if files is None else files).items())
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 from pc2scan.bags.formats import file_suffixes
-from pc2scan.files.numbered import part_name
+from pc2scan.files.places import part_name
 
 
 def first_part(output: str) -> str:

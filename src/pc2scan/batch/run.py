@@ -11,16 +11,14 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
-from pc2scan.files.journal import finished
-from pc2scan.files.numbered import parts_beside
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
-from pc2scan.files.places import made_folder
+from pc2scan.files.places import output_folder, parts_beside
 from pc2scan.files.records import Record as FileRecord
+from pc2scan.files.recovery import completed_parts
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.pipeline.scheduler import cores as all_cores
-from pc2scan.remote.names import ShownUrl
-from pc2scan.remote.urls import is_url, shown_path, url_of
+from pc2scan.remote.urls import UrlText, is_url, shown_path, url_of
 
 from .choices import Choices
 from .dataset_file import DatasetFile, load_dataset_file
@@ -102,11 +100,11 @@ def run_batch(
         elif options.dry_run:
             check_folder(out)
         else:
-            stack.enter_context(made_folder(out))
+            stack.enter_context(output_folder(out))
             lock = stack.enter_context(locked(out))
         folder = Path(os.path.realpath(out)) if store is None else store.folder
         batch = _Batch(sources, folder, options, choices, watch, stores, store)
-        batch.report.destination = out if store is None else ShownUrl(shown_path(out))
+        batch.report.destination = out if store is None else UrlText(shown_path(out))
         deliver = batch.open_report(stack)
         batch.plan()
         watch.planned(batch.made)
@@ -251,7 +249,7 @@ class _Batch:
         for output in {*self._history.owned, *planned}:
             if first_link(self._out, output) is None:
                 path = self._out / whole(output)
-                done, noted = finished(path), self._history.record(output)
+                done, noted = completed_parts(path), self._history.record(output)
                 recorded = done is None or (noted is not None and noted.files == done.files)
                 clean_up(path, recorded=recorded)
 

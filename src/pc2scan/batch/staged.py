@@ -16,14 +16,12 @@ from threading import RLock, Thread
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError, Pc2ScanError, name_list
-from pc2scan.files.numbered import parts_among
 from pc2scan.files.ownership import ruling
-from pc2scan.files.places import LEFTOVERS
-from pc2scan.files.records import Left, Record, files_below
-from pc2scan.files.staged_parts import staying
-from pc2scan.remote.names import Names
-from pc2scan.remote.scratch import Room, ScratchError, scratch_folder
-from pc2scan.remote.urls import is_url
+from pc2scan.files.parts import unrecorded_warning
+from pc2scan.files.places import LEFTOVERS, parts_among
+from pc2scan.files.records import FileState, Record, files_below
+from pc2scan.remote.scratch import ScratchError, ScratchSpace, scratch_folder
+from pc2scan.remote.urls import UrlNames, is_url
 
 from .identity import Identity, identity_of, versions
 from .results import first_part
@@ -34,7 +32,7 @@ from .workers import Ended, Queue
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from pc2scan.remote.store import Object, RemotePath
+    from pc2scan.remote.store import RemotePath, StoredObject
 
     from .work import Job
     from .workers import Event
@@ -45,10 +43,10 @@ _BESIDE = 1_000_000
 #: Seconds that copying threads have to end. After that the folder is removed in any case.
 _END_SECONDS = 5.0
 
-_UNKNOWN = Left(-1)
+_UNKNOWN = FileState(-1)
 
 #: Space for copies, by folder and size. Dask tasks that run in one process share it.
-_rooms: dict[tuple[Path | None, int | None], Room] = {}
+_rooms: dict[tuple[Path | None, int | None], ScratchSpace] = {}
 _rooms_lock = RLock()
 
 
@@ -74,7 +72,7 @@ def jobs_here(jobs: Sequence[Job], workers: int) -> Iterator[Queue]:
     with scratch_folder(None if scratch is None else Path(scratch)) as folder:
         key = folder.parent, most
         with _rooms_lock:
-            room = _rooms.setdefault(key, Room(folder, most))
+            room = _rooms.setdefault(key, ScratchSpace(folder, most))
         queue = _StagedQueue(jobs, workers, folder, room)
         try:
             yield queue
@@ -98,13 +96,13 @@ class _Copy:
     #: Whether all the space is reserved for it.
     alone: bool = False
     identity: Identity | None = None
-    names: Names = field(default_factory=Names)
+    names: UrlNames = field(default_factory=UrlNames)
 
 
 class _StagedQueue(Queue):
     """Copies the sources of jobs ahead of the workers."""
 
-    def __init__(self, jobs: Sequence[Job], workers: int, folder: Path, room: Room) -> None:
+    def __init__(self, jobs: Sequence[Job], workers: int, folder: Path, room: ScratchSpace) -> None:
         super().__init__(())
         self._folder = folder
         self._room = room
@@ -201,7 +199,7 @@ class _StagedQueue(Queue):
             if is_url(path) and path not in self._sizes:
                 files = RemotePath(path).files()
                 places = [RemotePath(path)] if files is None else list(files.values())
-                self._sizes[path] = sum(place.stated().size for place in places)
+                self._sizes[path] = sum(place.stat().size for place in places)
             needed += self._sizes.get(path, 0)
         return needed, job.size_bytes + _BESIDE if is_url(Path(job.destination)) else 0
 
@@ -304,7 +302,7 @@ class _StagedQueue(Queue):
         is_numbered = target.name not in names
         made = parts_among(names, target.name) if is_numbered else names
         warnings = self._make_way(copy.job, folder, target.name, here, made, is_numbered=is_numbered)
-        objects: dict[str, Object] = {}
+        objects: dict[str, StoredObject] = {}
         done: list[str] = []
         try:
             # From the last part to the first: if the first part exists, all parts exist.
@@ -315,7 +313,7 @@ class _StagedQueue(Queue):
                     objects |= {f"{name}/{below}": found for below, found in place.below().items()}
                 else:
                     done.append(folder.upload_file(here / name, name, self._check))
-                    objects[name] = place.stated()
+                    objects[name] = place.stat()
         except BaseException:
             # If the recording has several files, none of them stays.
             if len(made) > 1:
@@ -344,7 +342,7 @@ class _StagedQueue(Queue):
             written,
             record,
             overwrite=overwrite,
-            as_left=lambda name, left: left is not None and listed[name] == (left.size, left.time),
+            is_unchanged=lambda name, left: left is not None and listed[name] == (left.size, left.time),
         )
         if found.refused or (found.kept and not overwrite and not record.files):
             shown = folder.child((found.refused or found.kept)[0]).shown
@@ -360,7 +358,7 @@ class _StagedQueue(Queue):
         gone = found.removed if is_numbered else [name for name in (*found.removed, *found.replaced) if "/" in name]
         for name in sorted(gone, key=lambda name: (not name.endswith("/metadata.yaml"), name)):
             folder.child(name).delete()
-        return staying(target, found.kept)
+        return unrecorded_warning(target, found.kept)
 
     def _ended(self, copy: _Copy, result: Result) -> Result:
         """Remove the copies, and replace their paths in the result by URLs."""

@@ -19,10 +19,9 @@ from typing import TYPE_CHECKING
 
 from pc2scan.arguments import local_path
 from pc2scan.errors import DestinationError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.files.numbered import parts_among
+from pc2scan.files.places import parts_among
 from pc2scan.files.source import on_demand
-from pc2scan.remote.names import Names
-from pc2scan.remote.urls import is_url, shown_url, url_of
+from pc2scan.remote.urls import UrlNames, is_url, shown_url, url_of
 
 from .identity import Identity, versions
 from .manifest import BEGUN, MANIFEST
@@ -31,7 +30,7 @@ from .results import is_numbered, whole
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from pc2scan.remote.store import Object, RemotePath
+    from pc2scan.remote.store import RemotePath, StoredObject
 
 _GLOB = frozenset("*?[")
 
@@ -68,7 +67,7 @@ class Stores:
         self._urls: dict[Path, str] = {}
         self._made: list[Path] = []
         self._out: Path | None = None
-        self.names = Names()
+        self.names = UrlNames()
 
     @property
     def are_used(self) -> bool:
@@ -118,9 +117,9 @@ class Stores:
     def complete(self, path: Path) -> None:
         """Fetch files that must be complete before a recording can be opened, such as databases."""
         if self._tree is not None:
-            from pc2scan.remote.ranges import complete  # noqa: PLC0415  # loads fsspec
+            from pc2scan.remote.ranges import fetch_whole  # noqa: PLC0415  # loads fsspec
 
-            complete(path)
+            fetch_whole(path)
 
     @contextmanager
     def naming(self) -> Iterator[None]:
@@ -190,11 +189,11 @@ class Stores:
                 if all(parts) and not any(part.startswith(".") for part in parts):
                     self._stand_in(place.child(below), path / below, found)
         elif not pattern:
-            self._stand_in(place, path, place.stated())
+            self._stand_in(place, path, place.stat())
         return str(path) + pattern
 
-    def _stand_in(self, place: RemotePath, path: Path, found: Object) -> None:
-        from pc2scan.remote.ranges import stand_in  # noqa: PLC0415  # loads fsspec
+    def _stand_in(self, place: RemotePath, path: Path, found: StoredObject) -> None:
+        from pc2scan.remote.ranges import add_stand_in  # noqa: PLC0415  # loads fsspec
 
         if path in on_demand or (self._out is not None and path.is_relative_to(self._out)):
             return
@@ -204,7 +203,7 @@ class Stores:
                 raise FileExistsError
             versions[str(path)] = found.version
             self._made.append(path)
-            stand_in(place, path, found.size)
+            add_stand_in(place, path, found.size)
         except (FileExistsError, NotADirectoryError) as err:
             raise RecordingError(
                 "is both a file and a folder with files", path=place.shown, hint="give the folders below it as sources"
@@ -228,7 +227,7 @@ class Output:
     def __init__(self, place: RemotePath, folder: Path) -> None:
         self._place = place
         self.folder = folder
-        self._objects: dict[str, Object] | None = None
+        self._objects: dict[str, StoredObject] | None = None
         self._pushed: dict[str, bytes] = {}
         self._next = 0.0
         self._lost = Event()
@@ -341,7 +340,7 @@ class Output:
         )
 
 
-def identity_in(objects: Mapping[str, Object], output: str, left: Identity | None = None) -> Identity:
+def identity_in(objects: Mapping[str, StoredObject], output: str, left: Identity | None = None) -> Identity:
     """Return the identity of an output (a file, a folder, or numbered files) from a listing of the store.
 
     ``left`` says which files a numbered output has; without it, all with such names are listed.

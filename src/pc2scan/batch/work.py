@@ -146,9 +146,9 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
             sha256 = _checksum_of_sources(sources)
         limit = None
         if job.room is not None:
-            from pc2scan.remote.scratch import Limit  # noqa: PLC0415  # few jobs have URLs
+            from pc2scan.remote.scratch import SizeLimit  # noqa: PLC0415  # few jobs have URLs
 
-            limit = Limit(Path(job.room[0]), job.room[1])
+            limit = SizeLimit(Path(job.room[0]), job.room[1])
             progress = limit.watching(progress)
         if job.step is not None:
             made = job.step.do(job, progress)
@@ -182,12 +182,12 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
 
 def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> Result:
     """Do a dry run of recordings at URLs, of which only ranges are read. Real conversions get local copies instead."""
-    from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
+    from pc2scan.remote.ranges import stand_ins  # noqa: PLC0415  # loads fsspec
 
     assert job.dry_run
     others = job.request.options.frames.tf_from
     try:
-        with nearby([*map(Path, job.sources), *others]) as here:
+        with stand_ins([*map(Path, job.sources), *others]) as here:
             paths = here.paths[: len(job.sources)]
             frames = replace(job.request.options.frames, tf_from=tuple(here.paths[len(job.sources) :]))
             request = replace(job.request, options=replace(job.request.options, frames=frames))

@@ -194,9 +194,9 @@ def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
 
 def _what_was_written() -> str:
     """Return the end of the message of an interrupted command: which files it has written completely."""
-    from pc2scan.files.staging import written
+    from pc2scan.files.staging import written_paths
 
-    names = [str(path) for path in written()]
+    names = [str(path) for path in written_paths()]
     return f"{name_list(names)} {'is' if len(names) == 1 else 'are'} complete" if names else "nothing was written"
 
 

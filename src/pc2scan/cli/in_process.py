@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from pc2scan.errors import UsageError
-from pc2scan.golden.check import Ended
+from pc2scan.golden.check import CommandResult
 from pc2scan.options.option import CALL_ONLY
 from pc2scan.options.table import options_of
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _PLACE = {"to", "split", "repeat_latched"}
 
 
-def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
+def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> CommandResult:
     """Run ``pc2scan`` with arguments, and return what it prints. See `pc2scan.golden.check.Command`.
 
     Raises
@@ -55,7 +55,7 @@ def run_command(arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
         for line in said.getvalue().splitlines():
             say(line, err=True)
         raise SystemExit(status)
-    return Ended(status, said.getvalue())
+    return CommandResult(status, said.getvalue())
 
 
 def _refuse_others(name: str, chosen: Sequence[str]) -> None:

@@ -1,31 +1,77 @@
-"""Compares two recordings, topic by topic."""
+"""Compares two recordings, topic by topic.
+
+Scans and clouds are compared field by field, all other messages by their bytes: they are matched by log time. If the
+wire formats differ (ROS 1 and ROS 2, byte order and padding of CDR), both messages are re-encoded and compared again,
+so that only their content matters.
+"""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import TopicError, UsageError, name_list
-from pc2scan.messages.schema import canonical
+from pc2scan.bags.reader import Reader
+from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
+from pc2scan.messages.schema import canonical_type
+from pc2scan.messages.transcode import transcoder
 from pc2scan.text import did_you_mean
 
-from .held import held
-from .match import OpenRecording, TopicStream, header_stamp_ns, matched
-from .messages import DECODED, compare_messages
-from .others import compare_others
-from .progress import Counted
+from .match import OpenRecording, TopicStream, header_stamp_ns, match_messages, read_into_memory
+from .messages import DECODED_TYPES, Change, MessageDifference, compare_messages
 from .result import Difference
 from .rules import Rules
 from .scan_text import is_scan_text, open_scan_text
 from .topic_difference import MessageTimes, TopicDifference
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
-    from pc2scan.model import Connection, RawMessage
+    from pc2scan.model import Buffer, Connection, RawMessage
+
+#: Pairs of messages between two reports.
+_EVERY = 32
+
+
+class ProgressMeter:
+    """Reports the progress of the comparison of two recordings, topic by topic.
+
+    Parameters
+    ----------
+    progress
+        Takes the bytes read so far, the total bytes, and the messages compared so far. None: nothing is reported.
+    sources
+        The recordings that are compared. Each topic reads both of them.
+    """
+
+    def __init__(self, progress: Callable[[int, int, int], None] | None, sources: Sequence[OpenRecording]) -> None:
+        self._progress = progress
+        self._readers = [source for source in sources if isinstance(source, Reader)]
+        self._size = sum(reader.summary.size_bytes for reader in self._readers)
+        self._topics = 0
+        self._topic = 0
+        self._messages = 0
+        self._before: list[int] = []
+
+    def begin(self, topic: int, topics: int) -> None:
+        """Begin with a topic; ``topics`` is the number of all topics."""
+        self._topic, self._topics = topic, topics
+        self._before = [reader.bytes_read for reader in self._readers]
+
+    def count(self) -> None:
+        """Count a pair of messages."""
+        self._messages += 1
+        if self._progress is None or self._messages % _EVERY:
+            return
+        # Some readers continue to count in each pass, others start again at 0.
+        passed = [(reader.bytes_read, before) for reader, before in zip(self._readers, self._before, strict=True)]
+        read = sum(now - before if now >= before else now for now, before in passed)
+        done = self._topic * self._size + min(read, self._size)
+        self._progress(done, max(1, self._topics) * self._size, self._messages)
+
 
 #: If there are more topics of scans or clouds, they are read together, because one after the other takes too long.
 _MANY_TOPICS = 16
@@ -67,7 +113,7 @@ def diff(
     Parameters
     ----------
     progress
-        Called regularly; see `pc2scan.compare.progress`.
+        Called regularly; see `pc2scan.compare.diff`.
     """
     if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
         raise UsageError(
@@ -81,8 +127,8 @@ def diff(
             source = open_source(path)
             stack.callback(source.close)
             sources.append(source)
-        counted = Counted(progress, sources)
-        return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, counted=counted)
+        meter = ProgressMeter(progress, sources)
+        return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, meter=meter)
 
 
 def open_source(path: Path) -> OpenRecording:
@@ -103,7 +149,7 @@ def diff_sources(
     topics: Sequence[TopicPair] = (),
     all_topics: bool = False,
     rules: Rules | None = None,
-    counted: Counted | None = None,
+    meter: ProgressMeter | None = None,
 ) -> Difference:
     """Compare open recordings.
 
@@ -116,14 +162,14 @@ def diff_sources(
     """
     rules = rules or Rules()
     result = Difference(str(a.path), str(b.path))
-    asked = paired_streams(a, b, topics)
-    others = [] if topics and not all_topics else _sides(a, b, decoded=False, without=topics)
-    counted = counted or Counted(None, ())
-    for number, pair in enumerate(_held(asked) if len(asked) > _MANY_TOPICS else asked):
-        counted.begin(number, len(asked))
-        _compare([pair], rules, result, counted)
+    asked = pair_streams(a, b, topics)
+    others = [] if topics and not all_topics else _topics_of_type(a, b, decoded=False, without=topics)
+    meter = meter or ProgressMeter(None, ())
+    for number, pair in enumerate(_read_into_memory(asked) if len(asked) > _MANY_TOPICS else asked):
+        meter.begin(number, len(asked))
+        _compare([pair], rules, result, meter)
     if all_topics:
-        _compare(others, rules, result, counted)
+        _compare(others, rules, result, meter)
     else:
         result.left_aside = len(others)
     if not result.topics:
@@ -135,7 +181,7 @@ def diff_sources(
     return result
 
 
-def paired_streams(
+def pair_streams(
     a: OpenRecording, b: OpenRecording, topics: Sequence[TopicPair] = ()
 ) -> list[tuple[TopicStream, TopicStream]]:
     """Pair the requested topics, or all that have scans or clouds on either side.
@@ -145,14 +191,16 @@ def paired_streams(
     TopicError
         If a requested topic does not exist.
     """
-    return _asked_streams(a, b, topics) if topics else _sides(a, b, decoded=True)
+    return _requested_streams(a, b, topics) if topics else _topics_of_type(a, b, decoded=True)
 
 
-def _held(pairs: Sequence[tuple[TopicStream, TopicStream]]) -> list[tuple[TopicStream, TopicStream]]:
+def _read_into_memory(pairs: Sequence[tuple[TopicStream, TopicStream]]) -> list[tuple[TopicStream, TopicStream]]:
     """Return the same streams, from memory if their messages are few enough."""
     sides = []
     for streams in zip(*pairs, strict=True):
-        source = held(streams[0].source, [connection for stream in streams for connection in stream.connections])
+        source = read_into_memory(
+            streams[0].source, [connection for stream in streams for connection in stream.connections]
+        )
         sides.append([stream._replace(source=source) for stream in streams])
     return list(zip(*sides, strict=True))
 
@@ -164,7 +212,7 @@ def _by_topic(source: OpenRecording) -> dict[str, tuple[Connection, ...]]:
     return topics
 
 
-def _asked_streams(
+def _requested_streams(
     a: OpenRecording, b: OpenRecording, pairs: Sequence[TopicPair]
 ) -> list[tuple[TopicStream, TopicStream]]:
     """Return the streams of the given topics."""
@@ -186,7 +234,7 @@ def _asked_streams(
     return streams
 
 
-def _sides(
+def _topics_of_type(
     a: OpenRecording, b: OpenRecording, *, decoded: bool, without: Sequence[TopicPair] = ()
 ) -> list[tuple[TopicStream, TopicStream]]:
     """Return the topics that have scans or clouds (or have none) on either side, with the same topic of the other."""
@@ -195,7 +243,7 @@ def _sides(
     pairs = []
     for topic in sorted({*of_a, *of_b} - taken):
         one, other = of_a.get(topic, ()), of_b.get(topic, ())
-        if any(c.ros_type in DECODED for c in (*one, *other)) == decoded:
+        if any(c.ros_type in DECODED_TYPES for c in (*one, *other)) == decoded:
             pairs.append((TopicStream(a, one), TopicStream(b, other)))
     return pairs
 
@@ -204,40 +252,40 @@ def _compare(
     pairs: Sequence[tuple[TopicStream, TopicStream]],
     rules: Rules,
     result: Difference,
-    counted: Counted,
+    meter: ProgressMeter,
 ) -> None:
     """Compare topics: scans and clouds topic by topic, all others in one pass."""
     others = []
     for one, other in pairs:
         entry = _entry(one, other, rules)
         result.topics.append(entry)
-        kinds = [sorted({canonical(c.msgtype) for c in stream.connections}) for stream in (one, other)]
+        kinds = [sorted({canonical_type(c.msgtype) for c in stream.connections}) for stream in (one, other)]
         if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
             entry.change("type", MessageTimes(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
-        elif entry.msgtype in DECODED:
-            _compare_decoded(one, other, entry, rules, counted)
+        elif entry.msgtype in DECODED_TYPES:
+            _compare_stream(one, other, entry, rules, meter)
         else:
             others.append(((one, other), entry))
     if others:
-        compare_others([pair for pair, _ in others], [entry for _, entry in others], rules)
+        _compare_others([pair for pair, _ in others], [entry for _, entry in others], rules)
 
 
 def _entry(one: TopicStream, other: TopicStream, rules: Rules) -> TopicDifference:
     names = [stream.connections[0].topic if stream.connections else None for stream in (one, other)]
     connection = (*one.connections, *other.connections)[0]
-    return TopicDifference(names[0], names[1], canonical(connection.msgtype), rules.allow_beams)
+    return TopicDifference(names[0], names[1], canonical_type(connection.msgtype), rules.allow_beams)
 
 
-def _compare_decoded(
+def _compare_stream(
     one: TopicStream,
     other: TopicStream,
     entry: TopicDifference,
     rules: Rules,
-    counted: Counted,
+    meter: ProgressMeter,
 ) -> None:
     """Compare scans or clouds, pair by pair."""
-    for pair in matched(one, other):
-        counted.count()
+    for pair in match_messages(one, other):
+        meter.count()
         entry.messages_a += pair.a is not None
         entry.messages_b += pair.b is not None
         if pair.a is not None and pair.b is not None:
@@ -253,3 +301,102 @@ def _compare_decoded(
 
 def _times_of(message: RawMessage) -> MessageTimes:
     return MessageTimes(header_stamp_ns(message), message.log_time_ns)
+
+
+# --- other messages ---
+
+#: The messages of one log time, by the number of their topic.
+_Group = dict[int, list["RawMessage"]]
+
+
+def _compare_others(
+    pairs: Sequence[tuple[TopicStream, TopicStream]], entries: Sequence[TopicDifference], rules: Rules
+) -> None:
+    """Compare several topics in one pass over both recordings.
+
+    Parameters
+    ----------
+    pairs
+        Topics of one A and one B.
+    entries
+        The result of each pair; changed here.
+    rules
+        ``ignore`` may have ``seq``; tolerances are not used.
+    """
+    content = _ByteComparison(numbered="seq" not in rules.ignore)
+    for log_time_ns, groups in _merge_by_log_time(
+        *(_groups_by_log_time([pair[side] for pair in pairs]) for side in (0, 1))
+    ):
+        times = MessageTimes(None, log_time_ns)
+        for number in sorted({*groups[0], *groups[1]}):
+            entry = entries[number]
+            ours, theirs = (group.get(number, ()) for group in groups)
+            entry.messages_a += len(ours)
+            entry.messages_b += len(theirs)
+            for a, b in zip(ours, theirs, strict=False):
+                entry.count_pair(times, content.compare(a, b))
+            for _ in ours[len(theirs) :]:
+                entry.missing.add(times)
+            for _ in theirs[len(ours) :]:
+                entry.extra.add(times)
+
+
+def _groups_by_log_time(streams: Sequence[TopicStream]) -> Iterator[tuple[int, _Group]]:
+    """Yield the messages of several topics of one recording, grouped by log time."""
+    numbers = {connection.id: n for n, stream in enumerate(streams) for connection in stream.connections}
+    connections = tuple(connection for stream in streams for connection in stream.connections)
+    messages = TopicStream(streams[0].source, connections).messages()
+    for log_time_ns, together in groupby(messages, lambda message: message.log_time_ns):
+        group: _Group = {}
+        for message in together:
+            group.setdefault(numbers[message.connection.id], []).append(message)
+        yield log_time_ns, group
+
+
+def _merge_by_log_time(
+    a: Iterator[tuple[int, _Group]], b: Iterator[tuple[int, _Group]]
+) -> Iterator[tuple[int, tuple[_Group, _Group]]]:
+    """Yield both sides' groups by log time; an empty one if a side has none."""
+    x, y = next(a, None), next(b, None)
+    while x is not None or y is not None:
+        if y is None or (x is not None and x[0] < y[0]):
+            assert x is not None
+            yield x[0], (x[1], {})
+            x = next(a, None)
+        elif x is None or y[0] < x[0]:
+            yield y[0], ({}, y[1])
+            y = next(b, None)
+        else:
+            yield x[0], (x[1], y[1])
+            x, y = next(a, None), next(b, None)
+
+
+class _ByteComparison:
+    """Compares messages of any type, in either ROS version's wire format."""
+
+    def __init__(self, *, numbered: bool) -> None:
+        self._numbered = numbered
+
+    def compare(self, a: RawMessage, b: RawMessage) -> MessageDifference:
+        """Compare two messages; those that cannot be re-encoded, by their bytes alone."""
+        alike = a.connection.serialization == b.connection.serialization
+        if alike and bytes(a.data) == bytes(b.data):
+            return MessageDifference()
+        note = ""
+        ros_versions = (a.connection.ros_version, b.connection.ros_version)
+        # ROS 1's format has no padding and one byte order, so equal messages have equal bytes.
+        if None not in ros_versions and not (self._numbered and ros_versions == (1, 1)):
+            try:
+                if self._ros1_bytes(a) == self._ros1_bytes(b):
+                    return MessageDifference()
+            except DecodeError as err:
+                note = f"; not decoded: {err.message}"
+        return MessageDifference(0, (Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes{note}"),))
+
+    def _ros1_bytes(self, message: RawMessage) -> Buffer:
+        """Return the message in ROS 1's format, its headers without sequence numbers."""
+        connection, data = message.connection, message.data
+        for ros_version in (1,) if connection.ros_version == 2 else (2, 1):
+            coding = transcoder(connection, ros_version)
+            connection, data = coding.connection, coding.encode(data)
+        return data

@@ -1,4 +1,4 @@
-"""Matches the messages of two topics, with one pair in memory at a time.
+"""Matches the messages of two topics, with one pair in memory at a time; reads many small topics into memory.
 
 Messages are matched by their header's stamp, which is the same in every container and every re-recording. Repeated
 stamps are matched in order. Messages whose stamp is 0 or cannot be read are matched by their log time.
@@ -6,9 +6,11 @@ stamps are matched in order. Messages whose stamp is 0 or cannot be read are mat
 
 from __future__ import annotations
 
+import heapq
 from array import array
 from bisect import bisect_left
 from itertools import islice
+from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pc2scan.errors import DecodeError, RecordingError
@@ -86,7 +88,7 @@ def header_stamp_ns(message: RawMessage) -> int | None:
         return None
 
 
-def matched(a: TopicStream, b: TopicStream) -> Iterator[Match]:
+def match_messages(a: TopicStream, b: TopicStream) -> Iterator[Match]:
     """Pair the messages of two streams.
 
     Yields
@@ -109,7 +111,7 @@ def matched(a: TopicStream, b: TopicStream) -> Iterator[Match]:
         common += 1
         x, y = next(left, None), next(right, None)
     if x is not None and y is not None:
-        yield from _realigned(a, b, common)
+        yield from _match_by_all_stamps(a, b, common)
     elif x is not None:
         yield Match(x, None)
         yield from (Match(other, None) for other in left)
@@ -162,7 +164,7 @@ def _match_key(message: RawMessage) -> int:
     return 2 * stamp_ns if stamp_ns else 2 * message.log_time_ns + 1
 
 
-def _realigned(a: TopicStream, b: TopicStream, common: int) -> Iterator[Match]:
+def _match_by_all_stamps(a: TopicStream, b: TopicStream, common: int) -> Iterator[Match]:
     """Pair the messages after the first ``common`` ones by all their stamps."""
     times, mates = _find_mates(a, b, common)
     having = [index for index, mate in enumerate(mates) if mate >= 0]
@@ -210,3 +212,55 @@ def _find_mates(a: TopicStream, b: TopicStream, common: int) -> tuple[Sequence[i
         if place in again:
             first[key] = again[place]
     return times, mates
+
+
+#: Limit of the bytes held; each message takes some 300 more than its data.
+_MAX_BYTES = 32 << 20
+_MESSAGE_BYTES = 300
+
+
+class _MessagesInMemory:
+    """The messages of some connections; see `pc2scan.compare.match.OpenRecording`."""
+
+    def __init__(
+        self, path: Path, connections: Sequence[Connection], messages: dict[int, list[tuple[int, RawMessage]]]
+    ) -> None:
+        self.path = path
+        self.connections = connections
+        #: By connection, each message with its number in the recording.
+        self._messages = messages
+
+    def messages(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> Iterator[RawMessage]:
+        """Messages in the order of log time, ``start_ns <= log_time_ns < stop_ns``."""
+        chosen = self.connections if connections is None else connections
+        streams = [self._messages.get(connection.id, []) for connection in chosen]
+        for _, message in heapq.merge(*streams, key=itemgetter(0)):
+            if (start_ns is None or start_ns <= message.log_time_ns) and (
+                stop_ns is None or message.log_time_ns < stop_ns
+            ):
+                yield message
+
+    def close(self) -> None:
+        """Do nothing: the caller closes the recording."""
+
+
+def read_into_memory(source: OpenRecording, connections: Sequence[Connection]) -> OpenRecording:
+    """Return the recording with the messages of these connections in memory, or unchanged if they take too much.
+
+    Reading a topic reads every chunk with a message of it, so ten thousand topics would read the file as often.
+    """
+    found: dict[int, list[tuple[int, RawMessage]]] = {}
+    size = 0
+    for place, message in enumerate(source.messages(connections)):
+        size += len(message.data) + _MESSAGE_BYTES
+        if size > _MAX_BYTES:
+            return source
+        # A view would keep the whole chunk in memory.
+        own = message._replace(data=bytes(message.data))
+        found.setdefault(message.connection.id, []).append((place, own))
+    return _MessagesInMemory(source.path, connections, found)

@@ -1,30 +1,189 @@
-"""Compares two messages, each in any wire format."""
+"""Compares two scans or two clouds, each in any wire format: values of beams and points, geometry, layout, header."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from pc2scan.core.compare import compare_arrays
 from pc2scan.errors import DecodeError
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, decode_pointcloud2
+from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, PointCloud2, decode_pointcloud2
 
-from .clouds import cloud_changes, cloud_values
-from .difference import Change, MessageDifference
-from .scans import scan_changes, scan_values
+from .rules import GEOMETRY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from numpy.typing import NDArray
+
+    from pc2scan.core.compare import ArrayDifference
+    from pc2scan.messages.pointcloud2 import PointCloud2, PointField
     from pc2scan.model import RawMessage
 
     from .rules import Rules
 
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A difference between two messages that is not one of values; both sides as text."""
+
+    name: str
+    a: str
+    b: str
+
+
+@dataclass(frozen=True, slots=True)
+class ValueChange:
+    """Differing values of ``ranges``, ``intensities`` or a field of a cloud.
+
+    ``beams`` are angle_min and angle_increment of a scan, rad; None for a cloud.
+    """
+
+    name: str
+    difference: ArrayDifference
+    beams: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MessageDifference:
+    """The differences between two messages.
+
+    Attributes
+    ----------
+    elements
+        Beams or points of the first message.
+    changes, values
+        The differences after tolerances; empty for equal messages.
+    """
+
+    elements: int = 0
+    changes: tuple[Change, ...] = ()
+    values: tuple[ValueChange, ...] = ()
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs."""
+        return not self.changes and not self.values
+
+
+def scan_changes(a: LaserScan, b: LaserScan) -> Iterator[Change]:
+    """Yield differences in geometry, bit for bit."""
+    for name in GEOMETRY:
+        left, right = getattr(a, name), getattr(b, name)
+        # By bits: NaN equals NaN, and -0.0 differs from 0.0.
+        if struct.pack("<d", left) != struct.pack("<d", right):
+            yield Change(name, str(np.float32(left)), str(np.float32(right)))
+    if len(a.ranges) != len(b.ranges):
+        yield Change("beams", f"{len(a.ranges)}", f"{len(b.ranges)}")
+    if len(a.intensities) != len(b.intensities):
+        yield Change("intensities", f"{len(a.intensities)} values", f"{len(b.intensities)} values")
+
+
+def scan_values(a: LaserScan, b: LaserScan, rules: Rules) -> Iterator[ValueChange]:
+    """Yield differing ranges and intensities, if both scans have as many."""
+    for name in ("ranges", "intensities"):
+        left, right = getattr(a, name), getattr(b, name)
+        if name in rules.ignore or len(left) != len(right):
+            continue
+        # Values outside the scan's own limits mean no return.
+        limits = (a.range_min, a.range_max) if name == "ranges" else None
+        found = compare_arrays(left, right, rules.tolerance(name), limits=limits)
+        if found.differing:
+            yield ValueChange(name, found, (a.angle_min, a.angle_increment))
+
+
+def cloud_changes(a: PointCloud2, b: PointCloud2) -> Iterator[Change]:
+    """Yield differences other than values: fields, shape, layout, and bytes that belong to no field."""
+    if a.is_dense != b.is_dense:
+        yield Change("is_dense", str(a.is_dense).lower(), str(b.is_dense).lower())
+    if (a.height, a.width) != (b.height, b.width):
+        yield Change("shape", f"{a.height} x {a.width}", f"{b.height} x {b.width}")
+    fields = [", ".join(sorted(map(_field_text, cloud.fields))) for cloud in (a, b)]
+    if fields[0] != fields[1]:
+        yield Change("fields", *fields)
+    layouts = [_layout_text(cloud) for cloud in (a, b)]
+    if layouts[0] != layouts[1]:
+        yield Change("layout", *layouts)
+    elif fields[0] == fields[1] and (differing := _differing_padding(a, b)):
+        yield Change("padding", "", f"{differing:,} bytes differ")
+
+
+def cloud_values(a: PointCloud2, b: PointCloud2, rules: Rules) -> Iterator[ValueChange]:
+    """Yield fields whose values differ, of fields that both clouds have, if they have as many points."""
+    if a.points != b.points or (_layout_text(a) == _layout_text(b) and np.array_equal(_byte_array(a), _byte_array(b))):
+        return
+    others = {field.name: field for field in _readable_fields(b)}
+    for field in _readable_fields(a):
+        other = others.get(field.name)
+        if other is not None and _field_text(field) == _field_text(other):
+            found = compare_arrays(field_elements(a, field), field_elements(b, other), rules.tolerance(field.name))
+            if found.differing:
+                yield ValueChange(field.name, found)
+
+
+def _field_text(field: PointField) -> str:
+    # Drivers write 0 for a single element, too.
+    return f"{field.name} {field.datatype_name}" + (f"[{field.count}]" if field.count > 1 else "")
+
+
+def _layout_text(cloud: PointCloud2) -> str:
+    places = ", ".join(f"{f.name} @{f.offset}" + ("" if f.count == 1 else f" x {f.count}") for f in cloud.fields)
+    order = "big" if cloud.is_bigendian else "little"
+    steps = f"point_step {cloud.point_step}, row_step {cloud.row_step}, {len(cloud.data)} bytes"
+    return f"{places}; {steps}, {order}-endian"
+
+
+def _readable_fields(cloud: PointCloud2) -> list[PointField]:
+    """Return the fields with a known datatype; of several with one name the first."""
+    first: dict[str, PointField] = {}
+    for field in cloud.fields:
+        first.setdefault(field.name, field)
+    return [field for field in first.values() if field.datatype in DATATYPES]
+
+
+def field_elements(cloud: PointCloud2, field: PointField) -> NDArray[Any]:
+    """Return all elements of a field: shape (points, count), a view if rows follow each other without a gap."""
+    first = cloud.field(field.name)
+    count = max(field.count, 1)
+    if field.offset + count * first.itemsize > cloud.point_step:
+        raise DecodeError(
+            f"field {field.name!r} has {count} elements, more than fit into point_step {cloud.point_step}",
+            stamp_ns=cloud.stamp_ns,
+        )
+    if not cloud.points:
+        return np.empty((0, count), first.dtype)
+    strides = (*first.strides, first.itemsize)
+    view: NDArray[Any] = np.ndarray((*first.shape, count), first.dtype, cloud.data, field.offset, strides)
+    return view.reshape(cloud.points, count)
+
+
+def _byte_array(cloud: PointCloud2) -> NDArray[np.uint8]:
+    return np.frombuffer(cloud.data, np.uint8)
+
+
+def _differing_padding(a: PointCloud2, b: PointCloud2) -> int:
+    """Count the differing bytes outside of all readable fields, of clouds with one layout."""
+    differs = _byte_array(a) != _byte_array(b)
+    if not differs.any():
+        return 0
+    # Clears the bytes of each field, with the field's view on the mask instead of the data.
+    for field in _readable_fields(a) if a.points else ():
+        width = field_elements(a, field).shape[1] * np.dtype(DATATYPES[field.datatype]).itemsize
+        first = a.field(field.name)
+        np.ndarray((*first.shape, width), bool, differs, field.offset, (*first.strides, 1))[...] = False
+    return int(np.count_nonzero(differs))
+
+
 #: The types that are compared field by field, in ROS 2's spelling.
-DECODED = frozenset({LASERSCAN, POINTCLOUD2})
+DECODED_TYPES = frozenset({LASERSCAN, POINTCLOUD2})
 
 
 def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
-    """Compare two messages of one type of `DECODED`.
+    """Compare two messages of one type of `DECODED_TYPES`.
 
     Parameters
     ----------
@@ -39,7 +198,7 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
     """
     times = [Change("log_time", str(a.log_time_ns), str(b.log_time_ns))] if a.log_time_ns != b.log_time_ns else []
     try:
-        difference = _decoded(a, b, rules)
+        difference = _compare_fields(a, b, rules)
     except DecodeError as err:
         alike = a.connection.serialization == b.connection.serialization and a.data == b.data
         unreadable = Change("bytes", f"{len(a.data)} bytes", f"{len(b.data)} bytes; not decoded: {err.message}")
@@ -48,7 +207,7 @@ def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffe
     return MessageDifference(difference.elements, changes, difference.values)
 
 
-def _decoded(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
+def _compare_fields(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
     numbered = a.connection.ros_version == b.connection.ros_version == 1
     if a.connection.ros_type == LASERSCAN:
         scan, other = (decode_laserscan(m.data, m.connection.serialization) for m in (a, b))

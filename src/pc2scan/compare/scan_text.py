@@ -15,13 +15,12 @@ import numpy as np
 
 from pc2scan.errors import DecodeError, RecordingError, UsageError, stamp_text
 from pc2scan.files.limits import allowed_bytes
-from pc2scan.files.source import opened_bytes, opened_text
+from pc2scan.files.source import open_bytes, open_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import DATATYPES, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.model import Connection, RawMessage
 
-from .clouds import field_elements
-from .messages import DECODED, compare_messages
+from .messages import DECODED_TYPES, compare_messages, field_elements
 from .rules import GEOMETRY, Rules
 
 if TYPE_CHECKING:
@@ -33,14 +32,14 @@ if TYPE_CHECKING:
     from pc2scan.messages.pointcloud2 import PointCloud2
 
 _FIRST_LINE = "# pc2scan scan text 1"
-_EXPLAINED = (
+_HEADER_LINES = (
     "# Every message to the bit. A scan's lines are beams: the first one's number, then the ranges in metres.",
     "# Written by pc2scan golden --update: read it, compare it, but do not edit it.",
 )
 _VALUES_A_LINE = 10
 _NAMES = {number: np.dtype(kind).name for number, kind in DATATYPES.items()}
 #: The errors of reading values that `render_messages` does not write.
-_WRONG = (ValueError, LookupError, ArithmeticError, TypeError, RecursionError, struct.error, DecodeError)
+_PARSE_ERRORS = (ValueError, LookupError, ArithmeticError, TypeError, RecursionError, struct.error, DecodeError)
 _NUMBERS = {name: number for number, name in _NAMES.items()}
 
 
@@ -73,7 +72,7 @@ class ScanText:
 def is_scan_text(path: Path) -> bool:
     """Whether a file begins like the text of `render_messages`."""
     try:
-        with opened_bytes(path) as file:
+        with open_bytes(path) as file:
             return file.read(len(_FIRST_LINE)) == _FIRST_LINE.encode()
     except OSError:
         # Opening it as a recording reports the error.
@@ -89,7 +88,7 @@ def render_messages(messages: Iterable[RawMessage]) -> str:
     Parameters
     ----------
     messages
-        Of types of `pc2scan.compare.messages.DECODED`, in the order of log time.
+        Of types of `pc2scan.compare.messages.DECODED_TYPES`, in the order of log time.
 
     Raises
     ------
@@ -98,18 +97,18 @@ def render_messages(messages: Iterable[RawMessage]) -> str:
     DecodeError
         If a message cannot be decoded.
     """
-    lines = [_FIRST_LINE, *_EXPLAINED]
+    lines = [_FIRST_LINE, *_HEADER_LINES]
     declared: set[tuple[str, str, str]] = set()
     for message in messages:
         connection = message.connection
-        if connection.ros_type not in DECODED:
+        if connection.ros_type not in DECODED_TYPES:
             raise UsageError(f"{connection.msgtype} cannot be written as text", topic=connection.topic)
         key = (connection.topic, connection.ros_type, connection.serialization)
         if key not in declared:
             declared.add(key)
             lines += ["", f"topic {json.dumps(key[0])} {key[1]} {key[2]}"]
         own = ["", f"message {json.dumps(connection.topic)}", *_message_lines(message)]
-        _check(message, own[1:])
+        _check_text(message, own[1:])
         lines += own
     return "\n".join(lines) + "\n"
 
@@ -189,14 +188,14 @@ def _numbers(texts: Sequence[str], dtype: np.dtype[Any]) -> NDArray[Any]:
     return numbers
 
 
-def _check(message: RawMessage, lines: Sequence[str]) -> None:
+def _check_text(message: RawMessage, lines: Sequence[str]) -> None:
     """Raise if the text does not read back as the same message."""
     connection = message.connection
     try:
         again = _parse_message(iter(lines[1:]), connection, len(message.data))
         difference = compare_messages(message, again, Rules()).changes
         lost = difference[0].name if difference else ""
-    except _WRONG:
+    except _PARSE_ERRORS:
         # Points without fields have no text.
         lost = "points"
     if lost:
@@ -219,7 +218,7 @@ def open_scan_text(path: Path) -> ScanText:
         If it cannot be read, or `render_messages` does not write such text; the message names the line.
     """
     try:
-        with opened_text(path) as file:
+        with open_text(path) as file:
             text = file.read()
     except (OSError, UnicodeDecodeError) as err:
         raise RecordingError(f"cannot be read: {err}", path=path) from err
@@ -234,7 +233,7 @@ def open_scan_text(path: Path) -> ScanText:
                 topic, end = json.JSONDecoder().raw_decode(rest)
                 topic = _string(topic)
                 msgtype, serialization = rest[end:].split()
-                if msgtype not in DECODED or serialization not in ("ros1", "cdr"):
+                if msgtype not in DECODED_TYPES or serialization not in ("ros1", "cdr"):
                     raise ValueError(f"a topic of {msgtype} in {serialization}")
                 connection = Connection(len(by_topic), topic, msgtype, serialization)
                 by_topic[topic] = connection
@@ -245,7 +244,7 @@ def open_scan_text(path: Path) -> ScanText:
                 result.content.append(message)
             else:
                 raise ValueError(f"{word!r}")
-    except _WRONG as err:
+    except _PARSE_ERRORS as err:
         raise RecordingError(
             f"line {reading.number} has been changed: {str(err) or type(err).__name__}",
             path=path,

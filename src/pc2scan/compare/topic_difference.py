@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 if TYPE_CHECKING:
-    from .difference import MessageDifference
+    from .messages import MessageDifference
 
 #: Maximum number of messages that are listed; all of them are counted.
 MAX_LISTED = 100

@@ -3,7 +3,7 @@
 Source of the rules of `shadows`, `speckles_by_distance` and `speckles_by_neighbors`: ``ScanShadowsFilter`` (with
 ``ScanShadowDetector``) and ``LaserScanSpeckleFilter`` of laser_filters 2.0, with the same parameters, in float32 as
 there. Two things differ: laser_filters stops at the first and the last beam, while a full circle has no end here; and
-laser_filters reads past the scan's array, but does not use these values. `between_surfaces` is pc2scan's own rule.
+laser_filters reads past the scan's array, but does not use these values. `veiled_beams` is pc2scan's own rule.
 
 A beam without a return is inf or NaN here, whatever number the scan has for it.
 """
@@ -32,7 +32,7 @@ _MOST = 10
 _NOISE = 0.1
 
 
-def between_surfaces(ranges: NDArray[np.float32], increment: float, *, closed: bool = False) -> NDArray[np.bool_]:
+def veiled_beams(ranges: NDArray[np.float32], increment: float, *, closed: bool = False) -> NDArray[np.bool_]:
     """Return which beams are on neither of two surfaces: between an edge and the surface behind it.
 
     Such a return is behind its neighbour on one side and in front of the one on the other side, by more than a surface
@@ -53,13 +53,13 @@ def between_surfaces(ranges: NDArray[np.float32], increment: float, *, closed: b
     beams = np.flatnonzero(np.isfinite(ranges) & (ranges > 0))
     if beams.size:
         returns = ranges[beams].astype(np.float64)
-        before, after = (_beside(returns, beams, step, ranges.size, increment, closed) for step in (-1, 1))
+        before, after = (_neighbours(returns, beams, step, ranges.size, increment, closed) for step in (-1, 1))
         between = (before.nearer & after.farther) | (before.farther & after.nearer)
         found[beams] = between & ~before.aligned & ~after.aligned
     return found
 
 
-class _Beside(NamedTuple):
+class _Neighbours(NamedTuple):
     """Returns compared with those on one side of them.
 
     Attributes
@@ -76,9 +76,9 @@ class _Beside(NamedTuple):
     aligned: NDArray[np.bool_]
 
 
-def _beside(
+def _neighbours(
     returns: NDArray[np.float64], beams: NDArray[np.intp], step: int, count: int, increment: float, closed: bool
-) -> _Beside:
+) -> _Neighbours:
     """Compare returns with those on one side: ``step`` is 1 for the returns after them, -1 for those before them."""
     one, apart = _next(beams, step, count, closed)
     first, second, apart_there = returns[one], returns[one[one]], apart[one]
@@ -93,7 +93,7 @@ def _beside(
     aligned = alike
     for _ in range(2, min(_MOST, math.ceil(_WIDTH / abs(increment)))):
         aligned = alike & aligned[one]
-    return _Beside(known & (returns - first > limit), known & (first - returns > limit), aligned)
+    return _Neighbours(known & (returns - first > limit), known & (first - returns > limit), aligned)
 
 
 def _next(beams: NDArray[np.intp], step: int, count: int, closed: bool) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -147,7 +147,7 @@ def shadows(
             angle, included = float(included), included + step
             if away == 0:
                 continue
-            other, there = _shifted(ranges, away, closed)
+            other, there = _shift(ranges, away, closed)
             across = other * np.float32(abs(math.sin(angle)))
             along = ranges - other * np.float32(math.cos(angle))
             tangent = across / along
@@ -155,8 +155,8 @@ def shadows(
         removed = np.zeros(ranges.size, np.bool_)
         for away in range(-neighbors, neighbors + 1):
             # The beam to remove, and its neighbour.
-            edge, there = _shifted(ranges, -away, closed)
-            begun, _ = _shifted(begins, -away, closed)
+            edge, there = _shift(ranges, -away, closed)
+            begun, _ = _shift(begins, -away, closed)
             removed |= there & begun & (edge < ranges)
     return removed | begins if remove_shadow_start_point else removed
 
@@ -187,7 +187,7 @@ def speckles_by_distance(
     with np.errstate(all="ignore"):
         valid = ~np.isnan(ranges)
         for away in range(1, filter_window):
-            other, there = _shifted(ranges, away, closed)
+            other, there = _shift(ranges, away, closed)
             # The difference of two beams without a return is NaN, which does not count as too large.
             like = ~(np.abs(other - ranges).astype(np.float64) > max_range_difference)
             valid &= there & ~np.isnan(other) & like
@@ -222,7 +222,7 @@ def speckles_by_neighbors(
         for away in range(-filter_window, filter_window + 1):
             if away == 0:
                 continue
-            other, there = _shifted(ranges, away, closed)
+            other, there = _shift(ranges, away, closed)
             cosine = np.float32(math.cos(float(np.float32(away) * step)))
             product = np.float32(2) * ranges * other * cosine
             squares = wide * wide + other.astype(np.float64) * other.astype(np.float64) - product
@@ -241,13 +241,13 @@ def _speckles(
     """Return the beams that are in no valid run, except those beyond ``max_range``."""
     kept = ranges.astype(np.float64) > max_range
     for away in range(filter_window):
-        begun, there = _shifted(valid, -away, closed)
+        begun, there = _shift(valid, -away, closed)
         kept |= there & begun
     removed: NDArray[np.bool_] = ~kept
     return removed
 
 
-def _shifted(values: NDArray, away: int, closed: bool) -> tuple[NDArray, NDArray[np.bool_]]:  # type: ignore[type-arg]
+def _shift(values: NDArray, away: int, closed: bool) -> tuple[NDArray, NDArray[np.bool_]]:  # type: ignore[type-arg]
     """Return the value ``away`` beams after each one, and whether there is one."""
     places = np.arange(values.size) + away
     there = np.ones(values.size, np.bool_) if closed else (places >= 0) & (places < values.size)

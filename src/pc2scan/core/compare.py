@@ -53,7 +53,7 @@ EXACT = Tolerance()
 
 
 @dataclass(frozen=True, slots=True)
-class Worst:
+class WorstElement:
     """The element with the largest difference.
 
     Attributes
@@ -95,7 +95,7 @@ class ArrayDifference:
     changed: int = 0
     shifted: int = 0
     shift: int = 0
-    worst: Worst | None = None
+    worst: WorstElement | None = None
 
     @property
     def differing(self) -> int:
@@ -142,13 +142,13 @@ def compare_arrays(
         return ArrayDifference(elements)
     shifted = shift = 0
     if limits is not None and elements > 1:
-        shifted = int(np.count_nonzero(_explained(a, b, rows, tolerance, limits)))
+        shifted = int(np.count_nonzero(_neighbour_moves(a, b, rows, tolerance, limits)))
         shift = _whole_shift(a, b, tolerance, limits)
     return ArrayDifference(elements, total - shifted, shifted, shift, _worst(a, b, differs))
 
 
 @np.errstate(invalid="ignore", over="ignore")
-def differing(reference: NDArray[Any], value: NDArray[Any], tolerance: Tolerance = EXACT) -> NDArray[np.bool_]:
+def differing_elements(reference: NDArray[Any], value: NDArray[Any], tolerance: Tolerance = EXACT) -> NDArray[np.bool_]:
     """Return which elements `compare_arrays` counts as differing; both ``(n,)``, of one dtype in any byte order."""
     kind = reference.dtype.newbyteorder("=")
     return ~_equal_values(np.ascontiguousarray(reference, kind), np.ascontiguousarray(value, kind), tolerance)
@@ -172,7 +172,7 @@ def _equal_values(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance) -> NDA
     return result
 
 
-def _explained(
+def _neighbour_moves(
     a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_], tolerance: Tolerance, limits: tuple[float, float]
 ) -> NDArray[np.bool_]:
     """Return which differing elements have their return at a neighbour that differs, too."""
@@ -197,7 +197,7 @@ def _whole_shift(a: NDArray[Any], b: NDArray[Any], tolerance: Tolerance, limits:
     return 0
 
 
-def _worst(a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_]) -> Worst:
+def _worst(a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_]) -> WorstElement:
     places = np.flatnonzero(differs)
     flat_a, flat_b = a.ravel()[places], b.ravel()[places]
     distance = np.abs(flat_b.astype(np.float64) - flat_a.astype(np.float64))
@@ -207,4 +207,4 @@ def _worst(a: NDArray[Any], b: NDArray[Any], differs: NDArray[np.bool_]) -> Wors
     distance[alike] = 0.0
     place = int(np.argmax(distance))
     index = int(places[place]) // (a.size // len(a))
-    return Worst(index, flat_a[place].item(), flat_b[place].item(), float(distance[place]))
+    return WorstElement(index, flat_a[place].item(), flat_b[place].item(), float(distance[place]))

@@ -15,7 +15,7 @@ Sources of the rules, in C++ (floats of the message are float32, literals float6
 - MRPT: ``fromROS`` of two bridges (laser_scan.cpp): that of MRPT 2.5, in Debian and Ubuntu, and mrpt_ros_bridge 3.2.
 
 The arithmetic is that of the consumers: float64 operations on float32 operands, rounded to float32 where the C++ result
-is a float, which is the float32 result (see `pc2scan.core.params.beam_count`); NumPy's float32 for sums of all beams.
+is a float, which is the float32 result (see `pc2scan.core.layout.beam_count`); NumPy's float32 for sums of all beams.
 A division of a float by a whole number is a float division. Cartographer and Nav2 add up the angles of the beams in a
 float, AMCL adds the first two angles in a float, and MRPT divides floats. slam_toolbox and gmapping compute the angles
 of their beams in doubles.
@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .layout import SYMMETRIC_BEAMS, float32, symmetric_sector
-from .verdicts import Scan, ScanTransforms, Verdict
+from .verdicts import ConsumerScan, ScanTransforms, Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -68,7 +68,7 @@ _MOVED = 0.1
 #: Beams that are off by more than this many increments count as misplaced.
 _SHIFTED = 1.0 + _OFF
 
-#: If more than this share of a scan's ranges are `Scan.full`, these ranges are no returns.
+#: If more than this share of a scan's ranges are `ConsumerScan.full`, these ranges are no returns.
 _MISSES = 0.01
 
 _TWO_PI = 2 * math.pi
@@ -84,7 +84,9 @@ _KARTO_NEARLY_FULL = 6.10865
 _ANYWHERE = ScanTransforms()
 
 
-def judge(consumer: str, scan: Scan, first: Scan | None = None, placed: ScanTransforms | None = None) -> Verdict:
+def judge(
+    consumer: str, scan: ConsumerScan, first: ConsumerScan | None = None, placed: ScanTransforms | None = None
+) -> Verdict:
     """Return what a consumer does with a scan.
 
     Parameters
@@ -110,18 +112,18 @@ def judge(consumer: str, scan: Scan, first: Scan | None = None, placed: ScanTran
     )
 
 
-def last_beam(scan: Scan) -> float:
+def last_beam(scan: ConsumerScan) -> float:
     """Return the angle of the last beam, radians, as float32: the correct ``angle_max``."""
     return float32(scan.angle_min + (scan.beams - 1) * scan.angle_increment)
 
 
-def has_angles(scan: Scan) -> bool:
+def has_angles(scan: ConsumerScan) -> bool:
     """Whether the angles of a scan are numbers, and those of its beams differ."""
     angles = (scan.angle_min, scan.angle_max, scan.angle_increment)
     return all(map(math.isfinite, angles)) and (scan.angle_increment != 0 or scan.beams < 2)
 
 
-def expected_by_karto(scan: Scan) -> int | None:
+def expected_by_karto(scan: ConsumerScan) -> int | None:
     """Return the length of ``ranges`` that slam_toolbox expects by a scan's angles, also for all scans after it.
 
     None if its arithmetic has no result: an increment of 0, or angles that are not finite.
@@ -187,7 +189,7 @@ def _tilted(up: float) -> bool:
     return not abs(abs(up) - 1) <= _GMAPPING_TILT
 
 
-def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
+def _slam_toolbox(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransforms) -> Verdict:
     expected = expected_by_karto(first)
     if expected != scan.beams:
         if scan.beams != first.beams and expected == first.beams:
@@ -233,7 +235,7 @@ def _slam_toolbox(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
     )
 
 
-def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
+def _cartographer(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> Verdict:
     def aborts(rule: str, observed: str, allowed: str, cure: str) -> Verdict:
         return Verdict("cartographer", "aborts", rule, observed, allowed, cure)
 
@@ -288,7 +290,7 @@ def _cartographer(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
     return _summed("cartographer", scan)
 
 
-def _gmapping(scan: Scan, first: Scan, placed: ScanTransforms) -> Verdict:
+def _gmapping(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransforms) -> Verdict:
     if first.beams >= _GMAPPING_BEAMS:
         return Verdict(
             "gmapping",
@@ -357,7 +359,7 @@ def _half_open(angle_min: float, angle_max: float, angle_increment: float, beams
     )
 
 
-def _amcl(scan: Scan, _first: Scan, placed: ScanTransforms) -> Verdict:
+def _amcl(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> Verdict:
     if scan.range_max <= 0:
         return Verdict(
             "amcl",
@@ -391,13 +393,13 @@ def _added_once(angle_min: float, angle_increment: float, beams: int) -> Verdict
     )
 
 
-def _nav2(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
+def _nav2(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict:
     if scan.infinite and scan.range_max == math.inf:
         return _infinite_hits("nav2", scan)
     return _summed("nav2", scan)
 
 
-def _summed(consumer: str, scan: Scan) -> Verdict:
+def _summed(consumer: str, scan: ConsumerScan) -> Verdict:
     """Return the verdict of a consumer that adds the increment to a float, from beam to beam."""
     if not has_angles(scan) or not scan.beams:
         return Verdict(consumer)
@@ -423,7 +425,7 @@ def _added_up(consumer: str, angle_min: float, angle_increment: float, beams: in
     )
 
 
-def _mrpt(scan: Scan, _first: Scan, _placed: ScanTransforms) -> Verdict:
+def _mrpt(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict:
     if scan.beams < SYMMETRIC_BEAMS[0]:
         return Verdict(
             "mrpt",
@@ -517,14 +519,14 @@ def _off(
     return Verdict(consumer, outcome, rule, f"{observed}: {turned}", allowed, cure)
 
 
-def _advertise(scan: Scan) -> str:
+def _advertise(scan: ConsumerScan) -> str:
     """Return what the header should advertise."""
     if not has_angles(scan):
         return "advertise the angles of the beams, angle_min + i * angle_increment"
     return f"advertise angle_max {last_beam(scan):.9g}, the last beam's angle" if scan.beams else "advertise beams"
 
 
-def _infinite_hits(consumer: str, scan: Scan) -> Verdict:
+def _infinite_hits(consumer: str, scan: ConsumerScan) -> Verdict:
     """Return the verdict of a consumer for which range_min <= range <= range_max is a return, even if infinite."""
     return Verdict(
         consumer,
@@ -536,7 +538,7 @@ def _infinite_hits(consumer: str, scan: Scan) -> Verdict:
     )
 
 
-def _kept_angles(consumer: str, scan: Scan, first: Scan) -> Verdict:
+def _kept_angles(consumer: str, scan: ConsumerScan, first: ConsumerScan) -> Verdict:
     """Return the verdict of a consumer that uses the first scan's angles for all scans."""
     begin = scan.angle_min - first.angle_min
     end = begin + (scan.beams - 1) * (scan.angle_increment - first.angle_increment)
@@ -570,7 +572,7 @@ def _kept_pose(consumer: str, placed: ScanTransforms, *, angle: bool) -> Verdict
 
 
 #: The consumers by name, in the order in which they are shown.
-CONSUMERS: dict[str, Callable[[Scan, Scan, ScanTransforms], Verdict]] = {
+CONSUMERS: dict[str, Callable[[ConsumerScan, ConsumerScan, ScanTransforms], Verdict]] = {
     "slam_toolbox": _slam_toolbox,
     "cartographer": _cartographer,
     "gmapping": _gmapping,

@@ -1,8 +1,8 @@
-"""Estimates the direction of up from the gyroscope and the accelerometer of an IMU.
+"""The direction of up: estimated from the gyroscope and the accelerometer of an IMU, and used to level a frame.
 
-A complementary filter: the gyroscope measures how the IMU turns, but drifts; the accelerometer measures the direction
-of up, but only while the IMU is not accelerated. The filter rotates the direction of up by the gyroscope, and moves it
-slowly towards the accelerometer's.
+The estimate is a complementary filter: the gyroscope measures how the IMU turns, but drifts; the accelerometer measures
+the direction of up, but only while the IMU is not accelerated. The filter rotates the direction of up by the gyroscope,
+and moves it slowly towards the accelerometer's.
 
 Sources of the rules:
 
@@ -22,16 +22,62 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from .rigid import rotation_matrices
+from .rigid import Rigid, rotation_matrices
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
+
+#: A direction of unit length: x, y, z.
+Up: TypeAlias = tuple[float, float, float]
+
+#: The tangent of the angle to the vertical below which an axis has no heading.
+_VERTICAL = 1e-12
+
+
+def up_in(world_from_frame: Sequence[float]) -> Up:
+    """Return the direction of the world's z axis in a frame, by a quaternion x, y, z, w."""
+    x, y, z, w = world_from_frame
+    return _unit((2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y))
+
+
+def tilt(up: Up) -> float:
+    """Return the angle between a frame's z axis and up, radians: 0 of a level frame, pi of one that is upside down."""
+    return math.atan2(math.hypot(up[0], up[1]), up[2])
+
+
+def upright_rotation(up: Up) -> Rigid:
+    """Return the rotation ``frame_from_level``, where the level frame has the yaw of the frame, and no roll and pitch.
+
+    Parameters
+    ----------
+    up
+        The direction of up in the frame.
+
+    Notes
+    -----
+    With ``world_from_frame = Rz(yaw) Ry(pitch) Rx(roll)``, as `Rigid.rpy` has them, this is ``Rx(-roll) Ry(-pitch)``,
+    whatever the yaw. So the level x axis is the frame's own, projected onto the horizontal plane. At a pitch of
+    +-pi/2, where that has no direction, roll is 0, as for `Rigid.rpy`: the level y axis is the frame's own.
+    """
+    x, y, z = up
+    across = math.hypot(y, z)
+    roll = math.atan2(y, z) if across > _VERTICAL * abs(x) else 0.0
+    pitch = math.atan2(-x, across)
+    (sr, cr), (sp, cp) = ((math.sin(-angle / 2), math.cos(angle / 2)) for angle in (roll, pitch))
+    return Rigid.from_pose((0.0, 0.0, 0.0, sr * cp, cr * sp, sr * sp, cr * cp))
+
+
+def _unit(direction: Sequence[float]) -> Up:
+    length = math.hypot(*direction)
+    x, y, z = (part / length for part in direction)
+    return (x, y, z)
+
 
 #: The longest time between two samples, nanoseconds, for which the turn in between can be computed.
 LONGEST_GAP_NS = 250_000_000
@@ -63,7 +109,7 @@ class _State(NamedTuple):
     up: tuple[float, ...]
     bias: tuple[float, ...]
 
-    def reversed(self) -> _State:
+    def reverse(self) -> _State:
         """The state for time that runs backward: rotations and the bias change their sign."""
         return self._replace(bias=tuple(-each for each in self.bias))
 
@@ -98,8 +144,8 @@ def up_by_gravity(
     for begin, end in pairwise([0, *gaps.tolist(), len(samples)]):
         part = samples[begin:end]
         state = _filter(part, None, _first_bias(part, bias), later[begin:end])
-        state = _filter(part[::-1] * _BACKWARD, state.up, state.reversed().bias, earlier[begin:end][::-1])
-        bias = _filter(part, state.up, state.reversed().bias, later[begin:end]).bias
+        state = _filter(part[::-1] * _BACKWARD, state.up, state.reverse().bias, earlier[begin:end][::-1])
+        bias = _filter(part, state.up, state.reverse().bias, later[begin:end]).bias
     both = later + earlier
     lengths = np.sqrt(np.einsum("ni,ni->n", both, both))[:, np.newaxis]
     # Two opposite directions have no mean, so one of them is returned.
@@ -119,7 +165,7 @@ def _first_bias(samples: NDArray[np.float64], expected: tuple[float, ...]) -> tu
     weights = np.sqrt(steps * (np.abs(lengths - 1) < _NONE)) / _USUAL_DEVIATION
     bias = np.array(expected)
     for _ in range(3):
-        rotations = _turned(samples[:, 1:4] - bias, steps)
+        rotations = _rotate(samples[:, 1:4] - bias, steps)
         shown = np.einsum("nij,nj->ni", rotations, samples[:, 4:])
         gravity = (weights[:, np.newaxis] ** 2 * shown).sum(axis=0)
         if not gravity.any():
@@ -137,7 +183,7 @@ def _first_bias(samples: NDArray[np.float64], expected: tuple[float, ...]) -> tu
     return tuple(bias.tolist())
 
 
-def _turned(turning: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotate(turning: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotations (N, 3, 3) from each sample to the first one, from angular velocities."""
     half = (turning + np.vstack([turning[:1], turning[:-1]])) / 4 * steps[:, np.newaxis]
     x, y, z, w = 0.0, 0.0, 0.0, 1.0

@@ -145,7 +145,7 @@ class Ground(NamedTuple):
         return math.acos(max(-1.0, min(1.0, cosine)))
 
 
-def agreed(looks: Sequence[Ground]) -> Ground:
+def common_ground(looks: Sequence[Ground]) -> Ground:
     """Return how a frame is mounted by several of its clouds: the result of most, if none contradicts it.
 
     The ground keeps its place while a robot drives; a wall that was mistaken for it does not.
@@ -177,20 +177,20 @@ def agreed(looks: Sequence[Ground]) -> Ground:
     return Ground(kind, (float(up[0]), float(up[1]), float(up[2])), height, ceiling, len(same), len(looks))
 
 
-def look_at(points: _Points) -> Ground:
+def find_ground(points: _Points) -> Ground:
     """Return how the frame of a cloud is mounted, by this cloud alone.
 
     Parameters
     ----------
     points
-        The result of `pc2scan.core.level.thinned`, metres.
+        The result of `pc2scan.core.level.thin_points`, metres.
     """
     if len(points) < _FEWEST_POINTS:
         return Ground("unknown")
     if not _is_optical(points):
-        return _quickly_level(cells_of(points)) or _decided(points)
+        return _level_ground(cells_of(points)) or _choose_ground(points)
     turned = points @ _BODY_FROM_OPTICAL.T
-    found = _decided(turned, level_needs_proof=True)
+    found = _choose_ground(turned, level_needs_proof=True)
     if found.up is None:
         return Ground("optical")
     up = _BODY_FROM_OPTICAL.T @ np.array(found.up)
@@ -205,7 +205,7 @@ def _is_optical(points: _Points) -> bool:
     return bool((directions[:, 2] > 0.5).mean() > 0.995) and ahead > 0.85
 
 
-def _quickly_level(cells: _Points) -> Ground | None:
+def _level_ground(cells: _Points) -> Ground | None:
     """Return the ground if the cloud has an obvious level floor; None otherwise."""
     floor = level_floor(cells)
     return None if floor is None else Ground("level", *floor, _ceiling_over(cells, tolerances(cells)))
@@ -216,7 +216,7 @@ def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | Non
     (high,) = percentiles(cells[:, 2], 99)
     if high < 0.3:
         return None
-    ceiling = _refined(cells, tolerance, np.abs(cells[:, 2] - high) < 2 * tolerance)
+    ceiling = _refine(cells, tolerance, np.abs(cells[:, 2] - high) < 2 * tolerance)
     if ceiling is None or ceiling.tilt < math.pi - LEVEL or ceiling.share < _LEAST_SHARE or ceiling.beyond > 0.02:
         return None
     # The uppermost ring of a lidar makes a level line on the walls, too, but with the next ring below it.
@@ -240,7 +240,7 @@ def planes_of(cells: _Points) -> list[Plane]:
             break
         inliers = np.zeros(len(cells), bool)
         inliers[rest] = start
-        found = _refined(cells, tolerance, inliers, rest)
+        found = _refine(cells, tolerance, inliers, rest)
         if found is None or found.share * len(cells) < least:
             break
         planes.append(found)
@@ -274,7 +274,7 @@ def _triplets(count: int) -> NDArray[np.intp]:
     return np.concatenate([far, near], axis=1)
 
 
-def _refined(
+def _refine(
     cells: _Points,
     tolerance: NDArray[np.float64],
     inliers: NDArray[np.bool_],
@@ -310,7 +310,7 @@ def _refined(
     )
 
 
-class _View:
+class _FieldOfView:
     """The directions that a sensor sees, in cells of about 10 by 5 degrees, and where it had no return.
 
     A direction is seen if the sensor has a return at that azimuth, and at that elevation in some other.
@@ -345,25 +345,25 @@ class _View:
         return float((self._empty * self._weights)[chosen].sum() / self._weights[chosen].sum())
 
 
-def _decided(points: _Points, *, level_needs_proof: bool = False) -> Ground:
+def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Ground:
     """Return which of a cloud's planes is the ground."""
     planes = planes_of(cells_of(points))
-    view = _View(points)
+    view = _FieldOfView(points)
     level = [plane for plane in planes if plane.tilt <= LEVEL and plane.beyond < 0.35]
     if level:
         floor = max(level, key=lambda plane: plane.share * (plane.beyond < 0.05))
         if level_needs_proof and _doubt(floor, planes, view):
             return Ground("unknown")
-        return _grounded("level", floor, planes)
+        return _ground_of("level", floor, planes)
     for plane in planes:
         upside_down = plane.tilt >= math.pi - _STEEPEST
         if (upside_down or plane.tilt <= _STEEPEST) and not _doubt(plane, planes, view):
-            return _grounded("upside-down" if upside_down else "tilted", plane, planes)
+            return _ground_of("upside-down" if upside_down else "tilted", plane, planes)
     return Ground("unknown")
 
 
-def _grounded(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:
-    ceiling = _opposite(floor, planes)
+def _ground_of(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:
+    ceiling = _opposite_plane(floor, planes)
     return Ground(kind, floor.up, floor.height, None if ceiling is None else ceiling.height)
 
 
@@ -372,12 +372,12 @@ def _angle_between(one: Plane, other: Plane) -> float:
     return math.degrees(math.acos(max(-1.0, min(1.0, float(np.dot(one.up, other.up))))))
 
 
-def _opposite(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
+def _opposite_plane(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
     """Return the ceiling of a floor, or the opposite wall of a wall."""
     return next((other for other in planes if _angle_between(plane, other) > 172 and other.beyond < 0.05), None)
 
 
-def _doubt(plane: Plane, planes: Sequence[Plane], view: _View) -> str:
+def _doubt(plane: Plane, planes: Sequence[Plane], view: _FieldOfView) -> str:
     """Return why a plane may be something other than the ground; empty if no other explanation fits."""
     upside_down = plane.tilt > math.pi / 2
     if plane.share < (0.15 if upside_down else 0.08):
@@ -393,7 +393,7 @@ def _doubt(plane: Plane, planes: Sequence[Plane], view: _View) -> str:
     holes = view.missing(plane.up, -1.0, -0.2)
     if holes is None or holes > 0.12:
         return "directions that would meet the ground have no return, as beside a wall"
-    return _rivals(plane, planes, upside_down=upside_down) or _mirrored(plane, planes, view, upside_down=upside_down)
+    return _rivals(plane, planes, upside_down=upside_down) or _mirror(plane, planes, view, upside_down=upside_down)
 
 
 def _rivals(plane: Plane, planes: Sequence[Plane], *, upside_down: bool) -> str:
@@ -414,9 +414,9 @@ def _rivals(plane: Plane, planes: Sequence[Plane], *, upside_down: bool) -> str:
     return ""
 
 
-def _mirrored(plane: Plane, planes: Sequence[Plane], view: _View, *, upside_down: bool) -> str:
+def _mirror(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> str:
     """Return why a plane may be a ceiling, or one of two walls; empty if not."""
-    ceiling = _opposite(plane, planes)
+    ceiling = _opposite_plane(plane, planes)
     if ceiling is None:
         sky, horizon = view.missing(plane.up, 0.2, 1.0), view.missing(plane.up, -0.03, 0.1)
         is_open = (sky is None or sky > 0.6) and horizon is not None and horizon > 0.3
@@ -429,7 +429,7 @@ def _mirrored(plane: Plane, planes: Sequence[Plane], view: _View, *, upside_down
         return "rooms are higher"
     for wall in planes:
         if 70 < _angle_between(plane, wall) < 110:
-            facing = _opposite(wall, planes)
+            facing = _opposite_plane(wall, planes)
             if facing is not None and wall.height + facing.height < 1.35 * total:
                 return "it may be a wall: the room is no wider than high"
     return ""

@@ -37,7 +37,7 @@ class Floor(NamedTuple):
     height: float
 
 
-def thinned(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:
+def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:
     """Return a sample of a cloud's returns, (N, 3), spread over the cloud whatever its order.
 
     Parameters
@@ -51,13 +51,13 @@ def thinned(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_
     # Multiples of the golden ratio never coincide with rings or columns.
     order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
     with np.errstate(all="ignore"):
-        points = np.stack([_picked(part, order) for part in (x, y, z)], axis=1)
+        points = np.stack([_pick_by_cell(part, order) for part in (x, y, z)], axis=1)
         # The nearest points are the robot itself, or no returns.
         good = (np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)
     return np.asarray(points[good])
 
 
-def _picked(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[np.float64]:
+def _pick_by_cell(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[np.float64]:
     if values.ndim == 1:
         return np.asarray(values[order], np.float64)
     return np.asarray(values[np.unravel_index(order, values.shape)], np.float64)
@@ -66,17 +66,19 @@ def _picked(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[np.float64
 def cells_of(points: _Points) -> _Points:
     """Return one point per cell, sorted by place: a spinning lidar measures near objects a hundred times as densely."""
     # Twenty-one bits for each coordinate: cells are at least 1 cm, and points are within 10 km.
-    keys = np.floor(points / min(0.3, max(0.01, 0.05 * _middle(points)))).astype(np.int64) + (1 << 20)
+    keys = np.floor(points / min(0.3, max(0.01, 0.05 * _median_distance(points)))).astype(np.int64) + (1 << 20)
     _, first = np.unique(keys[:, 0] << 42 | keys[:, 1] << 21 | keys[:, 2], return_index=True)
     return points[first]
 
 
 def tolerances(points: _Points) -> NDArray[np.float64]:
     """Return how far from a plane its points may be, metres: noise, roughness, and a part that grows with distance."""
-    return np.asarray(min(0.05, max(0.01, 0.02 * _middle(points))) + 0.008 * np.sqrt((points * points).sum(axis=1)))
+    return np.asarray(
+        min(0.05, max(0.01, 0.02 * _median_distance(points))) + 0.008 * np.sqrt((points * points).sum(axis=1))
+    )
 
 
-def _middle(points: _Points) -> float:
+def _median_distance(points: _Points) -> float:
     """Return the median distance."""
     squares = np.sort((points * points).sum(axis=1))
     return math.sqrt(float(squares[len(squares) // 2]))
@@ -103,7 +105,7 @@ def level_floor(cells: _Points) -> Floor | None:
     distance = np.zeros(len(cells))
     for _ in range(4):
         members = cells[inliers]
-        found = _fitted_plane(members, 1 / tolerance[inliers] ** 2) if len(members) >= 10 else None
+        found = _fit_plane(members, 1 / tolerance[inliers] ** 2) if len(members) >= 10 else None
         if found is None:
             return None
         slope = found
@@ -118,7 +120,7 @@ def level_floor(cells: _Points) -> Floor | None:
     return Floor((-slope[0] / length, -slope[1] / length, 1 / length), height)
 
 
-def _fitted_plane(points: _Points, weights: NDArray[np.float64]) -> tuple[float, float, float] | None:
+def _fit_plane(points: _Points, weights: NDArray[np.float64]) -> tuple[float, float, float] | None:
     """Return the least-squares plane z = a x + b y + c; None if the points are on a line."""
     middle = (weights[:, None] * points).sum(axis=0) / weights.sum()
     x, y, z = (points - middle).T

@@ -124,7 +124,7 @@ def observing_beams(
     return ObservingBeams(numbers, np.minimum(lengths[numbers], longest), hits[numbers])
 
 
-def placed_beams(
+def place_beams(
     beams: ObservingBeams, directions: NDArray[np.float64], count: int, start: Rigid, end: Rigid | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the beams in coordinates of the map.
@@ -242,14 +242,14 @@ class OccupancyGrid:
         """Enlarge the grid to contain all cells from one column and row to others (exclusive)."""
         height, width = self._cells.shape
         old = (*self._first, self._first[0] + width, self._first[1] + height)
-        needed = _around(self._needed, (left, below, right, above))
-        if _area(needed) > self._most:
+        needed = _enclosing_bounds(self._needed, (left, below, right, above))
+        if _grid_with_bounds(needed) > self._most:
             raise self._too_large(needed[2] - needed[0], needed[3] - needed[1])
         self._needed = needed
-        if width and _around(old, needed) == old:
+        if width and _enclosing_bounds(old, needed) == old:
             return
         before = old if width else needed
-        now = _around(before, needed)
+        now = _enclosing_bounds(before, needed)
         # A reserve for the next scans, on the sides where the grid grows.
         across, up = (max(_LEAST_GROWTH, (needed[k + 2] - needed[k]) // _GROWTH) for k in (0, 1))
         with_room = (
@@ -258,8 +258,8 @@ class OccupancyGrid:
             now[2] + across * (now[2] > before[2]),
             now[3] + up * (now[3] > before[3]),
         )
-        chosen = with_room if _area(with_room) <= self._most else needed
-        self._cells = _resized(self._cells, old, chosen)
+        chosen = with_room if _grid_with_bounds(with_room) <= self._most else needed
+        self._cells = _resize(self._cells, old, chosen)
         self._first = chosen[:2]
 
     def _too_large(self, width: int, height: int) -> UsageError:
@@ -292,18 +292,18 @@ class OccupancyGrid:
         return Occupancy(cells, self.resolution, x * self.resolution, y * self.resolution)
 
 
-def _around(one: _Bounds | None, other: _Bounds) -> _Bounds:
+def _enclosing_bounds(one: _Bounds | None, other: _Bounds) -> _Bounds:
     """Return the smallest rectangle around two."""
     if one is None:
         return other
     return min(one[0], other[0]), min(one[1], other[1]), max(one[2], other[2]), max(one[3], other[3])
 
 
-def _area(bounds: _Bounds) -> int:
+def _grid_with_bounds(bounds: _Bounds) -> int:
     return (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
 
 
-def _resized(cells: NDArray[np.int16], old: _Bounds, new: _Bounds) -> NDArray[np.int16]:
+def _resize(cells: NDArray[np.int16], old: _Bounds, new: _Bounds) -> NDArray[np.int16]:
     """Return a grid with other bounds; its new cells are unobserved."""
     moved = np.full((new[3] - new[1], new[2] - new[0]), UNKNOWN * 256, np.int16)
     left, below, right, above = max(old[0], new[0]), max(old[1], new[1]), min(old[2], new[2]), min(old[3], new[3])

@@ -235,7 +235,7 @@ class ProjectionParams:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = _typed(field.name, type(field.default), getattr(self, field.name))
+            value = _typed_value(field.name, type(field.default), getattr(self, field.name))
             object.__setattr__(self, field.name, value)
             if isinstance(value, float) and math.isnan(value):
                 raise ParameterError(f"{field.name} is NaN", name=field.name)
@@ -402,7 +402,7 @@ class ProjectionParams:
         return math.inf
 
 
-def _typed(name: str, kind: type, value: Any) -> float | bool | str:
+def _typed_value(name: str, kind: type, value: Any) -> float | bool | str:
     """Return a value as the Python type that its parameter has.
 
     NumPy's numbers are converted to Python's, because they would overflow when compared with limits beyond their range.

@@ -38,7 +38,7 @@ def percentiles(values: ArrayLike, *percents: float) -> tuple[float, ...]:
     places = [percent / 100 * (len(found) - 1) for percent in percents]
     near = {min(each, len(found) - 1) for place in places for each in (math.floor(place), math.floor(place) + 1)}
     ordered: NDArray[Any] = np.partition(found, sorted(near))
-    return tuple(_interpolated(ordered, place) for place in places)
+    return tuple(_interpolate(ordered, place) for place in places)
 
 
 def median(values: ArrayLike) -> float:
@@ -62,7 +62,7 @@ def median_low(values: Iterable[_Number]) -> _Number:
     return ordered[(len(ordered) - 1) // 2]
 
 
-def _interpolated(ordered: NDArray[Any], place: float) -> float:
+def _interpolate(ordered: NDArray[Any], place: float) -> float:
     below = math.floor(place)
     low, high = float(ordered[below]), float(ordered[min(below + 1, len(ordered) - 1)])
     # Interpolated from the nearer value, as NumPy does, so that the results are equal.

@@ -159,10 +159,10 @@ def _returns(
         lost = 0
         if isinstance(transform, MovingTransform):
             own = transform._replace(times=transform.times[start : start + BLOCK])
-            (px, py, pz), lost, untimed = _moved(px, py, pz, own)
+            (px, py, pz), lost, untimed = _move(px, py, pz, own)
             rejected[len(REJECTIONS) :] += untimed, lost - untimed
         elif transform is not None:
-            px, py, pz = transformed(px, py, pz, transform)
+            px, py, pz = transform_points(px, py, pz, transform)
         known = ~(np.isnan(px) | np.isnan(py) | np.isnan(pz))
         level = np.flatnonzero(known & (pz >= np.float32(lowest)) & (pz <= np.float32(highest)))
         # Squares of float32 are exact in float64, in which libm's hypotf adds them.
@@ -241,7 +241,7 @@ def deskew(
         for begin in range(0, out.shape[0], BLOCK):
             part = slice(begin, begin + BLOCK)
             px, py, pz = (axis[part].astype(np.float32) for axis in columns)
-            moved, missing, unknown = _moved(px, py, pz, motion._replace(times=times[part]))
+            moved, missing, unknown = _move(px, py, pz, motion._replace(times=times[part]))
             for axis, values in enumerate(moved):
                 out[part, axis] = values
             untimed += unknown
@@ -249,7 +249,7 @@ def deskew(
     return untimed, nowhere
 
 
-def _moved(
+def _move(
     x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], motion: MovingTransform
 ) -> tuple[list[NDArray[np.float32]], int, int]:
     """Return coordinates at their own times; how many have no transform, and how many of these have no time."""
@@ -490,7 +490,7 @@ def _observe(cells: NDArray[np.int16], mark: int, places: NDArray[np.int64], cha
     flat[places[fresh]] = np.clip(odds[fresh] + change, LOWEST, HIGHEST) * 256 + mark
 
 
-def transformed(
+def transform_points(
     x: NDArray[np.float32], y: NDArray[np.float32], z: NDArray[np.float32], transform: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Transform coordinates in float32: every product and every sum is rounded, from left to right.

@@ -95,7 +95,7 @@ class Points:
         kept
             Boolean array of the shape of the fields.
         """
-        return Points(self.sequence, self.stamp_ns, self.frame_id, _Selected(self.fields, np.flatnonzero(kept)))
+        return Points(self.sequence, self.stamp_ns, self.frame_id, _SelectedFields(self.fields, np.flatnonzero(kept)))
 
     def transform(self, transform: NDArray[np.float32], frame_id: str) -> Points:
         """Return the points with ``x``, ``y`` and ``z`` in another frame, equal to the projection's to the bit.
@@ -103,23 +103,23 @@ class Points:
         Parameters
         ----------
         transform
-            (4, 3): the rows of the rotation, then the translation; see `pc2scan.core.project.packed`.
+            (4, 3): the rows of the rotation, then the translation; see `pc2scan.core.project.transform_rows`.
         frame_id
             The name of the other frame.
         """
-        from .plain import transformed  # noqa: PLC0415  # most conversions transform in the compiled loops
+        from .plain import transform_points  # noqa: PLC0415  # most conversions transform in the compiled loops
 
         with np.errstate(all="ignore"):
             x, y, z = (axis.astype(np.float32, copy=False) for axis in self.xyz())
-            coordinates = transformed(x, y, z, transform)
+            coordinates = transform_points(x, y, z, transform)
         return self.replace(dict(zip(_AXES, coordinates, strict=True)), frame_id)
 
     def replace(self, values: Mapping[str, NDArray[Any]], frame_id: str) -> Points:
         """Return the points with other values of some fields, or with new fields; all of the same shape."""
-        return Points(self.sequence, self.stamp_ns, frame_id, _Replaced(self.fields, values))
+        return Points(self.sequence, self.stamp_ns, frame_id, _ReplacedFields(self.fields, values))
 
 
-class _Selected(Mapping[str, "NDArray[Any]"]):
+class _SelectedFields(Mapping[str, "NDArray[Any]"]):
     """Fields of some of the points, which are selected on request."""
 
     def __init__(self, fields: Mapping[str, NDArray[Any]], places: NDArray[np.intp]) -> None:
@@ -143,7 +143,7 @@ class _Selected(Mapping[str, "NDArray[Any]"]):
         return len(self._fields)
 
 
-class _Replaced(Mapping[str, "NDArray[Any]"]):
+class _ReplacedFields(Mapping[str, "NDArray[Any]"]):
     """Fields, some of which are replaced."""
 
     def __init__(self, fields: Mapping[str, NDArray[Any]], values: Mapping[str, NDArray[Any]]) -> None:
@@ -197,7 +197,7 @@ def coordinates_of(points: ArrayLike | Columns) -> tuple[NDArray[Any], NDArray[A
             f"points have the shape {array.shape}, expected (M, 3) or (H, W, 3), or a structured array or a dict "
             "with x, y and z"
         )
-    x, y, z = (_real(array[..., axis], "points", np.float32) for axis in range(len(_AXES)))
+    x, y, z = (_real_array(array[..., axis], "points", np.float32) for axis in range(len(_AXES)))
     return x, y, z
 
 
@@ -209,7 +209,7 @@ def values_of(intensities: ArrayLike) -> NDArray[Any]:
     TypeError
         If the values are not real numbers.
     """
-    return _real(intensities, "intensities", np.float64)
+    return _real_array(intensities, "intensities", np.float64)
 
 
 def _columns(points: Any, names: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -217,11 +217,11 @@ def _columns(points: Any, names: Any) -> tuple[NDArray[Any], NDArray[Any], NDArr
         raise ValueError(
             f"points have no {' and no '.join(missing)}, their fields are {', '.join(map(str, names)) or 'none'}"
         )
-    x, y, z = (_real(points[axis], axis, np.float32) for axis in _AXES)
+    x, y, z = (_real_array(points[axis], axis, np.float32) for axis in _AXES)
     return x, y, z
 
 
-def _real(values: ArrayLike, name: str, wide: DTypeLike) -> NDArray[Any]:
+def _real_array(values: ArrayLike, name: str, wide: DTypeLike) -> NDArray[Any]:
     """Return real numbers as an array; masked integers become ``wide`` to hold NaN."""
     array = np.asanyarray(values)
     if array.dtype.kind not in "biuf":

@@ -75,7 +75,7 @@ class ProjectedScan:
     removed: dict[str, int] | None = None
 
 
-class Part(NamedTuple):
+class PointsPart(NamedTuple):
     """Points that are projected together with others: see `Projector.together`.
 
     Attributes
@@ -130,7 +130,7 @@ class Projector:
         # Whether ranges up to range_max may not be below it.
         self._is_limited = not self._limit > params.range_max
 
-    def together(self, parts: Sequence[Part]) -> ProjectedScan:
+    def together(self, parts: Sequence[PointsPart]) -> ProjectedScan:
         """Project the points of several messages to one scan.
 
         The scan equals that of one cloud with all points, transformed before, in the order of the parts.
@@ -164,11 +164,11 @@ class Projector:
             begin += found
         with np.errstate(all="ignore"):
             both = np.concatenate(values) if lit else None
-            return self._reduced(bins[:begin], returns[:begin], both, counts)
+            return self._reduce(bins[:begin], returns[:begin], both, counts)
 
-    def nearest(self, part: Part) -> ProjectedScan:
+    def nearest(self, part: PointsPart) -> ProjectedScan:
         """Project a part for `nearest_of`: beams without a return read infinity; intensities are ignored."""
-        return self._nearest(*self._checked(part), self._rule_for(part), math.inf)
+        return self._nearest(*self._check_arrays(part), self._rule_for(part), math.inf)
 
     def _nearest(
         self,
@@ -193,12 +193,14 @@ class Projector:
         ranges[np.isinf(ranges)] = self._empty
         return ProjectedScan(ranges, counts, _NO_VALUES)
 
-    def bins(self, part: Part) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    def bins(self, part: PointsPart) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
         """Return the beams of a part's returns, and the numbers of their points, in their order."""
-        _, bins, _, numbers = self._gathered(part)
+        _, bins, _, numbers = self._gather_parts(part)
         return bins, numbers
 
-    def _gathered(self, part: Part) -> tuple[PointCounts, NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
+    def _gather_parts(
+        self, part: PointsPart
+    ) -> tuple[PointCounts, NDArray[np.int32], NDArray[np.float32], NDArray[np.int64]]:
         """Return the counts of a part, and the beam, range and point number of each return, in the points' order."""
         count = part.x.size
         bins, returns, numbers = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.int64)
@@ -206,10 +208,10 @@ class Projector:
         return counts, bins[:found], returns[:found], numbers[:found]
 
     def _gather(
-        self, part: Part, bins: NDArray[np.int32], returns: NDArray[np.float32], numbers: NDArray[np.int64]
+        self, part: PointsPart, bins: NDArray[np.int32], returns: NDArray[np.float32], numbers: NDArray[np.int64]
     ) -> tuple[PointCounts, int]:
         """Overwrite the beginning of arrays with a part's returns; return its counts, and how many returns it has."""
-        arrays, transform = self._checked(part)
+        arrays, transform = self._check_arrays(part)
         rejected = kernel.gather(*arrays, self._rule_for(part), transform, self._beams, bins, returns, numbers)
         counts = PointCounts.of_projection(part.x.size, rejected)
         found = counts.used
@@ -219,14 +221,14 @@ class Projector:
             bins[:found], returns[:found], numbers[:found] = bins[near], returns[near], numbers[near]
         return counts, found
 
-    def _rule_for(self, part: Part) -> NDArray[np.float64]:
+    def _rule_for(self, part: PointsPart) -> NDArray[np.float64]:
         return self._rule_of_any_height if part.any_height else self._rule
 
-    def _checked(
-        self, part: Part
+    def _check_arrays(
+        self, part: PointsPart
     ) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[np.float32] | MovingTransform | None]:
         """Return the coordinates of a part and its transform, as the loops over points need them."""
-        return _coordinates(part.x, part.y, part.z, part.intensities), _for_loops(part.target_from_source)
+        return _coordinates(part.x, part.y, part.z, part.intensities), _loop_transform(part.target_from_source)
 
     def __call__(
         self,
@@ -261,12 +263,12 @@ class Projector:
             If the shapes differ, or have not one or two dimensions.
         """
         if self.reads_nearest and intensities is None:
-            transform = _for_loops(target_from_source)
+            transform = _loop_transform(target_from_source)
             return self._nearest(_coordinates(x, y, z, None), transform, self._rule, self._empty)
-        counts, bins, returns, numbers = self._gathered(Part(x, y, z, target_from_source, intensities))
+        counts, bins, returns, numbers = self._gather_parts(PointsPart(x, y, z, target_from_source, intensities))
         values = None if intensities is None else intensities.reshape(-1)[numbers]
         with np.errstate(all="ignore"):
-            return self._reduced(bins, returns, values, counts)
+            return self._reduce(bins, returns, values, counts)
 
     def read(
         self,
@@ -287,9 +289,9 @@ class Projector:
         (K,) int64, (K,) int32
             The numbers of points, increasing, and the beam of each. See `pc2scan.core.reduce.read`.
         """
-        return self.read_together((Part(x, y, z, target_from_source),))[0]
+        return self.read_together((PointsPart(x, y, z, target_from_source),))[0]
 
-    def read_together(self, parts: Sequence[Part]) -> list[tuple[NDArray[np.int64], NDArray[np.int32]]]:
+    def read_together(self, parts: Sequence[PointsPart]) -> list[tuple[NDArray[np.int64], NDArray[np.int32]]]:
         """Return which points of several messages the beams of their scan read; see `together`.
 
         Returns
@@ -299,7 +301,7 @@ class Projector:
         """
         from .reduce import read  # noqa: PLC0415  # few conversions need the points behind the ranges
 
-        _, bins, returns, numbers = zip(*map(self._gathered, parts), strict=True)
+        _, bins, returns, numbers = zip(*map(self._gather_parts, parts), strict=True)
         ends = np.cumsum([each.size for each in bins])
         with np.errstate(all="ignore"):
             chosen = read(np.concatenate(bins), np.concatenate(returns), self._beams, self.params)
@@ -309,7 +311,7 @@ class Projector:
             found.append((numbers[k][places], bins[k][places]))
         return found
 
-    def _reduced(
+    def _reduce(
         self, bins: NDArray[np.int32], returns: NDArray[np.float32], values: NDArray[Any] | None, points: PointCounts
     ) -> ProjectedScan:
         """Return the scan of returns in the order of the cloud, with intensities if there are values."""
@@ -360,7 +362,7 @@ def _coordinates(
     return x, y, z
 
 
-def compact(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+def contiguous(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return copies of coordinates, each (M,), in the layout that the loops over points read fastest.
 
     If float32 x, y and z follow each other in memory, as in nearly all messages, they are copied together, which takes
@@ -389,12 +391,12 @@ class _PackedPoints:
         self._owners = owners
 
 
-def _for_loops(transform: Transform | MovingTransform | None) -> NDArray[np.float32] | MovingTransform | None:
+def _loop_transform(transform: Transform | MovingTransform | None) -> NDArray[np.float32] | MovingTransform | None:
     """Return a transform, or those of points that move, as the loops over points need them."""
-    return transform if transform is None or isinstance(transform, MovingTransform) else packed(transform)
+    return transform if transform is None or isinstance(transform, MovingTransform) else transform_rows(transform)
 
 
-def packed(transform: Transform) -> NDArray[np.float32]:
+def transform_rows(transform: Transform) -> NDArray[np.float32]:
     """Return a transform as the loops over points need it, (4, 3): the rows of the rotation, then the translation."""
     rows = np.empty((4, 3), np.float32)
     rows[:3], rows[3] = transform

@@ -76,7 +76,7 @@ def quantity(text: str, unit: str) -> float | None:
     units = [name for name in _UNITS[unit] if re.search(rf"[^a-z°]{name}$", text)]
     number, convert = (text.removesuffix(units[0]), _UNITS[unit][units[0]]) if units else (text, float)
     try:
-        return convert(_computed(number))
+        return convert(_compute(number))
     except ValueError:
         return None
 
@@ -91,7 +91,7 @@ def angle_value(unit: str, expression: str) -> float:
     ValueError
         If the expression is more than arithmetic.
     """
-    return _UNITS["rad"][unit](_computed(expression))
+    return _UNITS["rad"][unit](_compute(expression))
 
 
 def written_angle(text: str) -> float | None:
@@ -134,16 +134,16 @@ def _whole(text: str, units: Mapping[str, int]) -> int | None:
     return int(Decimal(written[1]) * scale)
 
 
-def in_degrees(value: float) -> str:
+def degrees_text(value: float) -> str:
     """Return how to write an angle that was meant in degrees.
 
-    >>> in_degrees(-180.0)
+    >>> degrees_text(-180.0)
     '-180deg'
     """
     return f"{value:g}deg"
 
 
-def _computed(expression: str) -> float:
+def _compute(expression: str) -> float:
     if len(expression) > _LONGEST:
         raise ValueError(expression)
     try:

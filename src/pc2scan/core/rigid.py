@@ -39,7 +39,7 @@ IDENTITY_POSE: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 NORM_TOLERANCE = 10e-3
 
 
-def are_taken(quaternions: NDArray[np.float64]) -> NDArray[np.bool_]:
+def are_accepted(quaternions: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return whether tf2 accepts quaternions, (N, 4) x, y, z, w; not with a NaN or an infinite component."""
     x, y, z, w = quaternions.T
     with np.errstate(all="ignore"):
@@ -258,7 +258,7 @@ class Rigid:
             if length == 4:
                 if not given.any():
                     raise ParameterError("quaternion is zero, it has no direction", name=name)
-                if not are_taken(given[None])[0]:
+                if not are_accepted(given[None])[0]:
                     # Scaled first, because the square of 1e-200 is 0, and that of 1e200 is inf.
                     scaled = given / np.abs(given).max()
                     given = scaled / np.sqrt(scaled @ scaled)

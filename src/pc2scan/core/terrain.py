@@ -121,13 +121,13 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrai
         cell = ring * np.int32(_SECTORS) + np.minimum(sector, _SECTORS - 1)
         edges = _FIRST * np.expm1(np.arange(int(ring.max()) + 2) * _GROWTH)
         cells = _lowest(cell, pz, distance, edges.size - 1)
-        plane = _beneath(cells, math.tan(rule.slope))
+        plane = _plane_beneath(cells, math.tan(rule.slope))
         if plane is None:
             return found.reshape(shape)
         slope = np.sum(np.multiply(plane[:2], np.transpose(_directions())), axis=1)
         # From here on, heights are relative to the plane beneath the robot.
         cells = cells._replace(height=cells.height - (slope * cells.distance + plane[2]).astype(np.float32))
-        heights = _at_edges(_followed(cells, rule), cells.distance, edges)
+        heights = _at_edges(_follow_ground(cells, rule), cells.distance, edges)
         heights += slope * edges[:, np.newaxis] + plane[2]
         slopes = np.diff(heights, axis=0) / np.diff(edges)[:, np.newaxis]
         limit = (heights[:-1] - slopes * edges[:-1, np.newaxis] + rule.clearance).astype(np.float32).ravel()
@@ -150,7 +150,7 @@ def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[n
     return _Cells(height.reshape(grid), where.reshape(grid), (standing > low).reshape(grid))
 
 
-def _beneath(cells: _Cells, steepest: float) -> tuple[float, float, float] | None:
+def _plane_beneath(cells: _Cells, steepest: float) -> tuple[float, float, float] | None:
     """Return the plane beneath the robot, ``z = a x + b y + c``; None if no ground is visible."""
     found = _floor_like(cells)
     ring, sector = np.nonzero(found & (cells.height <= _HIGHEST + steepest * cells.distance))
@@ -225,7 +225,7 @@ def _has_neighbour_beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
     return found
 
 
-def _followed(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
+def _follow_ground(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
     """Return the ground's height in the cells that continue it, (rings, sectors), NaN in others."""
     steepest = math.tan(rule.slope)
     behind, far_behind = _lowest_behind(cells, steepest)

@@ -63,7 +63,7 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
     return intervals[(len(intervals) - 1) // 2] if intervals else None
 
 
-def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDArray[np.float64]:
+def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
     """Return when points were measured, seconds after their cloud's stamp.
 
     Parameters
@@ -72,8 +72,6 @@ def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDA
         One of the `TIME_FIELDS`, of any shape; see `offset_and_unit`.
     stamp_ns
         The cloud's stamp.
-    unit_name
-        One of `TIME_UNITS`; empty: judged by the numbers.
 
     Returns
     -------
@@ -88,7 +86,7 @@ def point_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> NDA
         if np.isnan(times).all():
             return times
         low, high = float(np.nanmin(times)), float(np.nanmax(times))
-    offset, unit = offset_and_unit(low, high, stamp_ns, unit_name, whole=values.dtype.kind in "iu")
+    offset, unit = offset_and_unit(low, high, stamp_ns, "", whole=values.dtype.kind in "iu")
     times -= offset
     times *= unit
     return times
@@ -105,8 +103,10 @@ def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, w
     ----------
     low, high
         The least and the largest value.
-    stamp_ns, unit_name
-        As for `point_times`.
+    stamp_ns
+        The cloud's stamp.
+    unit_name
+        One of `TIME_UNITS`; empty: judged by the numbers.
     whole
         Whether the values are integers.
 
@@ -160,7 +160,7 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
     if not places.size:
         return times.reshape(x.shape)
     known = angles[places]
-    near, turns = turned(known)
+    near, turns = turn_by_order(known)
     if not direction:
         if near < 0.5 or abs(turns) < LEAST_TURN:
             return None
@@ -175,7 +175,7 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
     return times.reshape(x.shape)
 
 
-def turned(angles: NDArray[np.float64]) -> tuple[float, float]:
+def turn_by_order(angles: NDArray[np.float64]) -> tuple[float, float]:
     """How points go round in their order.
 
     Parameters

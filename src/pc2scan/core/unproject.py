@@ -238,7 +238,7 @@ def unproject(
         if "stamps" in names:
             points["stamps"] = beams * _float32(time_increment)[0]
     points.flags.writeable = False
-    return UnprojectedScan(points, beams, len(ranges), _rejected(distances, at_least, kept))
+    return UnprojectedScan(points, beams, len(ranges), _count_rejected(distances, at_least, kept))
 
 
 def last_beam_ns(beams: int, time_increment: float) -> int:
@@ -299,8 +299,8 @@ def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> Unproject
     TransformError
         If a quaternion is zero, or a value is not finite.
     """
-    q_start, t_start = _checked(start, "first")
-    q_end, t_end = _checked(end, "last")
+    q_start, t_start = _check_transform(start, "first")
+    q_end, t_end = _check_transform(end, "last")
 
     # Upstream multiplies by the reciprocal, which does not always equal the quotient.
     step = 1.0 / (scan.beam_count - 1) if scan.beam_count > 1 else 0.0
@@ -309,8 +309,8 @@ def deskew(scan: UnprojectedScan, start: Transform, end: Transform) -> Unproject
     origin = (1.0 - ratio)[:, np.newaxis] * t_start + ratio[:, np.newaxis] * t_end
     viewpoint = scan.viewpoint
     return scan.with_xyz(
-        _transformed(scan.xyz, matrix, origin),
-        None if viewpoint is None else _transformed(viewpoint, matrix, origin),
+        _transform_points(scan.xyz, matrix, origin),
+        None if viewpoint is None else _transform_points(viewpoint, matrix, origin),
     )
 
 
@@ -351,7 +351,9 @@ def beam_angles(count: int, angle_min: float, angle_increment: float) -> NDArray
     return angles
 
 
-def _rejected(distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept: NDArray[np.bool_]) -> RejectedBeams:
+def _count_rejected(
+    distances: NDArray[np.float64], at_least: NDArray[np.bool_], kept: NDArray[np.bool_]
+) -> RejectedBeams:
     """Count the beams that are not kept, by reason."""
     nan = np.isnan(distances)
     infinite = np.isinf(distances) & ~kept
@@ -369,7 +371,7 @@ def _three_fields(points: NDArray[np.void], first: str) -> NDArray[np.float32]:
     return columns
 
 
-def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _check_transform(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the quaternion and the translation of a transform; raise if it is not a valid one."""
     quaternion = np.asarray(transform.quaternion, np.float64).reshape(4)
     translation = np.asarray(transform.translation, np.float64).reshape(3)
@@ -386,7 +388,7 @@ def _checked(transform: Transform, beam: str) -> tuple[NDArray[np.float64], NDAr
     return quaternion, translation
 
 
-def _transformed(
+def _transform_points(
     xyz: NDArray[np.float32], matrix: NDArray[np.float64], origin: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Rotate and translate points (N, 3), each by its own matrix (3, 3, N) and origin (N, 3), in tf2's order."""

@@ -21,7 +21,7 @@ OUTCOMES: tuple[Outcome, ...] = ("accepted", "shifted", "misplaced", "ignored", 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scan:
+class ConsumerScan:
     """The header of a scan, and the counts of its values.
 
     Attributes
@@ -95,7 +95,7 @@ class Scan:
         scan_time: float = 0.0,
         time_increment: float = 0.0,
         intensities: int = 0,
-    ) -> Scan:
+    ) -> ConsumerScan:
         """Count the values of the ranges, float32, shape (beams,), metres; the other parameters as in the class."""
         infinite = int((ranges == math.inf).sum())
         nan = int((ranges != ranges).sum())  # noqa: PLR0124  # NaN is what does not equal itself

@@ -13,9 +13,7 @@ import numpy as np
 
 from pc2scan.errors import UnwritableError, UsageError, stamp_text
 
-from .beams import has_intensities
-from .digits import float32_text, float32_texts, planar
-from .text import TextFile
+from .files import TextFile, float32_text, float32_texts, has_intensities, planar
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -106,11 +104,11 @@ class CarmenWriter:
                 hint="for scans that are made of clouds, `range_max=30` sets it",
             )
         start, step, ranges, intensities = _counterclockwise(scan)
-        readings = np.where(_ordered(scan, scan.valid), ranges, np.float32(scan.range_max))
+        readings = np.where(_order(scan, scan.valid), ranges, np.float32(scan.range_max))
         with_intensities = has_intensities(scan)
         remissions = float32_texts(intensities) if with_intensities else []
         sensor = (
-            f"{_OTHER_LASER} {float32_text(start)} {_sweep(step, len(ranges))} {float32_text(step)} "
+            f"{_OTHER_LASER} {float32_text(start)} {_sweep_text(step, len(ranges))} {float32_text(step)} "
             f"{float32_text(scan.range_max)} {_ACCURACY} {_DIRECT_REMISSION if with_intensities else _NO_REMISSION}"
         )
         return " ".join((sensor, str(len(ranges)), *float32_texts(readings), str(len(remissions)), *remissions))
@@ -134,7 +132,7 @@ class FlaserWriter(CarmenWriter):
 
     def _head(self, scan: Scan) -> None:
         super()._head(scan)
-        degrees = math.degrees(_guessed_step(len(scan.ranges)))
+        degrees = math.degrees(_guess_step(len(scan.ranges)))
         self._line(f"PARAM laser_front_laser_resolution {degrees:.6g}", scan.stamp_ns)
         self._line(f"PARAM robot_front_laser_max {_FLASER_LIMIT:g}", scan.stamp_ns)
 
@@ -144,7 +142,7 @@ class FlaserWriter(CarmenWriter):
     def _body(self, scan: Scan) -> str:
         start, step, ranges, _ = _counterclockwise(scan)
         count = len(ranges)
-        guessed = _guessed_step(count)
+        guessed = _guess_step(count)
         off = max(abs(start + math.pi / 2), abs(start + (count - 1) * step + math.pi / 2 - (count - 1) * guessed))
         if count < 2 or off > _MOST_OFF * guessed:
             raise UsageError(
@@ -155,7 +153,7 @@ class FlaserWriter(CarmenWriter):
                 stamp_ns=scan.stamp_ns,
                 hint="`format=carmen` writes ROBOTLASER1, which has the directions",
             )
-        valid = _ordered(scan, scan.valid)
+        valid = _order(scan, scan.valid)
         if (farthest := float(ranges[valid].max(initial=0))) >= _FLASER_LIMIT:
             raise UsageError(
                 f"a reading of {farthest:.6g} m: in FLASER, readings from {_FLASER_LIMIT:g} m on mean no return",
@@ -167,13 +165,13 @@ class FlaserWriter(CarmenWriter):
         return " ".join((str(count), *float32_texts(readings)))
 
 
-def _guessed_step(count: int) -> float:
+def _guess_step(count: int) -> float:
     """Return the radians from one reading to the next, as readers of FLASER assume them."""
     degrees = _GUESSED_DEGREES.get(count)
     return math.pi / max(count - 1, 1) if degrees is None else math.radians(degrees)
 
 
-def _ordered(scan: Scan, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _order(scan: Scan, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the values of the beams, counterclockwise."""
     return values[::-1] if scan.angle_increment < 0 else values
 
@@ -186,6 +184,6 @@ def _counterclockwise(scan: Scan) -> tuple[float, float, NDArray[np.float32], ND
     return scan.angle_min + (len(scan.ranges) - 1) * step, -step, scan.ranges[::-1], scan.intensities[::-1]
 
 
-def _sweep(step: float, count: int) -> str:
+def _sweep_text(step: float, count: int) -> str:
     """Return the field of view, from the first beam to the last."""
     return float32_text((count - 1) * step) if count else "0"

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.tables import csv_cell
 
-from .beams import SameBeams, has_intensities
-from .digits import float32_text, float32_texts, planar
-from .text import TextFile
+from .files import BeamCheck, TextFile, float32_text, float32_texts, has_intensities, planar
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +28,7 @@ class CsvWriter:
     def __init__(self, path: Path, *, posed: bool) -> None:
         self._file = TextFile(path)
         self._posed = posed
-        self._beams = SameBeams("a CSV file", angles=False)
+        self._beams = BeamCheck("a CSV file", angles=False)
         self._begun = False
 
     def add(self, item: Scan, placed: PosesAtStamp | None) -> None:

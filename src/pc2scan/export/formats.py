@@ -1,6 +1,6 @@
 """The table of formats: the content of each, the names of its files, and its writer.
 
-A new format is one entry and one module with a `Writer`.
+A new format is one entry and one module with a `TopicWriter`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .poses import PosesAtStamp
 
 
-class Writer(Protocol):
+class TopicWriter(Protocol):
     """Writes the messages of one topic."""
 
     def add(self, item: Any, placed: PosesAtStamp | None) -> None:
@@ -52,7 +52,7 @@ class Writer(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Format:
+class ExportFormat:
     """A format of export.
 
     Attributes
@@ -70,7 +70,7 @@ class Format:
     needs_poses
         Whether it cannot be written without poses.
     home
-        The module and the name of its `Writer`, which takes the path to write, and whether there are poses.
+        The module and the name of its `TopicWriter`, which takes the path to write, and whether there are poses.
     """
 
     name: str
@@ -81,10 +81,10 @@ class Format:
     folder: bool = False
     needs_poses: bool = False
 
-    def open(self, path: Path, *, posed: bool) -> Writer:
+    def open(self, path: Path, *, posed: bool) -> TopicWriter:
         """Begin to write a topic; ``path`` does not exist."""
         module, name = self.home
-        writer: Writer = getattr(import_module(f".{module}", __package__), name)(path, posed=posed)
+        writer: TopicWriter = getattr(import_module(f".{module}", __package__), name)(path, posed=posed)
         return writer
 
 
@@ -92,13 +92,13 @@ class Format:
 FORMATS = {
     entry.name: entry
     for entry in (
-        Format("npz", ".npz", "NumPy arrays: ranges, angles, stamps, poses", ("npz", "NpzWriter")),
-        Format("csv", ".csv", "one row per scan", ("csv_rows", "CsvWriter")),
-        Format("tum", ".tum", "the trajectory only, for evo", ("tum", "TumWriter"), needs_poses=True),
-        Format("carmen", ".log", "CARMEN's ROBOTLASER1", ("carmen", "CarmenWriter"), needs_poses=True),
-        Format("flaser", ".clf", "CARMEN's older FLASER", ("carmen", "FlaserWriter"), needs_poses=True),
-        Format("pcd", ".pcd", "one binary file per cloud", ("pcd", "PcdWriter"), clouds=True, folder=True),
-        Format(
+        ExportFormat("npz", ".npz", "NumPy arrays: ranges, angles, stamps, poses", ("npz", "NpzWriter")),
+        ExportFormat("csv", ".csv", "one row per scan", ("csv_rows", "CsvWriter")),
+        ExportFormat("tum", ".tum", "the trajectory only, for evo", ("tum", "TumWriter"), needs_poses=True),
+        ExportFormat("carmen", ".log", "CARMEN's ROBOTLASER1", ("carmen", "CarmenWriter"), needs_poses=True),
+        ExportFormat("flaser", ".clf", "CARMEN's older FLASER", ("carmen", "FlaserWriter"), needs_poses=True),
+        ExportFormat("pcd", ".pcd", "one binary file per cloud", ("pcd", "PcdWriter"), clouds=True, folder=True),
+        ExportFormat(
             "kitti",
             ".bin",
             "x, y, z and intensity of each cloud, as KITTI has them",
@@ -110,7 +110,7 @@ FORMATS = {
 }
 
 
-def format_of(name: str | None, destination: Path) -> Format:
+def format_of(name: str | None, destination: Path) -> ExportFormat:
     """Return the format with a name, or if there is none, the format of a file's suffix.
 
     Raises

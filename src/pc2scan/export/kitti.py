@@ -12,8 +12,7 @@ import numpy as np
 
 from pc2scan.errors import UnwritableError, stamp_text
 
-from .cloud_files import CloudFolder
-from .text import TextFile
+from .files import CloudFolder, TextFile
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -16,8 +16,7 @@ import numpy as np
 
 from pc2scan.errors import OutputError
 
-from .beams import SameBeams, has_intensities
-from .digits import planar
+from .files import BeamCheck, has_intensities, planar
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,7 +41,7 @@ class NpzWriter:
     def __init__(self, path: Path, *, posed: bool) -> None:
         self._path = path
         self._posed = posed
-        self._beams = SameBeams("an .npz archive", angles=True)
+        self._beams = BeamCheck("an .npz archive", angles=True)
         self._first: Scan | None = None
         self._placed: PosesAtStamp | None = None
         self._arrays: dict[str, _GrowingArray] = {}

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from pc2scan.core.rigid import IDENTITY_POSE
 from pc2scan.errors import UnwritableError
 
-from .cloud_files import CloudFolder
+from .files import CloudFolder
 
 if TYPE_CHECKING:
     from pathlib import Path

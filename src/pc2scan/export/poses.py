@@ -48,11 +48,11 @@ class PoseOptions:
     def __post_init__(self) -> None:
         if self.pose_frame and self.odom_topic:
             raise UsageError("`pose_frame` and `odom_topic` are two sources of poses; give only one of them")
-        if self.base_frame and not self.wanted:
+        if self.base_frame and not self.is_requested:
             raise UsageError("`base_frame` needs `pose_frame` or `odom_topic`")
 
     @property
-    def wanted(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether poses are requested."""
         return bool(self.pose_frame or self.odom_topic)
 
@@ -97,7 +97,7 @@ class Poses:
 
     Parameters
     ----------
-    asked
+    options
         The requested poses.
     transforms
         All transforms of the recording.
@@ -109,17 +109,17 @@ class Poses:
 
     def __init__(
         self,
-        asked: PoseOptions,
+        options: PoseOptions,
         transforms: TransformBuffer,
         odometry: TransformBuffer | None = None,
         frames: tuple[str, str] = ("", ""),
     ) -> None:
-        self._asked = asked
+        self._options = options
         self._transforms = transforms
         self._odometry = odometry
         self._odometry_frames = frames
         self._bases: dict[str, str] = {}
-        self.pose_frame = asked.pose_frame.removeprefix("/") or frames[0]
+        self.pose_frame = options.pose_frame.removeprefix("/") or frames[0]
 
     def at(self, sensor_frame: str, stamp_ns: int) -> PosesAtStamp:
         """Return the poses at the stamp of a message.
@@ -144,12 +144,12 @@ class Poses:
     def _base_of(self, sensor_frame: str) -> str:
         found = self._bases.get(sensor_frame)
         if found is None:
-            found = self._asked.base_frame.removeprefix("/") or self._odometry_frames[1]
-            self._bases[sensor_frame] = found = found or base_between(self._transforms, self.pose_frame, sensor_frame)
+            found = self._options.base_frame.removeprefix("/") or self._odometry_frames[1]
+            self._bases[sensor_frame] = found = found or find_base(self._transforms, self.pose_frame, sensor_frame)
         return found
 
 
-def base_between(transforms: TransformBuffer, pose_frame: str, sensor_frame: str) -> str:
+def find_base(transforms: TransformBuffer, pose_frame: str, sensor_frame: str) -> str:
     """Return the robot's frame, between a frame that it moves in and one of its sensors; see `Poses`."""
     frame = sensor_frame.removeprefix("/")
     below, fixed = [frame], frame
@@ -167,7 +167,7 @@ def base_between(transforms: TransformBuffer, pose_frame: str, sensor_frame: str
     return next((name for name in _BASES if name in below), fixed)
 
 
-def open_poses(readers: Sequence[Reader], frames: FrameOptions, asked: PoseOptions) -> tuple[Poses, list[str]]:
+def open_poses(readers: Sequence[Reader], frames: FrameOptions, options: PoseOptions) -> tuple[Poses, list[str]]:
     """Read the poses of recordings; return them and warnings.
 
     Parameters
@@ -176,7 +176,7 @@ def open_poses(readers: Sequence[Reader], frames: FrameOptions, asked: PoseOptio
         The source first, then the recordings of ``tf_from``.
     frames
         The source of transforms.
-    asked
+    options
         The requested poses.
 
     Raises
@@ -187,11 +187,11 @@ def open_poses(readers: Sequence[Reader], frames: FrameOptions, asked: PoseOptio
         If the topic has no poses.
     """
     transforms, warnings = read_transforms(readers, frames)
-    if asked.odom_topic:
-        odometry, names, further = _read_odometry(readers[0], asked)
-        return Poses(asked, transforms, odometry, names), [*warnings, *further]
+    if options.odom_topic:
+        odometry, names, further = _read_odometry(readers[0], options)
+        return Poses(options, transforms, odometry, names), [*warnings, *further]
     known = set(transforms.frames)
-    for option, name in (("pose_frame", asked.pose_frame), ("base_frame", asked.base_frame)):
+    for option, name in (("pose_frame", options.pose_frame), ("base_frame", options.base_frame)):
         if name and name.removeprefix("/") not in known:
             from pc2scan.text import did_you_mean  # noqa: PLC0415  # only for errors
 
@@ -200,17 +200,17 @@ def open_poses(readers: Sequence[Reader], frames: FrameOptions, asked: PoseOptio
             if not known:
                 hint = "the recording has no transforms; `odom_topic` reads poses from a nav_msgs/Odometry topic"
             raise UsageError(f"`{option}`: no transforms have the frame {name!r}", path=readers[0].path, hint=hint)
-    return Poses(asked, transforms), warnings
+    return Poses(options, transforms), warnings
 
 
-def _read_odometry(reader: Reader, asked: PoseOptions) -> tuple[TransformBuffer, tuple[str, str], list[str]]:
+def _read_odometry(reader: Reader, options: PoseOptions) -> tuple[TransformBuffer, tuple[str, str], list[str]]:
     """Read odometry messages as transforms, with the names of their frames."""
     types: dict[str, set[str]] = {}
     for connection in reader.connections:
         types.setdefault(connection.topic, set()).add(connection.ros_type)
     fitting = sorted(topic for topic, kinds in types.items() if ODOMETRY in kinds)
-    if len(topics := find_topics(asked.odom_topic, types, fitting, ODOMETRY)) > 1:
-        raise UsageError(f"`odom_topic`: {asked.odom_topic} is {len(topics)} topics: {name_list(sorted(topics))}")
+    if len(topics := find_topics(options.odom_topic, types, fitting, ODOMETRY)) > 1:
+        raise UsageError(f"`odom_topic`: {options.odom_topic} is {len(topics)} topics: {name_list(sorted(topics))}")
     topic = topics[0]
     connections = [each for each in reader.connections if each.topic == topic and each.ros_version is not None]
     builder, frames, wrong = TransformBuilder(), None, 0
@@ -223,7 +223,7 @@ def _read_odometry(reader: Reader, asked: PoseOptions) -> tuple[TransformBuffer,
         parent, child, *pose = row
         if frames is None:
             # Simple drivers leave names empty; the requested base frame is then the robot's.
-            frames = (parent.removeprefix("/") or "odom", child.removeprefix("/") or asked.base_frame or _BASES[0])
+            frames = (parent.removeprefix("/") or "odom", child.removeprefix("/") or options.base_frame or _BASES[0])
         builder.add([(frames[0], frames[1], *pose)], static=False)  # type: ignore[list-item]
     if frames is None:
         raise RecordingError("has no poses", path=reader.path, topic=topic)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from pc2scan.errors import (
 )
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.records import read_record, write_record
-from pc2scan.files.staging import staged
+from pc2scan.files.staging import staged_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.scan_spec import TopicRequest
@@ -28,7 +29,6 @@ from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection
 
 from .formats import format_of
-from .names import file_names
 from .poses import PoseOptions, open_poses
 from .report import ExportedTopic, ExportReport
 
@@ -41,8 +41,36 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.stream import Progress
 
-    from .formats import Format, Writer
+    from .formats import ExportFormat, TopicWriter
     from .poses import Poses
+
+#: The longest name: file systems allow 255 bytes, and staging adds an ending.
+_MAX_NAME = 120
+
+#: Names that Windows reserves for devices.
+_DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+
+
+def file_names(topics: Iterable[str]) -> dict[str, str]:
+    """Return a name for the file of each topic: safe on every file system, and no two the same.
+
+    >>> list(file_names(["/front/scan", "/front_scan", "/Front_Scan", "/../x y", "/"]).values())
+    ['front_scan', 'front_scan_2', 'Front_Scan_3', 'x_y', 'topic']
+    """
+    taken: set[str] = set()
+    found = {}
+    for topic in topics:
+        safe = re.sub(r"[^A-Za-z0-9_.-]+", "_", topic).strip("_.-")[:_MAX_NAME] or "topic"
+        if _DEVICES.fullmatch(safe):
+            safe = f"topic_{safe}"
+        name, number = safe, 1
+        # File systems may ignore case.
+        while name.lower() in taken:
+            number += 1
+            name = f"{safe}_{number}"
+        taken.add(name.lower())
+        found[topic] = name
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,30 +150,30 @@ def run(
     MessageError
         If ``options.on_error`` is ``fail`` and a message cannot be written. After any error nothing is written.
     """
-    written = format_of(form.format, destination)
-    _check_request(written, options, form)
+    file_format = format_of(form.format, destination)
+    _check_request(file_format, options, form)
     refuse_overlap(inputs_of(sources, options.frames.tf_from, also_read), [OutputPath(destination)])
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
-        names = _topics([c for c in reader.connections if c.ros_version is not None], written, options, form)
-        stream = _stream(sources, names, written, options, form)
+        names = _topics([c for c in reader.connections if c.ros_version is not None], file_format, options, form)
+        stream = _stream(sources, names, file_format, options, form)
         stack.callback(stream.close)
-        folder = _is_folder(destination, stream.topics, written, in_folder=in_folder)
-        report = ExportReport([str(source) for source in sources], str(destination), written.name)
+        folder = _is_folder(destination, stream.topics, file_format, in_folder=in_folder)
+        report = ExportReport([str(source) for source in sources], str(destination), file_format.name)
         stream.listener, stream.progress = report.warnings.append, progress
         # Before transforms are read, which may take long.
         partial = stack.enter_context(
-            staged(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
+            staged_output(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
         )
         poses = None
-        if form.poses.wanted:
+        if form.poses.is_requested:
             others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
             poses, texts = open_poses([reader, *others], options.frames, form.poses)
             report.warnings += texts
         # Scans that are made of clouds have the right frame in their headers.
         frame = "" if form.converting else options.frames.source_frame
-        export = _Export(written, poses, report, source_frame=frame, failing=options.on_error == "fail")
+        export = _Export(file_format, poses, report, source_frame=frame, failing=options.on_error == "fail")
         export.lay_out(stream.topics, partial, destination, folder=folder)
         try:
             export.write(stream)
@@ -158,16 +186,17 @@ def run(
     return report
 
 
-def _check_request(written: Format, options: ConvertOptions, form: ExportOptions) -> None:
+def _check_request(file_format: ExportFormat, options: ConvertOptions, form: ExportOptions) -> None:
     """Raise if an option has no effect on an export, or if one is missing."""
-    if written.clouds and form.converting:
+    if file_format.clouds and form.converting:
         raise UsageError(
-            f"{written.name} is a format of clouds, but parameters of the projection make scans of them",
+            f"{file_format.name} is a format of clouds, but parameters of the projection make scans of them",
             hint="remove the parameters, or choose a format of scans: `format=npz`",
         )
-    if written.needs_poses and not form.poses.wanted:
+    if file_format.needs_poses and not form.poses.is_requested:
         raise UsageError(
-            f"{written.name} needs poses", hint="`pose_frame=odom` reads them from tf, `odom_topic=/odom` from odometry"
+            f"{file_format.name} needs poses",
+            hint="`pose_frame=odom` reads them from tf, `odom_topic=/odom` from odometry",
         )
     scan = options.scan
     idle = {
@@ -186,7 +215,7 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
     frames = options.frames
     if (
         not form.converting
-        and not form.poses.wanted
+        and not form.poses.is_requested
         and (frames.static or frames.tf_from or frames.tf_topics or frames.source_frame)
     ):
         raise UsageError(
@@ -200,25 +229,27 @@ def _check_request(written: Format, options: ConvertOptions, form: ExportOptions
         )
 
 
-def _topics(connections: Iterable[Any], written: Format, options: ConvertOptions, form: ExportOptions) -> list[str]:
+def _topics(
+    connections: Iterable[Any], file_format: ExportFormat, options: ConvertOptions, form: ExportOptions
+) -> list[str]:
     """Return the requested topics, or all of the type."""
-    asked = options.scan.topics
-    if asked:
-        if not form.converting and (renamed := [topic for topic in asked if topic.target]):
+    requested = options.scan.topics
+    if requested:
+        if not form.converting and (renamed := [topic for topic in requested if topic.target]):
             raise UsageError(
                 f"{renamed[0].source}:={renamed[0].target} renames a topic, but only scans that are made of clouds "
                 "get a new topic",
                 hint=f"`topics={renamed[0].source}`",
             )
-        return [topic.source for topic in asked]
-    kinds = options.scan.source_types if form.converting else (POINTCLOUD2,) if written.clouds else (LASERSCAN,)
+        return [topic.source for topic in requested]
+    kinds = options.scan.source_types if form.converting else (POINTCLOUD2,) if file_format.clouds else (LASERSCAN,)
     return sorted({each.topic for each in connections if each.ros_type in kinds})
 
 
 def _stream(
     sources: Sequence[Path],
     names: Sequence[str],
-    written: Format,
+    file_format: ExportFormat,
     options: ConvertOptions,
     form: ExportOptions,
 ) -> Scans | Clouds:
@@ -231,7 +262,7 @@ def _stream(
         verify=options.verify,
         strict=options.strict,
     )
-    if written.clouds:
+    if file_format.clouds:
         return Clouds(selection)
     if not form.converting:
         return Scans(selection)
@@ -241,31 +272,36 @@ def _stream(
     return Scans(selection, replace(options.with_scan(topics=topics), only_scans=True))
 
 
-def _is_folder(destination: Path, topics: Sequence[str], written: Format, *, in_folder: bool) -> bool:
+def _is_folder(destination: Path, topics: Sequence[str], file_format: ExportFormat, *, in_folder: bool) -> bool:
     """Whether the files of topics are in a folder; for a format with folders: whether each topic has a subfolder."""
-    if len(topics) > 1 and not in_folder and not written.folder and destination.suffix.lower() == written.suffix:
+    if (
+        len(topics) > 1
+        and not in_folder
+        and not file_format.folder
+        and destination.suffix.lower() == file_format.suffix
+    ):
         raise DestinationError(
             f"{len(topics)} topics make {len(topics)} files: {name_list(list(topics), 5)}",
             path=destination,
             hint=f"name a folder: `destination={destination.with_suffix('')}/`; or choose: `topics={topics[0]}`",
         )
-    return len(topics) > 1 or (in_folder and not written.folder)
+    return len(topics) > 1 or (in_folder and not file_format.folder)
 
 
 class _Export:
     """The writers of all topics."""
 
     def __init__(
-        self, written: Format, poses: Poses | None, report: ExportReport, *, source_frame: str, failing: bool
+        self, file_format: ExportFormat, poses: Poses | None, report: ExportReport, *, source_frame: str, failing: bool
     ) -> None:
-        self._format = written
+        self._format = file_format
         self._poses = poses
         self._report = report
         self._source_frame = source_frame
         self._failing = failing
         self._entries: dict[str, ExportedTopic] = {}
         self._places: dict[str, tuple[Path, Path]] = {}
-        self._writers: dict[str, Writer] = {}
+        self._writers: dict[str, TopicWriter] = {}
 
     def lay_out(self, topics: Sequence[str], partial: Path, final: Path, *, folder: bool) -> None:
         """Choose the path of each topic."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import UnwritableError, stamp_text
 
-from .text import TextFile
+from .files import TextFile
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -26,7 +26,7 @@ class CompressionError(ValueError):
     """Data cannot be decompressed; the message is the library's."""
 
 
-class Decompressed(NamedTuple):
+class DecompressedData(NamedTuple):
     """The result of decompressing.
 
     Attributes
@@ -41,7 +41,7 @@ class Decompressed(NamedTuple):
     complete: bool
 
 
-def decompress(compression: str, data: Buffer, size: int) -> Decompressed:
+def decompress(compression: str, data: Buffer, size: int) -> DecompressedData:
     """Decompress to a known size.
 
     Parameters
@@ -151,11 +151,11 @@ def zstd_head(file: IO[bytes], size: int) -> bytes:
         raise CompressionError(str(err)) from err
 
 
-def _stored(data: Buffer, _size: int) -> Decompressed:
-    return Decompressed(data, True)
+def _stored(data: Buffer, _size: int) -> DecompressedData:
+    return DecompressedData(data, True)
 
 
-def _from_bz2(data: Buffer, size: int) -> Decompressed:
+def _from_bz2(data: Buffer, size: int) -> DecompressedData:
     import bz2  # noqa: PLC0415  # heavy
 
     bunzip2 = bz2.BZ2Decompressor()
@@ -163,10 +163,10 @@ def _from_bz2(data: Buffer, size: int) -> Decompressed:
         unpacked = bunzip2.decompress(data, size + 1)
     except (OSError, RuntimeError, EOFError) as err:
         raise CompressionError(str(err)) from err
-    return Decompressed(unpacked, bunzip2.eof and len(unpacked) <= size)
+    return DecompressedData(unpacked, bunzip2.eof and len(unpacked) <= size)
 
 
-def _from_lz4(data: Buffer, size: int) -> Decompressed:
+def _from_lz4(data: Buffer, size: int) -> DecompressedData:
     import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
 
     unlz4 = lz4.frame.LZ4FrameDecompressor()
@@ -175,10 +175,10 @@ def _from_lz4(data: Buffer, size: int) -> Decompressed:
         unpacked: bytes = unlz4.decompress(data, min(size, 255 * len(data)) + 1)
     except (OSError, RuntimeError, EOFError) as err:
         raise CompressionError(str(err)) from err
-    return Decompressed(unpacked, unlz4.eof and len(unpacked) <= size)
+    return DecompressedData(unpacked, unlz4.eof and len(unpacked) <= size)
 
 
-def _from_zstd(data: Buffer, size: int) -> Decompressed:
+def _from_zstd(data: Buffer, size: int) -> DecompressedData:
     # The library prefers the size in the frame's header to this limit.
     declared = zstd_content_size(data)
     if declared >= 0 and declared != size:
@@ -187,7 +187,7 @@ def _from_zstd(data: Buffer, size: int) -> Decompressed:
 
     try:
         # A limit of zero would be none.
-        return Decompressed(zstandard.ZstdDecompressor().decompress(data, max_output_size=max(size, 1)), True)
+        return DecompressedData(zstandard.ZstdDecompressor().decompress(data, max_output_size=max(size, 1)), True)
     except zstandard.ZstdError as err:
         raise CompressionError(str(err)) from err
 
@@ -215,7 +215,7 @@ def _to_zstd(data: Buffer, level: int | None) -> Buffer:
     return zstandard.ZstdCompressor(level=_ZSTD_LEVEL if level is None else level).compress(data)
 
 
-_DECOMPRESS: dict[str, Callable[[Buffer, int], Decompressed]] = {
+_DECOMPRESS: dict[str, Callable[[Buffer, int], DecompressedData]] = {
     "none": _stored,
     "bz2": _from_bz2,
     "lz4": _from_lz4,

@@ -23,28 +23,28 @@ def crc32(data: Buffer, value: int = 0) -> int:
     return zlib.crc32(data, value) if len(data) < _WORTH_LOADING else _fastest()(data, value)
 
 
-def crc32_combined(first: int, second: int, length: int) -> int:
+def combine_crc32(first: int, second: int, length: int) -> int:
     """Return the CRC-32 of two parts together: ``first``, and ``second`` of ``length`` bytes."""
     try:
         from isal import isal_zlib  # noqa: PLC0415  # seldom needed
     except ImportError:
-        return _shifted(first, length) ^ second
+        return _shift(first, length) ^ second
     return isal_zlib.crc32_combine(first, second, length)
 
 
-def _shifted(value: int, length: int) -> int:
+def _shift(value: int, length: int) -> int:
     """Multiply a CRC, the remainder of a polynomial over GF(2), by x to the power of ``8 * length``."""
     # x^8, the highest bit being x^0.
     power = 1 << 23
     while length:
         if length & 1:
-            value = _multiplied(value, power)
-        power = _multiplied(power, power)
+            value = _multiply(value, power)
+        power = _multiply(power, power)
         length >>= 1
     return value
 
 
-def _multiplied(one: int, other: int) -> int:
+def _multiply(one: int, other: int) -> int:
     """Multiply two polynomials modulo that of CRC-32, bits reflected."""
     product = 0
     for bit in range(31, -1, -1):

@@ -1,4 +1,4 @@
-"""What a run may write, replace and remove: the one rule of ownership, which everything that writes files asks.
+"""What a run may write, replace and remove: the one rule of ownership, which everything that writes files uses.
 
 A run replaces or removes a path only if one of these is true:
 
@@ -17,7 +17,7 @@ These are records:
   would differ between two exports of the same messages, and are lost by copying. CRC-32 recognises an edited file and,
   unlike SHA-256, takes no time beside writing it. It would not stop a forger; but whoever can write the record can
   remove the files, too.
-- The journal of a run that renames numbered files (`pc2scan.files.journal`).
+- The journal of a run that renames numbered files (`pc2scan.files.recovery`).
 
 Numbered files of a single conversion have no record: one beside them would be one more file for each recording. Those
 with numbers above the last one that a run writes stay, and a warning names them.
@@ -28,19 +28,19 @@ from __future__ import annotations
 import os
 import shlex
 import stat
+import unicodedata
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .places import working_names
-from .same_file import file_ids, name_key, path_key, places
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
-    from .records import FolderRecord, Left, Record
-    from .same_file import FileId
+    from .records import FileState, FolderRecord, Record
 
 #: Endings of the files that SQLite reads beside a database.
 _LOGS = ("-wal", "-journal", "-shm")
@@ -73,7 +73,7 @@ def ruling(
     record: Record | None,
     *,
     overwrite: bool,
-    as_left: Callable[[str, Left | None], bool],
+    is_unchanged: Callable[[str, FileState | None], bool],
 ) -> Ruling:
     """Apply the rule of ownership to the files of a folder.
 
@@ -87,7 +87,7 @@ def ruling(
         What earlier runs wrote.
     overwrite
         Whether the user allows to replace what the run writes.
-    as_left
+    is_unchanged
         Whether a file that the record names is as it was left. Called only where that decides.
     """
     files = {} if record is None else record.files
@@ -95,7 +95,7 @@ def ruling(
     for name in present:
         if name in written:
             (found.replaced if overwrite or name in files else found.refused).append(name)
-        elif name in files and as_left(name, files[name]):
+        elif name in files and is_unchanged(name, files[name]):
             found.removed.append(name)
         else:
             found.kept.append(name)
@@ -129,7 +129,7 @@ def check_existing(
     if not os.path.lexists(dst):
         return
     if not overwrite and (owned is None or dst.name not in owned.files):
-        raise exists_already(dst)
+        raise existing_error(dst)
     # A link itself is replaced, not its target; but a link to a device means the device.
     if dst.exists() and not dst.is_file() and not dst.is_dir():
         raise DestinationError("is neither a file nor a directory, and cannot be overwritten", path=dst)
@@ -154,7 +154,7 @@ def refuse_others(
     DestinationError
         If there is anything that no record names, or that was changed and is not written by this run.
     """
-    from .records import files_below, is_as_left  # noqa: PLC0415  # few outputs replace a directory
+    from .records import files_below, is_unchanged  # noqa: PLC0415  # few outputs replace a directory
 
     present = sorted(files_below(folder))
     if not present:
@@ -166,22 +166,22 @@ def refuse_others(
     away = "choose another name, or move it away"
     if isinstance(found, str):
         hint = f"choose another name, or remove it yourself: rm -r {shlex.quote(str(folder))}"
-        raise _not_ours(folder, f"{found}, so it does not account for {name_list(present, 3)}", hint)
+        raise _unaccounted_error(folder, f"{found}, so it does not account for {name_list(present, 3)}", hint)
     if unnamed := [name for name in present if name not in found.files]:
-        raise _not_ours(folder, f"its {found.name} does not name {name_list(unnamed, 3)}", away)
+        raise _unaccounted_error(folder, f"its {found.name} does not name {name_list(unnamed, 3)}", away)
     if written is not None:
         kept = ruling(
             present,
             written,
             found,
             overwrite=True,
-            as_left=lambda name, left: is_as_left(folder / name, left),
+            is_unchanged=lambda name, left: is_unchanged(folder / name, left),
         ).kept
         if kept:
-            raise _not_ours(folder, f"{name_list(kept, 3)} was changed after it was written", away)
+            raise _unaccounted_error(folder, f"{name_list(kept, 3)} was changed after it was written", away)
 
 
-def _not_ours(folder: Path, reason: str, hint: str) -> DestinationError:
+def _unaccounted_error(folder: Path, reason: str, hint: str) -> DestinationError:
     return DestinationError(
         f"is a directory with something that pc2scan has not written, and is not overwritten: {reason}",
         path=folder,
@@ -189,7 +189,7 @@ def _not_ours(folder: Path, reason: str, hint: str) -> DestinationError:
     )
 
 
-def exists_already(dst: Path) -> DestinationError:
+def existing_error(dst: Path) -> DestinationError:
     """Return the error of a destination that may not be replaced."""
     return DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
 
@@ -328,12 +328,12 @@ class Inputs:
         self._seen: set[Path] = set()
         for given in inputs:
             for path in (given.path, *_entries(given.path)):
-                for place in places(path):
+                for place in path_identities(path):
                     for read in (place, *_logs(place)):
                         self._add(given, read)
 
     def _add(self, given: InputPath, path: Path) -> None:
-        for place in places(path):
+        for place in path_identities(path):
             self._paths.setdefault(place, given)
             for identity in file_ids(place):
                 self._ids.setdefault(identity, given)
@@ -354,41 +354,41 @@ class Inputs:
         """
         written = [output.path]
         if output.numbered:
-            from .numbered import parts_beside  # noqa: PLC0415  # most recordings are one file
+            from .places import parts_beside  # noqa: PLC0415  # most recordings are one file
 
             written += parts_beside(output.path)
         for path in (*written, *working_names(output.path)):
-            if (related := self._related(path)) is None:
+            if (related := self._relation(path)) is None:
                 continue
             relation, found = related
             if path not in written:
-                raise _leftover(output, path, found)
-            what = _a(found.role) if relation == "is" else f"the {found.role} {found.path}"
+                raise _leftover_error(output, path, found)
+            what = _with_article(found.role) if relation == "is" else f"the {found.role} {found.path}"
             raise DestinationError(
                 f"{_subject(output)}{relation} {what}",
                 path=path,
                 hint="sources are never changed; choose another name",
             )
 
-    def _related(self, path: Path) -> tuple[str, InputPath] | None:
+    def _relation(self, path: Path) -> tuple[str, InputPath] | None:
         """Return how a path is related to an input, and to which; None if to none."""
-        found_at = list(places(path))
+        found_at = list(path_identities(path))
         # A file that does not exist has no inode, but a log that appears beside a database would be read with it.
-        if found := self._paths.get(found_at[0]) or _first(self._ids, file_ids(*found_at)):
+        if found := self._paths.get(found_at[0]) or _find(self._ids, file_ids(*found_at)):
             return "is", found
-        if found := _first(self._folders, file_ids(*found_at)):
+        if found := _find(self._folders, file_ids(*found_at)):
             return "contains", found
-        if found := _first(self._ids, file_ids(*(folder for place in found_at for folder in place.parents))):
+        if found := _find(self._ids, file_ids(*(folder for place in found_at for folder in place.parents))):
             return "is inside", found
         return None
 
 
-def _leftover(output: OutputPath, path: Path, found: InputPath) -> DestinationError:
+def _leftover_error(output: OutputPath, path: Path, found: InputPath) -> DestinationError:
     """Return the error for an input with a name that staging needs, and a command that renames it."""
     better = output.path.with_name(f"interrupted_{output.path.name}")
     rename = f" (mv {shlex.quote(str(path))} {shlex.quote(str(better))})" if not os.path.lexists(better) else ""
     return DestinationError(
-        f"needs the name {path.name} while it is written, which is {_a(found.role)}",
+        f"needs the name {path.name} while it is written, which is {_with_article(found.role)}",
         path=output.path,
         hint=f"choose another name for it, or rename the {found.role} first{rename}",
     )
@@ -414,7 +414,7 @@ def _is_part(path: OutputPath, recording: OutputPath) -> bool:
     """Whether a path has a name that one of the numbered files of a recording may have."""
     if not recording.numbered or path_key(path.path.parent) != path_key(recording.path.parent):
         return False
-    from .numbered import parts_among  # noqa: PLC0415
+    from .places import parts_among  # noqa: PLC0415
 
     return bool(parts_among([name_key(path.path.name)], name_key(recording.path.name)))
 
@@ -440,12 +440,53 @@ def _logs(path: Path) -> Iterator[Path]:
 
 
 def _folder_keys(path: Path) -> set[object]:
-    return {path_key(folder) for folder in next(places(path)).parents}
+    return {path_key(folder) for folder in next(path_identities(path)).parents}
 
 
-def _first(known: dict[FileId, InputPath], ids: Iterable[FileId]) -> InputPath | None:
+def _find(known: dict[FileId, InputPath], ids: Iterable[FileId]) -> InputPath | None:
     return next((known[identity] for identity in ids if identity in known), None)
 
 
-def _a(role: str) -> str:
+def _with_article(role: str) -> str:
     return f"an {role}" if role[0] in "aeiou" else f"a {role}"
+
+
+#: Device and inode.
+FileId = tuple[int, int]
+
+#: Links that lead to links: the system follows at most this many.
+_MAX_LINKS = 40
+
+
+def path_identities(path: Path) -> Iterator[Path]:
+    """Return a path without links in its folders, and if it is a symbolic link each path that it leads to."""
+    for _ in range(_MAX_LINKS):
+        has_name = path.name not in {"", ".."}
+        path = Path(os.path.realpath(path.parent), path.name) if has_name else Path(os.path.realpath(path))
+        yield path
+        try:
+            path = path.parent / path.readlink()
+        except OSError:
+            return
+
+
+def file_ids(*paths: Path) -> list[FileId]:
+    """Return device and inode of those paths that exist; for a symbolic link its own and its target's."""
+    found = []
+    for path in paths:
+        for look in (os.lstat, os.stat):
+            with suppress(OSError):
+                status = look(path)
+                found.append((status.st_dev, status.st_ino))
+    return found
+
+
+def path_key(path: Path) -> object:
+    """Return a key that is equal for paths that may be one file: file systems may ignore case or Unicode's forms."""
+    place = next(path_identities(path))
+    return tuple(file_ids(place.parent)[-1:]) or place.parent, name_key(place.name)
+
+
+def name_key(name: str) -> str:
+    """Return a key that is equal for names that may be one on a file system that ignores case or Unicode's forms."""
+    return unicodedata.normalize("NFC", name).casefold()

@@ -1,8 +1,13 @@
-"""Where a destination can be written, and how the files are named that a run has beside it."""
+"""Where a destination can be written, and the names of the files beside it.
+
+A run has temporary files while it writes. A recording in several parts has numbered files: ``drive.bag``
+becomes ``drive_0.bag``, ``drive_1.bag`` and so on.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
@@ -11,14 +16,14 @@ from pc2scan.errors import DestinationError, OutputError
 from . import system
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
 PARTIAL = ".pc2scan-partial"
 OLD = ".pc2scan-old"
 LOCK = f"{PARTIAL}.lock"
 
-#: The name of the journal in the temporary directory of numbered files; see `pc2scan.files.journal`.
+#: The name of the journal in the temporary directory of numbered files; see `pc2scan.files.recovery`.
 JOURNAL = "files.json"
 
 #: Endings of the files that a killed run leaves beside its destination.
@@ -80,7 +85,7 @@ def check_length(dst: Path) -> None:
 
 
 @contextmanager
-def made_folder(folder: Path) -> Iterator[None]:
+def output_folder(folder: Path) -> Iterator[None]:
     """Make a folder to write into, if it does not exist; it is removed again if the body fails and leaves it empty.
 
     Raises
@@ -111,3 +116,38 @@ def check_new_folder(folder: Path) -> None:
     if os.path.lexists(folder):
         raise DestinationError("is not a folder", path=folder, hint="choose another name")
     check_place(folder)
+
+
+def part_name(name: str, number: int) -> str:
+    """Return the name of a part of a recording: ``drive.bag`` becomes ``drive_0.bag``."""
+    stem, dot, suffix = name.rpartition(".")
+    return f"{stem}_{number}.{suffix}" if dot else f"{name}_{number}"
+
+
+def part_number(name: str) -> int:
+    """Return the number of a part.
+
+    >>> part_number("drive_1_20.bag")
+    20
+    """
+    return int(re.findall(r"_(\d+)", name)[-1])
+
+
+def parts_among(names: Iterable[str], name: str) -> list[str]:
+    """Return those names that are names of parts of a recording, by their numbers.
+
+    >>> parts_among(["drive_10.bag", "drive_2.bag", "drive_02.bag", "drive_x.bag", "drive.bag"], "drive.bag")
+    ['drive_2.bag', 'drive_10.bag']
+    """
+    stem, dot, suffix = name.rpartition(".")
+    stem, suffix = (stem, f".{suffix}") if dot else (name, "")
+    pattern = rf"{re.escape(stem)}_(?:0|[1-9]\d*){re.escape(suffix)}"
+    return sorted(filter(re.compile(pattern).fullmatch, names), key=part_number)
+
+
+def parts_beside(dst: Path) -> list[Path]:
+    """Return what exists beside a destination with the name of a part of it: ``drive_0.bag`` of ``drive.bag``."""
+    try:
+        return [dst.with_name(name) for name in parts_among((entry.name for entry in dst.parent.iterdir()), dst.name)]
+    except OSError:
+        return []

@@ -26,7 +26,7 @@ _MAX_RECORD_BYTES = 256_000_000
 _PIECE_BYTES = 1 << 20
 
 
-class Left(NamedTuple):
+class FileState(NamedTuple):
     """How a run left a file.
 
     Attributes
@@ -55,7 +55,7 @@ class Record(NamedTuple):
         The name of the file with this record, for messages.
     """
 
-    files: Mapping[str, Left | None]
+    files: Mapping[str, FileState | None]
     name: str = "record"
 
     def below(self, folder: str) -> Record:
@@ -70,7 +70,7 @@ class Record(NamedTuple):
         return self if other is None else Record({**self.files, **other.files}, self.name)
 
 
-def is_as_left(path: Path, left: Left | None) -> bool:
+def is_unchanged(path: Path, left: FileState | None) -> bool:
     """Return whether a file is as it was left, as far as that is recorded."""
     try:
         status = path.lstat()
@@ -83,10 +83,10 @@ def is_as_left(path: Path, left: Left | None) -> bool:
         return False
 
 
-def left_now(path: Path) -> Left:
+def file_state(path: Path) -> FileState:
     """Return the size and the time of modification of a file, as a run leaves it."""
     status = path.lstat()
-    return Left(status.st_size, status.st_mtime_ns)
+    return FileState(status.st_size, status.st_mtime_ns)
 
 
 def _crc_of(path: Path) -> int:
@@ -133,8 +133,8 @@ def read_record(folder: Path) -> Record | str:
         noted = json.loads(path.read_bytes())
         if noted["pc2scan files"] != _RECORD_VERSION:
             return f"its {RECORD} is of another version of pc2scan"
-        files: dict[str, Left | None] = {
-            str(name): Left(int(size), crc=int(crc)) for name, (size, crc) in noted["files"].items()
+        files: dict[str, FileState | None] = {
+            str(name): FileState(int(size), crc=int(crc)) for name, (size, crc) in noted["files"].items()
         }
     except FileNotFoundError:
         return f"it has no {RECORD}, which lists what an export wrote"

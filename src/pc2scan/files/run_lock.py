@@ -25,7 +25,7 @@ def only_run(dst: Path) -> Iterator[int]:
     """
     lock = dst.with_name(dst.name + LOCK)
     try:
-        descriptor = _locked(lock)
+        descriptor = _acquire(lock)
     except BlockingIOError as err:
         raise DestinationError("is being written by another run of pc2scan", path=dst) from err
     except OSError as err:
@@ -33,16 +33,16 @@ def only_run(dst: Path) -> Iterator[int]:
     try:
         yield descriptor
     finally:
-        # Removed before it is released: a run that locks the removed file notices, in _locked.
+        # Removed before it is released: a run that locks the removed file notices, in _acquire.
         # Windows removes only files that no process has open.
-        removed = _unlinked(lock)
+        removed = _remove_lock(lock)
         with suppress(OSError):
             os.close(descriptor)
         if not removed:
-            _unlinked(lock)
+            _remove_lock(lock)
 
 
-def _unlinked(lock: Path) -> bool:
+def _remove_lock(lock: Path) -> bool:
     try:
         lock.unlink()
     except OSError:
@@ -50,7 +50,7 @@ def _unlinked(lock: Path) -> bool:
     return True
 
 
-def _locked(lock: Path) -> int:
+def _acquire(lock: Path) -> int:
     """Open a lock file and lock it; BlockingIOError if another process has locked it."""
     while True:
         descriptor = _open_lock(lock)

@@ -49,11 +49,11 @@ def decompressed_prefix(data: Buffer, compression: str, declared: int) -> bytes:
     if compression == "lz4":
         return _lz4_frame(memoryview(data), limit)
     if compression in {"bz2", "zstd"}:
-        return _fed(decoder(compression), memoryview(data), limit)
+        return _feed(decoder(compression), memoryview(data), limit)
     return b""
 
 
-def _fed(decoding: Decoder, data: memoryview, limit: int) -> bytes:
+def _feed(decoding: Decoder, data: memoryview, limit: int) -> bytes:
     """Decompress piece by piece."""
     parts = []
     size = 0

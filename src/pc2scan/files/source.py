@@ -11,7 +11,7 @@ from weakref import WeakValueDictionary
 
 from pc2scan.errors import OutputError, RecordingError
 
-from .borrowed import Borrowed, Buffers
+from .buffers import BorrowedBuffer, BufferPool
 from .system import BINARY, read_at
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def file_beside(path: Path, suffix: str) -> Path | None:
     return None
 
 
-def opened_bytes(path: Path) -> BinaryIO:
+def open_bytes(path: Path) -> BinaryIO:
     """Open a file for reading; special files are refused, as a FIFO would wait for a writer and a device has no end.
 
     Raises
@@ -83,8 +83,8 @@ def opened_bytes(path: Path) -> BinaryIO:
     return open(path, "rb", opener=_open_regular)
 
 
-def opened_text(path: Path) -> TextIOWrapper:
-    """Open a file of UTF-8 text as `opened_bytes` does."""
+def open_text(path: Path) -> TextIOWrapper:
+    """Open a file of UTF-8 text as `open_bytes` does."""
     return open(path, encoding="utf-8", opener=_open_regular)
 
 
@@ -131,7 +131,7 @@ class SourceFile:
         self.next_start: int | None = None
         self._fetch = on_demand.get(path)
         self._descriptor = -1
-        self._buffers = _shared.setdefault("", Buffers())
+        self._buffers = _shared.setdefault("", BufferPool())
         try:
             self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size - start
@@ -156,7 +156,7 @@ class SourceFile:
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
-        self._buffers = Buffers()
+        self._buffers = BufferPool()
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
@@ -165,7 +165,7 @@ class SourceFile:
         """Return an error that names this file."""
         return RecordingError(message, path=self.path, hint=hint)
 
-    def located(self, message: str) -> str:
+    def with_location(self, message: str) -> str:
         """Add to a message with offsets where in the file the recording begins."""
         return f"in the recording from byte {self.start} on, {message}" if self.start else message
 
@@ -189,7 +189,7 @@ class SourceFile:
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         if len(data) < length:
-            raise self._ended(offset + len(data))
+            raise self._truncation_error(offset + len(data))
         return data
 
     def borrow(self, offset: int, length: int, callback: Callable[[memoryview], _Result]) -> _Result:
@@ -201,13 +201,13 @@ class SourceFile:
             The bytes' place.
         callback
             Must copy the bytes that it keeps (`pc2scan.model.own`), because the buffer is overwritten afterwards; or
-            keep the buffer (`pc2scan.files.borrowed.keep`).
+            keep the buffer (`pc2scan.files.buffers.retain`).
         """
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
             return callback(memoryview(self.read(offset, length)))
         self._expect_inside(offset, length)
         try:
-            borrowed = Borrowed(self._buffers, length)
+            borrowed = BorrowedBuffer(self._buffers, length)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         view = memoryview(borrowed.buffer)[:length]
@@ -229,7 +229,7 @@ class SourceFile:
         except OSError as err:
             raise self._unreadable(offset, err) from err
         if done < len(view):
-            raise self._ended(offset + done)
+            raise self._truncation_error(offset + done)
 
     def _unreadable(self, offset: int, err: OSError) -> RecordingError:
         return self.error(f"cannot be read at byte {offset}: {err.strerror}")
@@ -237,7 +237,7 @@ class SourceFile:
     def _too_large(self, offset: int, length: int) -> RecordingError:
         return self.error(f"{length} bytes from byte {offset} on do not fit into memory")
 
-    def _ended(self, offset: int) -> RecordingError:
+    def _truncation_error(self, offset: int) -> RecordingError:
         return self.error(
             f"ended at byte {offset} while it was read; it had {self.start + self.size} bytes when opened",
             "wait until the recording is complete",
@@ -245,7 +245,7 @@ class SourceFile:
 
 
 #: The buffers. They are freed when no file is open any more.
-_shared: WeakValueDictionary[str, Buffers] = WeakValueDictionary()
+_shared: WeakValueDictionary[str, BufferPool] = WeakValueDictionary()
 
 
 class NewFile:
@@ -274,7 +274,7 @@ class NewFile:
         try:
             self._file.writelines(parts)
         except OSError as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
         self.position += sum(map(len, parts))
         return start
 
@@ -284,7 +284,7 @@ class NewFile:
             self._file.seek(offset)
             self._file.write(data)
         except OSError as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
 
     def finish(self) -> None:
         """Write everything to the disk."""
@@ -293,7 +293,7 @@ class NewFile:
             os.fsync(self._file.fileno())
             self._file.close()
         except OSError as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
 
     def abort(self) -> None:
         """Close the file; the caller removes it."""
@@ -301,7 +301,7 @@ class NewFile:
         with suppress(OSError):
             self._file.close()
 
-    def _failed(self, err: OSError) -> OutputError:
+    def _write_error(self, err: OSError) -> OutputError:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
 
 

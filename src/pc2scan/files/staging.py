@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .ownership import check_existing, exists_already, refuse_others
+from .ownership import check_existing, existing_error, refuse_others
 from .places import LEFTOVERS, OLD, PARTIAL, check_new_folder, check_place, working_names
 from .run_lock import only_run
 from .system import remove, sync_directory, sync_file
@@ -27,7 +27,7 @@ _PRIVATE = ".pc2scan-"
 _renamed: deque[tuple[Path, tuple[int, int] | None]] = deque(maxlen=1000)
 
 
-def written() -> list[Path]:
+def written_paths() -> list[Path]:
     """Return the destinations that this process wrote and that are still in place, in the order of writing.
 
     An interruption may come between renaming and noting it, so device and inode of the existing files are compared.
@@ -56,7 +56,7 @@ def _device_and_inode(path: Path) -> tuple[int, int] | None:
 
 
 @contextmanager
-def staged(
+def staged_output(
     dst: Path, *, overwrite: bool, owned: Record | None = None, record_in: FolderRecord | None = None
 ) -> Iterator[Path]:
     """Yield a path to write to, and rename it to the destination at the end.
@@ -98,7 +98,7 @@ def staged(
         # Other files may have been added since the beginning.
         refuse_others(dst, owned, record_in, set(files_below(partial)) if partial.is_dir() else ())
 
-    with prepared(dst, check, check_again) as (partial, commit):
+    with temporary_path(dst, check, check_again) as (partial, commit):
         yield partial
         commit()
 
@@ -106,19 +106,19 @@ def staged(
 def check_destination(
     dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None, folder: Path | None = None
 ) -> None:
-    """Raise what `staged` would raise at its beginning, as far as that is known without writing anything.
+    """Raise what `staged_output` would raise at its beginning, as far as that is known without writing anything.
 
     Parameters
     ----------
     dst, overwrite, record_in
-        See `staged`.
+        See `staged_output`.
     folder
         The folder of `dst`, if it will be made.
 
     Raises
     ------
     DestinationError, OutputError
-        See `staged` and `made_folder`.
+        See `staged_output` and `output_folder`.
     """
     if folder is not None and not folder.is_dir():
         check_new_folder(folder)
@@ -126,12 +126,12 @@ def check_destination(
     check_place(dst)
     if not overwrite and os.path.lexists(dst.with_name(dst.name + OLD)):
         # An interrupted run has set the old output aside. It would be restored first, and then exist.
-        raise exists_already(dst)
+        raise existing_error(dst)
     check_existing(dst, overwrite=overwrite, record_in=record_in)
 
 
 @contextmanager
-def prepared(
+def temporary_path(
     dst: Path,
     check: Callable[[Record | None], bool],
     check_again: Callable[[Path], None] | None = None,
@@ -143,7 +143,7 @@ def prepared(
     Parameters
     ----------
     dst
-        See `staged`.
+        See `staged_output`.
     check
         Raises if ``dst`` may not be written, and returns whether an existing ``dst`` may be replaced. Called once, at
         the beginning, with the numbered files that a killed run had completed; a file that appears later is replaced
@@ -161,13 +161,13 @@ def prepared(
     Raises
     ------
     DestinationError, OutputError
-        See `staged`.
+        See `staged_output`.
     """
     check_place(dst)
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
-        overwrite = check(_recovered(dst))
+        overwrite = check(_recover(dst))
         try:
             yield partial, lambda: _commit(partial, dst, check_again, overwrite=overwrite)
         finally:
@@ -190,10 +190,10 @@ def clean_up(dst: Path, *, recorded: bool = False) -> None:
     if not any(map(os.path.lexists, working_names(dst))):
         return
     with suppress(DestinationError), only_run(dst):
-        _recovered(dst, keep_journal=not recorded)
+        _recover(dst, keep_journal=not recorded)
 
 
-def _recovered(dst: Path, *, keep_journal: bool = False) -> Record | None:
+def _recover(dst: Path, *, keep_journal: bool = False) -> Record | None:
     """Undo or complete what a killed run left, if one did; see `pc2scan.files.recovery.recover`."""
     if not any(os.path.lexists(dst.with_name(dst.name + ending)) for ending in LEFTOVERS):
         return None
@@ -232,11 +232,11 @@ def rename_file(partial: Path, dst: Path) -> None:
     try:
         os.link(partial, dst)
     except FileExistsError as err:
-        raise exists_already(dst) from err
+        raise existing_error(dst) from err
     except OSError:
         # FAT and some network file systems have no links.
         if os.path.lexists(dst):
-            raise exists_already(dst) from None
+            raise existing_error(dst) from None
         partial.replace(dst)
     else:
         partial.unlink()
@@ -245,12 +245,12 @@ def rename_file(partial: Path, dst: Path) -> None:
 def _rename_directory(partial: Path, dst: Path) -> None:
     """Rename a directory; the system refuses if the name exists and is not an empty directory."""
     if os.path.lexists(dst):
-        raise exists_already(dst)
+        raise existing_error(dst)
     try:
         partial.rename(dst)
     except OSError as err:
         if os.path.lexists(dst):
-            raise exists_already(dst) from err
+            raise existing_error(dst) from err
         raise
 
 
@@ -261,7 +261,7 @@ def _replace(partial: Path, dst: Path, check_again: Callable[[Path], None] | Non
         return
     if dst.is_dir() and not dst.is_symlink():
         if check_again is None:
-            raise exists_already(dst)
+            raise existing_error(dst)
         check_again(partial)
     aside = dst.with_name(dst.name + OLD)
     dst.rename(aside)

@@ -32,7 +32,7 @@ def _read_at(descriptor: int, length: int, offset: int) -> bytes:
     return os.pread(descriptor, min(length, _MOST_AT_ONCE), offset)
 
 
-def sought_and_read(descriptor: int, length: int, offset: int) -> bytes:
+def seek_and_read(descriptor: int, length: int, offset: int) -> bytes:
     """Do what `read_at` does without ``pread``, under a lock: all threads share the descriptor's position."""
     with _turn:
         os.lseek(descriptor, offset, os.SEEK_SET)
@@ -40,7 +40,7 @@ def sought_and_read(descriptor: int, length: int, offset: int) -> bytes:
 
 
 #: Reads at most ``length`` bytes of an open file, on any thread: ``read_at(descriptor, length, offset)``.
-read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else sought_and_read
+read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else seek_and_read
 
 
 def lock(descriptor: int) -> None:

@@ -10,7 +10,7 @@ from pc2scan.errors import DestinationError, OutputError
 from .ownership import check_kind
 from .places import check_place
 from .source import NewFile
-from .staging import prepared
+from .staging import temporary_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -33,7 +33,7 @@ def file_output(path: Path, *, beginning: bytes | None, overwrite: bool) -> Iter
     Parameters
     ----------
     path
-        The file to write, staged as by `pc2scan.files.staging.staged`.
+        The file to write, staged as by `pc2scan.files.staging.staged_output`.
     beginning
         The first bytes of files of this kind. A file that has them, or is empty, may be replaced. None: no file may.
     overwrite
@@ -87,7 +87,7 @@ def _staged_file(
     def check(_: Record | None) -> bool:
         return _may_replace(path, beginning, overwrite=overwrite)
 
-    with prepared(path, check) as (partial, commit):
+    with temporary_path(path, check) as (partial, commit):
         try:
             file = NewFile(partial)
         except OSError as err:

@@ -41,9 +41,9 @@ def load_yaml(text: str) -> Any:
         node = yaml.compose(text)
         if node is None:
             return None
-        if _unfolded(node, {}) > len(text):
+        if _unfolded_size(node, {}) > len(text):
             raise ValueError("is not valid YAML: its aliases multiply to more values than it has characters")
-        return _constructed(yaml, node)
+        return _construct(yaml, node)
     except OverflowError as err:
         raise ValueError(f"is not valid YAML: {err}") from err
     except (YAMLError, RecursionError) as err:
@@ -52,7 +52,7 @@ def load_yaml(text: str) -> Any:
         raise ValueError(f"is not valid YAML{place}: {getattr(err, 'problem', None) or err}") from err
 
 
-def _constructed(yaml: Any, node: Any) -> Any:
+def _construct(yaml: Any, node: Any) -> Any:
     try:
         return yaml.constructor.construct_document(node)
     except (ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as err:
@@ -60,7 +60,7 @@ def _constructed(yaml: Any, node: Any) -> Any:
         raise ValueError(f"is not valid YAML: {err}") from err
 
 
-def _unfolded(node: Any, sizes: dict[int, int]) -> int:
+def _unfolded_size(node: Any, sizes: dict[int, int]) -> int:
     """Return the number of nodes with every alias expanded."""
     if node.id == "scalar":
         return 1
@@ -68,7 +68,7 @@ def _unfolded(node: Any, sizes: dict[int, int]) -> int:
         # An alias inside its own anchor expands without end.
         sizes[id(node)] = 1 << 64
         parts = (part for pair in node.value for part in pair) if node.id == "mapping" else iter(node.value)
-        sizes[id(node)] = 1 + sum(_unfolded(part, sizes) for part in parts)
+        sizes[id(node)] = 1 + sum(_unfolded_size(part, sizes) for part in parts)
     return sizes[id(node)]
 
 

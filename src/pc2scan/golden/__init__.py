@@ -1,5 +1,5 @@
 """Golden cases: folders with an input, parameters and the expected output, against which conversions are checked."""
 
-from pc2scan.callable_package import make_callable
+from pc2scan.arguments import make_callable
 
 make_callable(__name__)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
-from pc2scan.files.nearby import missing_hint
 from pc2scan.files.ownership import InputPath
-from pc2scan.files.source import opened_text
+from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.source import open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.text import did_you_mean, nearest
 
@@ -105,7 +105,7 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
         if is_case(folder):
             found = [(folder.resolve().name, folder)]
         else:
-            found = [(case.relative_to(folder).as_posix(), case) for case in _below(folder)]
+            found = [(case.relative_to(folder).as_posix(), case) for case in _folders_below(folder)]
     except OSError as err:
         raise UsageError(f"cannot be read: {err.strerror}", path=err.filename or folder) from err
     if not found:
@@ -119,13 +119,13 @@ def case_folders(folder: Path, pattern: str = "") -> list[tuple[str, Path]]:
     return chosen
 
 
-def _below(folder: Path) -> Iterator[Path]:
+def _folders_below(folder: Path) -> Iterator[Path]:
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.is_symlink() and not path.name.startswith("."):
             if is_case(path):
                 yield path
             else:
-                yield from _below(path)
+                yield from _folders_below(path)
 
 
 def load_case(folder: Path) -> Case:
@@ -172,7 +172,7 @@ def _settings_error(folder: Path, message: str, hint: str | None = None) -> Usag
 
 def _settings(path: Path) -> dict[str, Any]:
     try:
-        with opened_text(path) as file:
+        with open_text(path) as file:
             # One more than allowed, so that longer text is refused.
             text = file.read(MAX_CHARACTERS + 1)
     except FileNotFoundError:
@@ -212,7 +212,7 @@ def _inputs(folder: Path, named: Any) -> tuple[Path, ...]:
     names = named if isinstance(named, list) else [named]
     if not names or not all(isinstance(name, str) for name in names):
         raise _settings_error(folder, f"input is {named!r}, it must be a path or a list of paths")
-    return tuple(_existing(folder, name) for name in names)
+    return tuple(_existing_file(folder, name) for name in names)
 
 
 def _params(folder: Path, named: Any) -> Path | None:
@@ -220,10 +220,10 @@ def _params(folder: Path, named: Any) -> Path | None:
         return folder / _PARAMS if (folder / _PARAMS).exists() else None
     if not isinstance(named, str):
         raise _settings_error(folder, f"params is {named!r}, it must be a path")
-    return _existing(folder, named)
+    return _existing_file(folder, named)
 
 
-def _existing(folder: Path, name: str) -> Path:
+def _existing_file(folder: Path, name: str) -> Path:
     """Return a file that the settings name. A missing one is always an error, even if the case expects a failure."""
     path = folder / name
     if not path.exists():

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 NAMES = ("expected", "actual")
 
 
-class Ended(NamedTuple):
+class CommandResult(NamedTuple):
     """A command's exit status and messages."""
 
     status: int
@@ -38,7 +38,7 @@ class Ended(NamedTuple):
 class Command(Protocol):
     """Runs pc2scan like the command line."""
 
-    def __call__(self, arguments: Sequence[str], chosen: Sequence[str] = ()) -> Ended:
+    def __call__(self, arguments: Sequence[str], chosen: Sequence[str] = ()) -> CommandResult:
         """Run a command.
 
         Parameters
@@ -81,24 +81,24 @@ def check_case(name: str, folder: Path, command: Command, *, update: bool = Fals
     """
     began = time.monotonic()
     try:
-        outcome, lines, difference = _outcome_of(load_case(folder), command, update=update)
+        outcome, lines, difference = _run_case(load_case(folder), command, update=update)
     except Pc2ScanError as err:
         outcome, difference = CaseOutcome.error, None
         lines = (str(err), *([f"hint: {err.hint}"] if err.hint else []))
     return CaseResult(name, outcome, tuple(lines), difference, time.monotonic() - began)
 
 
-def _outcome_of(case: Case, command: Command, *, update: bool) -> tuple[CaseOutcome, Sequence[str], Difference | None]:
+def _run_case(case: Case, command: Command, *, update: bool) -> tuple[CaseOutcome, Sequence[str], Difference | None]:
     with TemporaryDirectory(prefix="pc2scan-golden-") as folder:
         actual = Path(folder) / "actual.mcap"
-        ended = _run_conversion(case, command, actual, "--compression", "none")
-        if ended.status != case.exit_status:
-            text = f"the conversion ended with exit status {ended.status}, expected was {case.exit_status}"
-            return CaseOutcome.failed, [text, *ended.messages.splitlines()], None
+        result = _run_conversion(case, command, actual, "--compression", "none")
+        if result.status != case.exit_status:
+            text = f"the conversion ended with exit status {result.status}, expected was {case.exit_status}"
+            return CaseOutcome.failed, [text, *result.messages.splitlines()], None
         if not actual.exists():
             # The conversion failed as expected.
             return CaseOutcome.passed, [], None
-        difference, lines = _compared(case, actual, update=update)
+        difference, lines = _compare(case, actual, update=update)
         if not lines:
             return CaseOutcome.passed, lines, difference
         if not update:
@@ -107,7 +107,7 @@ def _outcome_of(case: Case, command: Command, *, update: bool) -> tuple[CaseOutc
         return CaseOutcome.updated, lines, difference
 
 
-def _compared(case: Case, actual: Path, *, update: bool) -> tuple[Difference | None, list[str]]:
+def _compare(case: Case, actual: Path, *, update: bool) -> tuple[Difference | None, list[str]]:
     """Compare with the expected output; returns no lines if there is no difference."""
     if case.expected is None:
         name = case.new_expected().name
@@ -121,7 +121,7 @@ def _compared(case: Case, actual: Path, *, update: bool) -> tuple[Difference | N
     return difference, [] if difference.same else difference.text(NAMES).split("\n")
 
 
-def _run_conversion(case: Case, command: Command, destination: Path, *further: str) -> Ended:
+def _run_conversion(case: Case, command: Command, destination: Path, *further: str) -> CommandResult:
     """Run the case's conversion."""
     arguments = ["convert", *map(str, case.inputs), "-o", str(destination), *further]
     if case.params is not None:
@@ -138,9 +138,9 @@ def _write_expected(case: Case, actual: Path, command: Command) -> None:
     """Write the actual output as the expected one, in its form."""
     path = case.new_expected()
     if path.name != EXPECTED_TEXT:
-        ended = _run_conversion(case, command, path, "--overwrite")
-        if ended.status != case.exit_status:
-            raise OutputError(f"cannot be written: {ended.messages.strip()}", path=path)
+        result = _run_conversion(case, command, path, "--overwrite")
+        if result.status != case.exit_status:
+            raise OutputError(f"cannot be written: {result.messages.strip()}", path=path)
         return
     source = open_source(actual)
     try:

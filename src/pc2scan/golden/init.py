@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, ClassVar
 from pc2scan.bags.opening import open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.errors import DestinationError, OutputError, ResultError
-from pc2scan.files.places import made_folder
-from pc2scan.files.staging import staged
+from pc2scan.files.places import output_folder
+from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.options.moment import bound_of
@@ -92,8 +92,8 @@ def make_case(
         raise DestinationError("exists already", path=folder, hint="give a folder that does not exist yet")
     with ExitStack() as stack:
         if folder.parent != folder and not os.path.lexists(folder.parent):
-            stack.enter_context(made_folder(folder.parent))
-        partial = stack.enter_context(staged(folder, overwrite=False))
+            stack.enter_context(output_folder(folder.parent))
+        partial = stack.enter_context(staged_output(folder, overwrite=False))
         partial.mkdir()
         (reader,) = open_recordings([source], stack)
         kept = _needed_topics(reader, topics)
@@ -103,7 +103,7 @@ def make_case(
         )
         report = run([source], partial / name, options, OutputOptions(), progress=progress)
         if params is not None:
-            _copy(params, partial / "params.yaml")
+            _copy_topics(params, partial / "params.yaml")
         result = check_case(folder.name, partial, command, update=True)
         if result.outcome != "updated":
             raise ResultError(
@@ -129,7 +129,7 @@ def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
     return sorted(chosen | {topic for topic, names in types.items() if names & _ALSO_READ})
 
 
-def _copy(source: Path, target: Path) -> None:
+def _copy_topics(source: Path, target: Path) -> None:
     try:
         shutil.copyfile(source, target)
     except OSError as err:

@@ -28,12 +28,11 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.core.verdicts import Scan, Verdict
+    from pc2scan.core.verdicts import ConsumerScan, Verdict
     from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
 
     from .findings import Finding
-
 
 #: How many frames are shown as text.
 _MAX_SHOWN = 5
@@ -113,7 +112,7 @@ class TopicCheck:
     frames: tuple[str, ...]
     beams: tuple[int, int]
     interval_ns: float | None
-    first: Scan | None
+    first: ConsumerScan | None
     consumers: tuple[ConsumerCheck, ...]
     findings: tuple[Finding, ...]
 

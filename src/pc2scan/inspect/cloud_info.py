@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.core.level import thinned
+from pc2scan.core.level import thin_points
 from pc2scan.core.percentiles import percentiles
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pc2scan.result import Part
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
 #: The width of the largest bar of the histogram of heights, and how many bars it has.
 _BAR = 40
@@ -125,7 +125,7 @@ class CloudInfo:
 class CloudLook:
     """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each."""
 
-    def __init__(self, topic: str, most: int, places: Frames) -> None:
+    def __init__(self, topic: str, most: int, places: Placer) -> None:
         self._result = CloudInfo(topic, target_frame=places.target_frame)
         self._most = most
         self._places = places
@@ -151,7 +151,7 @@ class CloudLook:
                 zero = (points == 0).all(axis=0)
             points = points[:, ~zero]
             moved = self._places.place(cloud.frame_id, cloud.stamp_ns).target_from_source
-            sample = thinned(*coordinates)
+            sample = thin_points(*coordinates)
             if moved is not None:
                 points = moved.apply(points.T).T
                 sample = moved.rotation.apply(sample)

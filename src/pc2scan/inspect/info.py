@@ -18,7 +18,7 @@ from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import read_some_transforms, read_transforms
 
 from .cloud_info import CloudInfo, CloudLook
@@ -225,7 +225,7 @@ def _proposals(
     given
         Options about frames that were given; the conversion needs them, too.
     """
-    from pc2scan.tf.mounting import without_sensor  # noqa: PLC0415  # only with clouds
+    from pc2scan.tf.mounting import sensor_exclusion  # noqa: PLC0415  # only with clouds
 
     has_scans = any(topic.topic == "/scan" for topic in topics)
     for cloud in clouds:
@@ -244,7 +244,7 @@ def _proposals(
             options["target_frame"] = target
         options["min_height"], options["max_height"] = float(f"{heights.low:g}"), float(f"{heights.high:g}")
         if cloud.zero_share:
-            option, value = without_sensor(mounting.frame, target)
+            option, value = sensor_exclusion(mounting.frame, target)
             options[option] = float(value) if option == "range_min" else value
         yield Call("convert", tuple(sources), options)
 
@@ -281,9 +281,9 @@ def info(
     """
     asked = frames or FrameOptions()
     if any(map(is_url, (*sources, *asked.tf_from))):
-        from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
+        from pc2scan.remote.ranges import stand_ins  # noqa: PLC0415  # loads fsspec
 
-        with nearby([*sources, *asked.tf_from]) as near:
+        with stand_ins([*sources, *asked.tf_from]) as near:
             here = near.paths[: len(sources)]
             read = replace(asked, tf_from=tuple(near.paths[len(sources) :]))
             found: Info = near.names.of(
@@ -302,7 +302,7 @@ def info(
         elif any(topic.msgtype in CLOUDS for topic in topics):
             buffer = read_some_transforms(reader, asked, start_ns or 0)
         tolerance_ns = ProjectionParams().tolerance_ns
-        places = Frames(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
+        places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
         clouds, scans = _samples(reader, topics, samples, start_ns, end_ns, places, buffer)
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         return Info(
@@ -369,7 +369,7 @@ def _topic_infos(
 
 
 def _imu(reader: Reader, topic: str) -> ImuInfo:
-    from pc2scan.tf.imu_reading import ImuRequest, read_up  # noqa: PLC0415  # few recordings have one
+    from pc2scan.tf.imu import ImuRequest, read_up  # noqa: PLC0415  # few recordings have one
 
     try:
         found = read_up([reader], ImuRequest(topic), _MAX_IMU)
@@ -385,7 +385,7 @@ def _samples(
     samples: int,
     start_ns: int | None,
     end_ns: int | None,
-    places: Frames,
+    places: Placer,
     buffer: TransformBuffer | None,
 ) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
     """Return the properties of the clouds and scans of every topic; a topic with both counts as one of clouds."""

@@ -15,7 +15,7 @@ from .findings import Finding, Tally, finding
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from pc2scan.core.verdicts import Scan
+    from pc2scan.core.verdicts import ConsumerScan
 
 #: A scan is a part of a turn if all its returns are in a sector of less than this share of its directions, and less
 #: than this share of them in directions in which the scan before it has returns.
@@ -46,7 +46,7 @@ class ScanFilling:
         self._steps = 0j
         self._returns = self._beams = 0
 
-    def add(self, frame_id: str, scan: Scan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
+    def add(self, frame_id: str, scan: ConsumerScan, ranges: NDArray[np.float32], stamp_ns: int) -> None:
         """Add the next scan, and its ranges, float32, shape (beams,), metres."""
         if not scan.returns:
             return

@@ -10,7 +10,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
 from pc2scan.text import counted, nearest
-from pc2scan.tf.worlds import moving_below
+from pc2scan.tf.world_frames import find_body_motion
 
 from .findings import Finding, Tally, few_unplaced, finding
 
@@ -219,7 +219,7 @@ class ScanFrames:
             text = f"the scan's frame {frame!r} is not in the transforms"
             return [Finding("frame-unknown", "defect", text, self._cure(frame) or _HINT, scans)]
         found = []
-        moving = moving_below(self._buffer, frame, self._base)
+        moving = find_body_motion(self._buffer, frame, self._base)
         if moving is not None:
             text = (
                 f"the scan's frame {frame!r} is one that {moving.body} moves in (by {moving.metres:.2f} m): scans are "

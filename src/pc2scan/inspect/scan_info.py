@@ -11,8 +11,7 @@ import numpy as np
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, leading
-from pc2scan.messages.consumed import consumed_scan
-from pc2scan.messages.laserscan import decode_laserscan
+from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.text import agreeing, counted
 
 from .spread import Spread, count_range, spread_of, spread_table
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.verdicts import Scan
+    from pc2scan.core.verdicts import ConsumerScan
     from pc2scan.model import RawMessage
     from pc2scan.result import Part
 
@@ -145,8 +144,8 @@ class ScanLook:
         self._rate_hz = rate_hz
         self._most = most
         self._sampled = 0
-        self._scans: list[Scan] = []
-        self._first_of: dict[str, Scan] = {}
+        self._scans: list[ConsumerScan] = []
+        self._first_of: dict[str, ConsumerScan] = {}
         self._worst: dict[str, Outcome] = {}
         self._returns: list[NDArray[np.float32]] = []
         self._problems: dict[str, None] = {}
@@ -159,7 +158,7 @@ class ScanLook:
         except DecodeError as err:
             self._problems[err.message] = None
             return
-        scan = consumed_scan(decoded)
+        scan = scan_for_consumers(decoded)
         self._scans.append(scan)
         first = self._first_of.setdefault(decoded.frame_id, scan)
         for consumer in CONSUMERS:

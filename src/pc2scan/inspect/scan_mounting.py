@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.core.level import thinned
+from pc2scan.core.level import thin_points
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.tf.mounting import mounting
@@ -52,7 +52,7 @@ def mounting_findings(reader: Reader, buffer: TransformBuffer, frames: Iterable[
             try:
                 cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
                 # Some points are copied, because the buffer of the message is reused.
-                clouds.append(_Cloud(cloud.frame_id, cloud.stamp_ns, thinned(*cloud.xyz())))
+                clouds.append(_Cloud(cloud.frame_id, cloud.stamp_ns, thin_points(*cloud.xyz())))
             except DecodeError:
                 clouds.clear()
                 break

@@ -11,8 +11,8 @@ import numpy as np
 
 from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
-from pc2scan.core.verdicts import OUTCOMES, Outcome, Scan, ScanTransforms, Verdict
-from pc2scan.messages.consumed import consumed_scan
+from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, Outcome, ScanTransforms, Verdict
+from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import agreeing, counted
 
 from .findings import Finding, Tally, few_unplaced, finding
@@ -93,14 +93,14 @@ class ScanTopic:
 
     def __init__(self) -> None:
         self.scans = 0
-        self.first: Scan | None = None
+        self.first: ConsumerScan | None = None
         self.frames: Counter[str] = Counter()
         self.beams: Counter[int] = Counter()
         self.judged = {consumer: Judged() for consumer in CONSUMERS}
         self._undecodable = Tally()
         self._reason = ""
-        self._first_of: dict[str, Scan] = {}
-        self._kept_of: dict[tuple[str, str], Scan] = {}
+        self._first_of: dict[str, ConsumerScan] = {}
+        self._kept_of: dict[tuple[str, str], ConsumerScan] = {}
         self._stamps = ScanStamps()
         self._filling = ScanFilling()
         self._empty, self._intensities, self._length = Tally(), Tally(), Tally()
@@ -118,7 +118,7 @@ class ScanTopic:
     def add(self, message: LaserScan, log_time_ns: int, placed: ScanTransforms | None = None) -> None:
         """Add the next scan; without ``placed``, transforms are not considered."""
         stamp_ns = message.stamp_ns
-        scan = consumed_scan(message)
+        scan = scan_for_consumers(message)
         self.scans += 1
         if self.first is None:
             self.first, self._spread = scan, _spread(message.ranges)
@@ -342,7 +342,7 @@ def _spread(ranges: NDArray[np.floating[Any]]) -> tuple[float, float, float]:
     return (float(found[0]), float(found[len(found) // 2]), float(found[-1])) if len(found) else (0.0, 0.0, 0.0)
 
 
-def _turn(scan: Scan) -> float:
+def _turn(scan: ConsumerScan) -> float:
     """Return the angle from a scan's first beam to its last, or between its advertised angles, radians."""
     return max(abs(scan.angle_max - scan.angle_min), (scan.beams - 1) * abs(scan.angle_increment))
 

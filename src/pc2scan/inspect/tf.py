@@ -228,9 +228,9 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
     options = options or FrameOptions()
     read = [*sources, *options.tf_from]
     if any(map(is_url, read)):
-        from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
+        from pc2scan.remote.ranges import stand_ins  # noqa: PLC0415  # loads fsspec
 
-        with nearby(read) as near:
+        with stand_ins(read) as near:
             found: FrameTree = near.names.of(frame_tree(near.paths, replace(options, tf_from=())))
         return found
     with ExitStack() as stack:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.compare.diff import open_source, paired_streams
-from pc2scan.compare.match import matched
-from pc2scan.core.compare import differing
+from pc2scan.compare.diff import open_source, pair_streams
+from pc2scan.compare.match import match_messages
+from pc2scan.core.compare import differing_elements
 from pc2scan.errors import DecodeError, TopicError
 from pc2scan.files.ownership import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
@@ -83,7 +83,7 @@ def _page(a: Path, b: Path, topics: Sequence[TopicPair], rules: Rules, summary: 
             stack.callback(source.close)
         pairs = (
             (number, differing_beams(one, other, rules), one, other)
-            for number, (one, other) in enumerate(_scan_pairs(paired_streams(left, right, topics)))
+            for number, (one, other) in enumerate(_scan_pairs(pair_streams(left, right, topics)))
         )
         # Among scans with equally many differing beams, the first ones are shown.
         worst = heapq.nlargest(_MOST, pairs, key=lambda pair: (len(pair[1]), -pair[0]))
@@ -117,7 +117,7 @@ def _scan_pairs(streams: Sequence[tuple[TopicStream, TopicStream]]) -> Iterator[
     for one, other in streams:
         if not any(c.ros_type == LASERSCAN for c in one.connections):
             continue
-        for pair in matched(one, other):
+        for pair in match_messages(one, other):
             if pair.a is not None and pair.b is not None:
                 scans = [_decoded(message) for message in (pair.a, pair.b)]
                 if scans[0] is not None and scans[1] is not None:
@@ -136,5 +136,5 @@ def _decoded(message: RawMessage) -> LaserScan | None:
 def differing_beams(one: LaserScan, other: LaserScan, rules: Rules) -> list[int]:
     """Return the beams whose ranges differ beyond the tolerance, or that only one of the scans has."""
     both = min(len(one.ranges), len(other.ranges))
-    differ = differing(one.ranges[:both], other.ranges[:both], rules.tolerance("ranges"))
+    differ = differing_elements(one.ranges[:both], other.ranges[:both], rules.tolerance("ranges"))
     return [*np.flatnonzero(differ).tolist(), *range(both, max(len(one.ranges), len(other.ranges)))]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.occupancy import LONGEST, OccupancyGrid, observing_beams, placed_beams
+from pc2scan.core.occupancy import LONGEST, OccupancyGrid, observing_beams, place_beams
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
@@ -76,7 +76,7 @@ class Drawing:
                 longest=min(asked.max_range, LONGEST * asked.resolution),
                 clear_to=asked.clear_to,
             )
-            origins, ends = placed_beams(beams, self._directions(scan), len(scan.ranges), start, end)
+            origins, ends = place_beams(beams, self._directions(scan), len(scan.ranges), start, end)
             self.grid.add(origins, ends, beams.hits)
         except MessageError as err:
             self._explain(err, scan)

@@ -21,7 +21,7 @@ from pc2scan.pipeline.stages.deskew import Deskew, PointTime
 from pc2scan.pipeline.stages.select import Select
 from pc2scan.pipeline.turning import measured_turns
 from pc2scan.text import counted
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 
 from .moments import moment, spread
 
@@ -147,21 +147,21 @@ def take_shots(
     return Shots(shots, params, notes, warnings)
 
 
-def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: Sequence[Reader] | None) -> Frames:
+def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: Sequence[Reader] | None) -> Placer:
     """Return the frames of the scans; level ones only if ``levelled`` has recordings to take roll and pitch from."""
     spec, asked = options.scan, options.frames
     params = spec.params
     if buffer is None or not spec.needs_transforms:
-        return Frames(source_frame=asked.source_frame)
+        return Placer(source_frame=asked.source_frame)
     tolerance_ns = params.tolerance_ns
     up = None
     if spec.level and levelled is not None:
         up = Ups(levelled, buffer, Report([], "", (spec,))).of(spec, tolerance_ns)
-    return Frames(params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
+    return Placer(params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
 
 
 def _at_measured_resolution(
-    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Frames
+    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Placer
 ) -> tuple[ProjectionParams, str]:
     """Return the parameters with the number of beams of the first topic's lidar, and a note about it."""
     first, connections = next(iter(topics.items()))
@@ -193,7 +193,7 @@ def _messages(
 
 
 def _deskew(
-    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Frames
+    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Placer
 ) -> Deskew | None:
     """Return the stage that deskews clouds into the target frame or, without one, into their own frame."""
     if not options.scan.deskew:
@@ -205,7 +205,7 @@ def _deskew(
     return Deskew(frames, asked.fixed_frame, where, asked.stamp, turns)
 
 
-def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: Deskew | None) -> Shot:
+def _shot(message: RawMessage, options: ConvertOptions, frames: Placer, deskew: Deskew | None) -> Shot:
     connection = message.connection
     points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
     deskew = None if deskew is None else deskew.of(connection.topic)
@@ -226,7 +226,7 @@ def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: 
 
 
 def _filtered(
-    points: Points, place: Placement, options: ConvertOptions, frames: Frames, deskew: Deskew | None
+    points: Points, place: Placement, options: ConvertOptions, frames: Placer, deskew: Deskew | None
 ) -> NDArray[np.uint8] | None:
     """Return a mask of the points that the filters reject, and of those that cannot be deskewed."""
     if not options.scan.filters:

@@ -37,7 +37,7 @@ class ScanPoints(NamedTuple):
     rejected: dict[str, int]
 
 
-def unprojected(scan: LaserScan, params: UnprojectParams | None = None) -> UnprojectedScan:
+def unproject_scan(scan: LaserScan, params: UnprojectParams | None = None) -> UnprojectedScan:
     """Return the points of a scan; see `unproject`.
 
     Raises
@@ -61,7 +61,7 @@ def unprojected(scan: LaserScan, params: UnprojectParams | None = None) -> Unpro
         raise
 
 
-def beams_of(scan: LaserScan) -> ScanPoints:
+def scan_points(scan: LaserScan) -> ScanPoints:
     """Return the returns of a scan.
 
     Raises
@@ -69,7 +69,7 @@ def beams_of(scan: LaserScan) -> ScanPoints:
     DecodeError
         If its angles are not finite, or it has intensities, but not one for each range.
     """
-    found = unprojected(scan)
+    found = unproject_scan(scan)
     fields = {name: np.ascontiguousarray(found.points[name]) for name in found.points.dtype.names or ()}
     with np.errstate(all="ignore"):
         fields[TIME] = found.beams * np.float64(float32(scan.time_increment))

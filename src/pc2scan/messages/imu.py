@@ -60,12 +60,12 @@ def decode_imu(data: Buffer, serialization: str) -> Imu:
     cursor = Cursor(data, serialization)
     _, stamp_ns, frame_id = cursor.header()
     numbers: tuple[float, ...] = cursor.read("37d")
-    orientation = _known(numbers[:4], numbers[4])
+    orientation = _if_known(numbers[:4], numbers[4])
     if orientation is not None and not abs(math.hypot(*orientation) - 1) < _UNIT:
         orientation = None
-    turning, acceleration = _known(numbers[13:16], numbers[16]), _known(numbers[25:28], numbers[28])
+    turning, acceleration = _if_known(numbers[13:16], numbers[16]), _if_known(numbers[25:28], numbers[28])
     return Imu(stamp_ns, frame_id, orientation, turning, acceleration)
 
 
-def _known(values: tuple[float, ...], first_covariance: float) -> tuple[float, ...] | None:
+def _if_known(values: tuple[float, ...], first_covariance: float) -> tuple[float, ...] | None:
     return values if first_covariance != -1 and all(map(math.isfinite, values)) else None

@@ -14,6 +14,7 @@ from .wire import MAX_CACHED_BYTES, Cursor, Packer
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from pc2scan.core.verdicts import ConsumerScan
     from pc2scan.model import Buffer
 
 #: The type in ROS 2's spelling.
@@ -159,3 +160,20 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
         packer.raw(_COUNT.pack(len(values)))
         packer.raw((values if values.dtype is _FLOAT32 else values.astype(_FLOAT32)).tobytes())
     return packer.finish()
+
+
+def scan_for_consumers(message: LaserScan) -> ConsumerScan:
+    """Return a decoded scan in the form that the consumers' rules need."""
+    from pc2scan.core.verdicts import ConsumerScan  # noqa: PLC0415  # most who read scans do not check them
+
+    return ConsumerScan.of(
+        message.ranges,
+        angle_min=message.angle_min,
+        angle_max=message.angle_max,
+        angle_increment=message.angle_increment,
+        range_min=message.range_min,
+        range_max=message.range_max,
+        scan_time=message.scan_time,
+        time_increment=message.time_increment,
+        intensities=len(message.intensities),
+    )

@@ -145,7 +145,7 @@ class PointCloud2:
             return np.empty(0, layout.dtype)
         return np.ndarray(layout.shape, layout.dtype, self.data, layout.offset, layout.strides)
 
-    def structured(self) -> NDArray[Any]:
+    def structured_points(self) -> NDArray[Any]:
         """Return all fields of every point, with all their elements, packed and little-endian.
 
         Returns

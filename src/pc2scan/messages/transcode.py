@@ -15,6 +15,7 @@ import struct
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from threading import Lock
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DecodeError, UsageError
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer, Connection
 
-    from .bounded import BoundedTypes
     from .schema import Schema, Struct
 
 #: ROS 2's distributions whose message sets rosbags has, and ROS 1's last distribution.
@@ -82,7 +82,6 @@ def transcoder(
     ros_version: int,
     *,
     distro: str = DEFAULT_DISTRO,
-    definitions: Mapping[str, Definition] | None = None,
 ) -> Transcoding:
     """Plan how a connection's messages are re-encoded for the other ROS version.
 
@@ -99,8 +98,6 @@ def transcoder(
     distro
         One of `DISTROS`: its message set has the types that the recording does not define, and those that the
         destination's nodes expect. For the other ROS version these are noetic's and jazzy's.
-    definitions
-        Further definitions by type name, used before the message sets if the connection has none.
 
     Returns
     -------
@@ -131,14 +128,14 @@ def transcoder(
             f"{connection.msgtype} is serialised as {connection.serialization!r}, expected 'ros1' or 'cdr'",
             topic=connection.topic,
         )
-    plan = _type_plan(connection.msgtype, _definition(connection, definitions or {}), source, distro)
+    plan = _type_plan(connection.msgtype, connection.definition, source, distro)
     if isinstance(plan, DecodeError):
         raise DecodeError(plan.message, topic=connection.topic, hint=plan.hint)
     encoder = _Encoder(plan, source, connection.topic)
     return Transcoding(_transcoded_connection(connection, plan), encoder, plan.notes, plan.fields)
 
 
-def defined(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
+def with_definition(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
     """Add the definition to a connection without one; older rosbag2 recordings have none.
 
     Parameters
@@ -162,8 +159,8 @@ def defined(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
     if connection.definition.encoding or connection.definition.data or ros_version is None:
         return connection
     _check_distro(distro)
-    root = schemas.canonical(connection.msgtype)
-    known = schemas.known(_store(ros_version, distro))
+    root = schemas.canonical_type(connection.msgtype)
+    known = schemas.known_types(_store(ros_version, distro))
     if root not in known:
         return connection
     schema = schemas.closure(root, known.get)
@@ -181,16 +178,6 @@ def defined(connection: Connection, distro: str = DEFAULT_DISTRO) -> Connection:
 def _check_distro(distro: str) -> None:
     if distro not in DISTROS:
         raise UsageError(f"ROS distribution {distro!r} is unknown, expected one of {', '.join(DISTROS)}")
-
-
-def _definition(connection: Connection, further: Mapping[str, Definition]) -> Definition:
-    """Return the connection's definition, or one of the same type from ``further``."""
-    if connection.definition.data.strip():
-        return connection.definition
-    for name in (connection.msgtype, connection.ros_type, ros1_type(connection.msgtype)):
-        if name in further:
-            return further[name]
-    return connection.definition
 
 
 # --- planning ---
@@ -223,18 +210,18 @@ def _type_plan(msgtype: str, definition: Definition, source: int, distro: str) -
 def _new_type_plan(msgtype: str, definition: Definition, source: int, distro: str) -> _TypePlan:
     """Choose the destination's type and compile the conversion."""
     target = 3 - source
-    root = schemas.canonical(msgtype)
+    root = schemas.canonical_type(msgtype)
     here, there = _store(source, distro), _store(target, distro)
-    recorded, notes = _recorded(msgtype, definition, here)
-    ours = schemas.closure(root, lambda name: recorded.get(name) or schemas.known(here).get(name))
-    theirs = schemas.known(there)
+    recorded, notes = _recorded_types(msgtype, definition, here)
+    ours = schemas.closure(root, lambda name: recorded.get(name) or schemas.known_types(here).get(name))
+    theirs = schemas.known_types(there)
     shared = {name for name in ours if schemas.same_layout(ours, theirs, name)}
     schema = schemas.closure(root, lambda name: theirs[name] if name in shared else ours.get(name))
     if differing := [name for name in ours if name in theirs and name not in shared]:
         names = ", ".join(ros1_type(name) if target == 1 else name for name in differing)
         notes = (
             *notes,
-            f"layout differs from {_title(there)}'s {names}: written with the recording's own definition",
+            f"layout differs from {_distro_name(there)}'s {names}: written with the recording's own definition",
         )
     if root in shared and root in own_definitions.TYPES:
         text, digest = own_definitions.definition(root, target)
@@ -249,7 +236,7 @@ def _new_type_plan(msgtype: str, definition: Definition, source: int, distro: st
         digest,
         store,
         made_names[root],
-        _bounded(store, schema, made_names, source),
+        _bound_types(store, schema, made_names, source),
         Lock(),
         notes,
         fields,
@@ -263,19 +250,19 @@ def _store(ros_version: int, distro: str) -> str:
     return f"ros2_{DEFAULT_DISTRO if distro == 'noetic' else distro}"
 
 
-def _title(store: str) -> str:
+def _distro_name(store: str) -> str:
     word, _, distro = store.partition("_")
     return f"ROS {word[-1]} {distro}"
 
 
-def _recorded(msgtype: str, definition: Definition, here: str) -> tuple[Mapping[str, Struct], tuple[str, ...]]:
+def _recorded_types(msgtype: str, definition: Definition, here: str) -> tuple[Mapping[str, Struct], tuple[str, ...]]:
     """Read the recording's definition; if it is empty, the ROS version's message set has the type."""
     if definition.data.strip():
         return schemas.parse(definition, msgtype), ()
-    if schemas.canonical(msgtype) in schemas.known(here):
+    if schemas.canonical_type(msgtype) in schemas.known_types(here):
         # A message without fields has an empty definition, as if it had none.
-        empty = not schemas.known(here)[schemas.canonical(msgtype)].fields
-        return {}, () if empty else (f"no definition in the recording: {_title(here)}'s {msgtype} is assumed",)
+        empty = not schemas.known_types(here)[schemas.canonical_type(msgtype)].fields
+        return {}, () if empty else (f"no definition in the recording: {_distro_name(here)}'s {msgtype} is assumed",)
     return schemas.parse(definition, msgtype) if definition.encoding else {}, ()
 
 
@@ -288,13 +275,13 @@ def _compile(schema: Schema) -> tuple[Any, dict[str, str]]:
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
 
     names = {
-        name: name if name == schemas.HEADER or schemas.builtin(name) else f"pc2scan/msg/T{index}"
+        name: name if name == schemas.HEADER or schemas.is_builtin(name) else f"pc2scan/msg/T{index}"
         for index, name in enumerate(schema)
     }
     store = get_typestore(Stores.EMPTY)
     store.register(
         schemas.fielddefs(
-            {name: content for name, content in schema.items() if not schemas.builtin(name)},
+            {name: content for name, content in schema.items() if not schemas.is_builtin(name)},
             names.__getitem__,
             lambda index, _: f"f{index}",
         )
@@ -304,10 +291,8 @@ def _compile(schema: Schema) -> tuple[Any, dict[str, str]]:
     return store, names
 
 
-def _bounded(store: Any, schema: Schema, names: Mapping[str, str], source: int) -> BoundedTypes:
+def _bound_types(store: Any, schema: Schema, names: Mapping[str, str], source: int) -> BoundedTypes:
     """Make the conversion, with the minimum size of each type."""
-    from .bounded import BoundedTypes  # noqa: PLC0415
-
     root = next(iter(schema))
     repeated = {
         field.type
@@ -321,8 +306,8 @@ def _bounded(store: Any, schema: Schema, names: Mapping[str, str], source: int) 
     return BoundedTypes(
         {made: store.get_msgdef(made) for made in names.values()},
         names[root],
-        schemas.least_bytes(schema, root, source),
-        {names[name]: schemas.least_bytes(schema, name, source) for name in repeated},
+        schemas.min_size(schema, root, source),
+        {names[name]: schemas.min_size(schema, name, source) for name in repeated},
         makes_objects=words or bool(repeated),
     )
 
@@ -407,3 +392,121 @@ class _Encoder:
                 store.max_sequence_length = max(len(data), 1)
                 data = store.serialize_cdr(store.deserialize_cdr(data, root), root, little_endian=True)
         return plan.types.cdr_to_ros1(data)
+
+
+# --- bounding ---
+#
+# The functions that rosbags generates check a message's length only at the beginning of a sequence or a string. They
+# assume that arrays of a fixed size, and messages made of nothing else, are complete: a message of a hundred bytes can
+# then take gigabytes, or hours. So each type has a minimum size, which is checked first.
+
+#: At the end of a message, the generated functions may skip to the alignment of a member that does not exist.
+_MAX_PADDING = 7
+
+
+class BoundedTypes:
+    """The types of one conversion.
+
+    Parameters
+    ----------
+    msgdefs
+        rosbags' compiled definitions, by name: of the type itself and all nested types.
+    root
+        The type's name.
+    least
+        Minimum size of a message, bytes.
+    repeated
+        Minimum sizes of the types that are elements of sequences.
+    makes_objects
+        Whether a message can become as many Python objects as it has bytes.
+    """
+
+    __slots__ = ("_least", "_msgdefs", "_root", "makes_objects")
+
+    def __init__(
+        self, msgdefs: Mapping[str, Any], root: str, least: int, repeated: Mapping[str, int], *, makes_objects: bool
+    ) -> None:
+        self._msgdefs = {
+            name: _guard_sizes(msgdef, repeated[name]) if repeated.get(name) else msgdef
+            for name, msgdef in msgdefs.items()
+        }
+        self._root = root
+        self._least = least
+        self.makes_objects = makes_objects
+
+    def ros1_to_cdr(self, data: memoryview) -> memoryview:
+        """Convert a message of ROS 1 to little-endian CDR.
+
+        Raises
+        ------
+        SerdeError, struct.error, ValueError
+            If the bytes contradict the type.
+        """
+        msgdef = self._msgdefs[self._root]
+        types = _TypeStore(self._msgdefs, len(data))
+        size = self._result_size(data, 0, msgdef.getsize_ros1_to_cdr, types, 0)
+        made = memoryview(bytearray(4 + size))
+        made[1] = 1
+        msgdef.ros1_to_cdr(data, 0, made[4:], 0, types)
+        return made.toreadonly()
+
+    def cdr_to_ros1(self, data: memoryview) -> memoryview:
+        """Convert a message in little-endian CDR, its header included, to ROS 1's format.
+
+        Raises
+        ------
+        SerdeError, struct.error, ValueError
+            If the bytes contradict the type.
+        """
+        msgdef = self._msgdefs[self._root]
+        body = data[4:]
+        types = _TypeStore(self._msgdefs, len(data))
+        # Some writers add padding at the end.
+        size = self._result_size(body, 4, msgdef.getsize_cdr_to_ros1, types, 3)
+        made = memoryview(bytearray(size))
+        msgdef.cdr_to_ros1(body, 0, made, 0, types)
+        return made.toreadonly()
+
+    def _result_size(
+        self, body: memoryview, head: int, measure: Callable[..., tuple[int, int]], types: _TypeStore, padding: int
+    ) -> int:
+        """Check that the fields take as many bytes as the message has; return the size of the result."""
+        if len(body) < self._least:
+            raise ValueError(f"its fields take {head + self._least} or more")
+        taken, size = measure(body, 0, None, 0, types)
+        if not taken - _MAX_PADDING * (head > 0) <= len(body) <= taken + padding:
+            raise ValueError(f"its fields take {head + taken}")
+        return size
+
+
+class _TypeStore:
+    """The part of rosbags' store that the generated functions use, for one message."""
+
+    __slots__ = ("_msgdefs", "max_sequence_length")
+
+    def __init__(self, msgdefs: Mapping[str, Any], length: int) -> None:
+        self._msgdefs = msgdefs
+        # Every element takes at least one byte.
+        self.max_sequence_length = max(length, 1)
+
+    def get_msgdef(self, name: str) -> Any:
+        return self._msgdefs[name]
+
+
+def _guard_sizes(msgdef: Any, least: int) -> SimpleNamespace:
+    """Wrap a type's functions: its size is computed only if the message has the type's minimum of bytes left."""
+
+    def checked(measure: Callable[..., tuple[int, int]]) -> Callable[..., tuple[int, int]]:
+        def measured(body: memoryview, place: int, made: None, size: int, types: _TypeStore) -> tuple[int, int]:
+            if place + least > len(body):
+                raise ValueError(f"it ends inside a sequence, {place + least} bytes are needed and {len(body)} there")
+            return measure(body, place, made, size, types)
+
+        return measured
+
+    return SimpleNamespace(
+        getsize_ros1_to_cdr=checked(msgdef.getsize_ros1_to_cdr),
+        getsize_cdr_to_ros1=checked(msgdef.getsize_cdr_to_ros1),
+        ros1_to_cdr=msgdef.ros1_to_cdr,
+        cdr_to_ros1=msgdef.cdr_to_ros1,
+    )

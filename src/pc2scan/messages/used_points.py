@@ -71,7 +71,7 @@ class UsedPoints:
             sequence=message.sequence,
             stamp_ns=message.stamp_ns,
             frame_id=message.frame_id,
-            fields=[*message.fields, PointField(_free(field.name for field in message.fields), step, _UINT32)],
+            fields=[*message.fields, PointField(_unused_name(field.name for field in message.fields), step, _UINT32)],
             point_step=step + 4,
             data=points.tobytes(),
             is_dense=message.is_dense,
@@ -83,7 +83,7 @@ class UsedPoints:
         columns: dict[str, NDArray[Any]] = {
             name: np.asarray(values).reshape(-1)[self.numbers] for name, values in cloud.fields.items()
         }
-        columns[_free(columns)] = self.beams.astype(np.uint32)
+        columns[_unused_name(columns)] = self.beams.astype(np.uint32)
         points = np.empty(
             self.numbers.size, [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
         )
@@ -92,7 +92,9 @@ class UsedPoints:
         return encode_structured(StructuredCloud(cloud.sequence, cloud.stamp_ns, cloud.frame_id, points), serialization)
 
 
-def gathered(scan: LaserScan, parts: Sequence[tuple[int, Points, NDArray[np.int64], NDArray[np.int32]]]) -> UsedPoints:
+def gather_points(
+    scan: LaserScan, parts: Sequence[tuple[int, Points, NDArray[np.int64], NDArray[np.int32]]]
+) -> UsedPoints:
     """Return the points that give a scan of several messages its ranges, as one cloud in the scan's frame.
 
     It has ``x``, ``y`` and ``z`` as they were projected, all other fields that the messages have in common, and the
@@ -106,19 +108,19 @@ def gathered(scan: LaserScan, parts: Sequence[tuple[int, Points, NDArray[np.int6
         For each message the number of its topic, its points in the scan's frame, the indices of the used points, and
         the beam of each.
     """
-    shared = _shared(points for _, points, _, _ in parts)
+    shared = _shared_fields(points for _, points, _, _ in parts)
     columns: dict[str, NDArray[Any]] = {}
     for name in shared:
         values = [np.asarray(points.field(name)).reshape(-1)[numbers] for _, points, numbers, _ in parts]
         columns[name] = np.concatenate([each.astype(np.float32) for each in values] if name in _AXES else values)
     sources = [np.full(numbers.size, topic, np.uint32) for topic, _, numbers, _ in parts]
-    columns[_free(columns, SOURCE)] = np.concatenate(sources)
+    columns[_unused_name(columns, SOURCE)] = np.concatenate(sources)
     beams = np.concatenate([beams for _, _, _, beams in parts])
     cloud = Points(scan.sequence, scan.stamp_ns, scan.frame_id, columns)
     return UsedPoints(cloud, np.arange(beams.size), beams)
 
 
-def _shared(clouds: Iterable[Points]) -> list[str]:
+def _shared_fields(clouds: Iterable[Points]) -> list[str]:
     """Return the fields that all clouds have with one datatype: the axes, then the others as in the first cloud."""
     first, *others = clouds
     kinds = {name: first.field(name).dtype.newbyteorder("=") for name in first.fields}
@@ -143,7 +145,7 @@ def _bytes_of(message: PointCloud2) -> NDArray[np.uint8]:
     return np.ndarray(shape, np.uint8, data, 0, (message.row_step, message.point_step, 1))
 
 
-def _free(names: Iterable[str], name: str = BEAM) -> str:
+def _unused_name(names: Iterable[str], name: str = BEAM) -> str:
     """Return the name of a new field."""
     taken = set(names)
     while name in taken:

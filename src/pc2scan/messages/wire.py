@@ -24,7 +24,7 @@ MAX_CACHED_BYTES = 1 << 10
 
 
 @cache
-def _compiled(code: str) -> tuple[struct.Struct, int]:
+def _compile(code: str) -> tuple[struct.Struct, int]:
     """Compile codes; returns the alignment of the last one, too."""
     return struct.Struct(code), struct.calcsize(code[-1])
 
@@ -74,7 +74,7 @@ class Cursor:
 
     def read(self, code: str) -> tuple[int, ...]:
         """Read primitives that need no padding between them: `struct` codes, aligned to the first."""
-        layout, alignment = _compiled(self._order + code)
+        layout, alignment = _compile(self._order + code)
         start = self.position
         if self._aligned:
             start += (self.base - start) % alignment
@@ -154,7 +154,7 @@ class Packer:
 
     def write(self, code: str, *values: float) -> None:
         """Append primitives that need no padding between them: `struct` codes, aligned to the last."""
-        layout, alignment = _compiled("<" + code)
+        layout, alignment = _compile("<" + code)
         if self._aligned and self._size % alignment:
             self.align(alignment)
         self._parts.append(layout.pack(*values))

@@ -6,8 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pc2scan.core.consumers import CONSUMERS, judge
-from pc2scan.messages.consumed import consumed_scan
-from pc2scan.messages.laserscan import decode_laserscan
+from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 
 if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
@@ -47,7 +46,7 @@ def refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
     consumer
         The consumer whose preset was chosen; empty if none was.
     """
-    scan = consumed_scan(decode_laserscan(data, serialization))
+    scan = scan_for_consumers(decode_laserscan(data, serialization))
     if consumer:
         verdict = judge(consumer, scan)
         return "" if verdict.outcome == "accepted" else f"{consumer} {_DOES[verdict.outcome]}: {_why(verdict)}"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.counts import PointCounts
-from pc2scan.core.level import cells_of, level_floor, thinned, tolerances
+from pc2scan.core.level import cells_of, level_floor, thin_points, tolerances
 from pc2scan.core.params import ProjectionParams
 from pc2scan.text import agreeing, counted
 
@@ -84,7 +84,7 @@ class Sample(NamedTuple):
 def sample_of(points: Points, place: Placement) -> Sample:
     """Return a sample of a cloud's points."""
     x, y, z = points.xyz()
-    taken, moved = thinned(x, y, z, _POINTS), place.target_from_source
+    taken, moved = thin_points(x, y, z, _POINTS), place.target_from_source
     with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
         zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
     origin = (0.0, 0.0, 0.0)
@@ -315,9 +315,9 @@ def _clouds(count: int) -> str:
 
 
 def _without_sensor(frame: str, target: str) -> str:
-    from pc2scan.tf.mounting import without_sensor  # noqa: PLC0415  # only where there is a warning
+    from pc2scan.tf.mounting import sensor_exclusion  # noqa: PLC0415  # only where there is a warning
 
-    option, value = without_sensor(frame, target)
+    option, value = sensor_exclusion(frame, target)
     return f"`{option}={shlex.quote(value)}`"
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from pc2scan.core.project import ProjectedScan, Transform
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
     from .conversion import Step
     from .first_clouds import TopicClouds
@@ -79,7 +79,7 @@ class CloudToScan(Conversion):
     def __init__(
         self,
         params: ProjectionParams,
-        frames: Frames,
+        frames: Placer,
         timings: Mapping[str, Measured] | None = None,
         filters: Sequence[Filter] = (),
         deskew: Deskew | None = None,

@@ -92,7 +92,7 @@ def _layout(connection: Connection) -> str:
     definition = connection.definition
     try:
         structs = schema.parse(definition, connection.msgtype)
-        return schema.rihs01(schema.closure(schema.canonical(connection.msgtype), structs.get))
+        return schema.rihs01(schema.closure(schema.canonical_type(connection.msgtype), structs.get))
     except MessageError:
         return b" ".join(re.sub(_COMMENT, b"", definition.data).split()).decode("utf-8", "replace")
 
@@ -102,12 +102,12 @@ def _merged_connection(publishers: Sequence[Connection]) -> Connection:
     first = publishers[0]
     if len(publishers) == 1:
         return first
-    from pc2scan.bags.qos import merged_qos  # noqa: PLC0415  # few topics have several publishers
+    from pc2scan.bags.qos import merge_qos  # noqa: PLC0415  # few topics have several publishers
 
     return replace(
         first,
         definition=next((each.definition for each in publishers if each.definition.data), first.definition),
         digest=next((each.digest for each in publishers if each.digest), ""),
         latching=any(each.latching for each in publishers),
-        qos=merged_qos([each.qos for each in publishers]),
+        qos=merge_qos([each.qos for each in publishers]),
     )

@@ -180,9 +180,9 @@ class TopicClouds:
         target, buffer = self._spec.params.target_frame, self._every.buffer
         if not target or buffer is None or buffer.is_rigid(target, self._source):
             return
-        from pc2scan.tf.worlds import moving_below  # noqa: PLC0415  # a lidar is usually rigid on its robot
+        from pc2scan.tf.world_frames import find_body_motion  # noqa: PLC0415  # a lidar is usually rigid on its robot
 
-        moving = moving_below(buffer, target, self._source)
+        moving = find_body_motion(buffer, target, self._source)
         if moving is not None:
             self._warn(
                 f"`target_frame` is {target}, in which {moving.body} moves (by {moving.metres:.2f} m): the scans are "

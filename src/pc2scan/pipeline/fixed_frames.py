@@ -10,7 +10,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.text import did_you_mean
 from pc2scan.tf.lookup_errors import frames_text
-from pc2scan.tf.worlds import WORLDS, moving_below
+from pc2scan.tf.world_frames import WORLDS, find_body_motion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -50,7 +50,7 @@ def check_fixed_frame(
     frame = frame.removeprefix("/")
     if not frame or not buffer.is_rigid(fixed, frame):
         return _moving_regions(reader, sources, spec, source_frame, buffer, span)
-    if fixed == frame and moving_below(buffer, fixed, source_frame or first_frame(reader, sources, span)):
+    if fixed == frame and find_body_motion(buffer, fixed, source_frame or first_frame(reader, sources, span)):
         return []  # the target frame itself is wrong, which another warning says
     which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
     offered = _offered(buffer, fixed)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import UsageError, name_list
 from pc2scan.text import did_you_mean
 from pc2scan.tf.static import static_text
-from pc2scan.tf.worlds import BODIES, WORLDS
+from pc2scan.tf.world_frames import BODIES, WORLDS
 
 from .fixed_frames import first_frame
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.lasting import Newest, is_static
+from pc2scan.bags.latching import NewestItems, is_static
 from pc2scan.bags.units import Unit
 from pc2scan.errors import DecodeError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
@@ -30,7 +30,7 @@ def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Unit:
     start_ns
         The beginning of the cut: at their own log times, they would make the recording begin when they were logged.
     """
-    newest: Newest[RawMessage] = Newest()
+    newest: NewestItems[RawMessage] = NewestItems()
     for message in messages:
         # A view would keep a whole chunk in memory.
         newest.add(_names(message), message._replace(data=bytes(message.data)))

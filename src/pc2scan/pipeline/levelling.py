@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.lasting import is_static
+from pc2scan.bags.latching import is_static
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import NEW_ID, TF_QOS, Connection
-from pc2scan.tf.imu_reading import ImuRequest, MeasuredUp, read_up
-from pc2scan.tf.levelling import UpByFrame, UpByImu
+from pc2scan.tf.imu import ImuRequest, UpEstimate, read_up
 from pc2scan.tf.reading import tf_connections
+from pc2scan.tf.up_sources import UpByFrame, UpByImu
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
     from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.levelling import UpSource
     from pc2scan.tf.options import FrameOptions
     from pc2scan.tf.placing import LevelTransform
+    from pc2scan.tf.up_sources import UpSource
 
     from .report import Report
     from .scan_spec import ScanSpec
@@ -48,7 +48,7 @@ class Ups:
         self._readers = readers
         self._buffer = buffer
         self._report = report
-        self._measured: dict[ImuRequest, MeasuredUp] = {}
+        self._measured: dict[ImuRequest, UpEstimate] = {}
         self._sources: dict[tuple[str, str, int], UpSource] = {}
 
     def of(self, spec: ScanSpec, tolerance_ns: int) -> UpSource:
@@ -74,7 +74,7 @@ class Ups:
             found = self._measured[request] = read_up(self._readers, request)
             self._report.notes += found.notes
             self._report.warnings += found.warnings
-        return UpByImu(found.topic, found.frame, found.stamps_ns, found.ups, self._buffer, tolerance_ns)
+        return UpByImu(found.topic, found.frame, found.stamps_ns, found.directions, self._buffer, tolerance_ns)
 
 
 def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.core.timing import Sweep
     from pc2scan.model import Connection
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
     from .scan_spec import ScanSpec
 
@@ -45,7 +45,7 @@ def measure(
     reader: Reader,
     connections: Iterable[Connection],
     spec: ScanSpec,
-    frames: Frames,
+    frames: Placer,
     start_ns: int | None = None,
     stop_ns: int | None = None,
 ) -> tuple[dict[str, Measured], list[str]]:
@@ -106,7 +106,7 @@ def measure(
 class _FirstClouds:
     """The measurements in the first clouds of a topic."""
 
-    def __init__(self, params: ProjectionParams, frames: Frames) -> None:
+    def __init__(self, params: ProjectionParams, frames: Placer) -> None:
         self._params = params
         self._frames = frames
         self._stamps: list[int] = []

@@ -259,9 +259,9 @@ def refuse_degrees(
             name=beyond[0],
             hint=f"a full circle is {_where_given('`angle_min=-180deg`, `angle_max=180deg`', origin)}",
         )
-    from pc2scan.core.quantities import in_degrees  # noqa: PLC0415  # only for errors
+    from pc2scan.core.quantities import degrees_text  # noqa: PLC0415  # only for errors
 
-    cures = ", ".join(f"`{name}={in_degrees(values[name])}`" for name in beyond)
+    cures = ", ".join(f"`{name}={degrees_text(values[name])}`" for name in beyond)
     numbers = ", ".join(f"{math.radians(values[name]):.6g}" for name in beyond)
     raise ParameterError(
         f"{text}, more than a full turn (2 pi is 6.28319 rad) ({places})",

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, get_args
 
 from pc2scan.errors import ParameterError, SeveralNodesError
-from pc2scan.files.nearby import missing_hint
-from pc2scan.files.source import opened_bytes
+from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.source import open_bytes
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 
@@ -268,7 +268,7 @@ def read_text(path: Path, shown: Path | None = None) -> str:
     """Return the text of a parameter file; ``shown`` is its path for errors."""
     actual, path = path, shown or path
     try:
-        with opened_bytes(actual) as file:
+        with open_bytes(actual) as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError as err:
         hint = missing_hint(path, (".yaml", ".yml"))

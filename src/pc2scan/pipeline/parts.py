@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.splitting import Cut
 from pc2scan.core.quantities import byte_size, duration_ns
 from pc2scan.errors import UsageError
-from pc2scan.files.numbered import part_name
+from pc2scan.files.places import part_name
 
 if TYPE_CHECKING:
     from pathlib import Path

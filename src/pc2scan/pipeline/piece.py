@@ -28,7 +28,7 @@ class Piece(NamedTuple):
     first_file
         The number of its first file.
     transforms
-        Files with all transforms; see `pc2scan.tf.stored`. Empty if the conversion needs none.
+        Files with all transforms; see `pc2scan.tf.reading`. Empty if the conversion needs none.
     """
 
     folder: Path

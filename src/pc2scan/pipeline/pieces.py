@@ -17,11 +17,11 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.bags.rosbag2.writer import joined_info, write_info
+from pc2scan.bags.rosbag2.writer import join_infos, write_info
 from pc2scan.bags.zstd import SUFFIXES
 from pc2scan.errors import OutputError
 from pc2scan.result import MAX_LISTED
-from pc2scan.tf.stored import store_transforms
+from pc2scan.tf.reading import store_transforms
 
 from .run import opened_plan, span_of
 from .tally import conclude
@@ -158,7 +158,7 @@ def join(folder: Path, pieces: Sequence[Piece], made: Sequence[Made]) -> None:
     """
     import shutil  # noqa: PLC0415
 
-    info = joined_info([each.info for each in made])
+    info = join_infos([each.info for each in made])
     try:
         wanted = set(info["relative_file_paths"])
         for piece in pieces:

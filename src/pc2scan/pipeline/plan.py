@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.topics import find_topic, find_topics, matches, renamed, short_types
+from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import TopicError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
@@ -210,7 +210,7 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, options: Convert
         requests: dict[str, list[str | None]] = {}
         for request in spec.topics:
             for topic in _asked(request.source, types, candidates, spec):
-                target = request.target and renamed(topic, request.source, request.target)
+                target = request.target and fill_glob(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
         requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}

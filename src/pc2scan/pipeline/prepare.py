@@ -6,10 +6,10 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.lasting import is_static
+from pc2scan.bags.latching import is_static
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import read_transforms, tf_connections
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def prepared(
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
     Returns the conversions, and the other recordings that transforms were read from. ``transforms`` are files with all
-    transforms (see `pc2scan.tf.stored`), if other processes have read them.
+    transforms (see `pc2scan.tf.reading`), if other processes have read them.
     """
     asked = options.frames
     others: list[Reader] = []
@@ -54,9 +54,9 @@ def prepared(
     if any(spec.needs_transforms for spec in plan.specs):
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
         if transforms:
-            from pc2scan.tf.stored import stored_transforms  # noqa: PLC0415  # only where several processes share them
+            from pc2scan.tf.reading import load_transforms  # noqa: PLC0415  # only where several processes share them
 
-            buffer, warnings = stored_transforms(transforms, asked)
+            buffer, warnings = load_transforms(transforms, asked)
         else:
             buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
@@ -74,11 +74,11 @@ def prepared(
         ups = Ups([reader, *others], buffer, report)
     conversions: dict[ScanSpec | Combination, Conversion] = {}
     for spec in plan.specs:
-        frames = Frames(source_frame=asked.source_frame)
+        frames = Placer(source_frame=asked.source_frame)
         if spec.needs_transforms:
             tolerance_ns = spec.params.tolerance_ns
             up = ups.of(spec, tolerance_ns) if ups is not None and spec.level else None
-            frames = Frames(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
+            frames = Placer(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
         if spec.reverse:
             from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
@@ -113,14 +113,14 @@ def _where_the_robot_was(reader: Reader, spec: ScanSpec, frames: FrameOptions) -
         yield from (c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic))
     if spec.imu:
         from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
-        from pc2scan.tf.imu_reading import ImuRequest  # noqa: PLC0415
+        from pc2scan.tf.imu import ImuRequest  # noqa: PLC0415
 
         topic = ImuRequest.parse(spec.imu).topic.strip("/")
         yield from (c for c in reader.connections if c.ros_type == IMU and c.topic.strip("/") == topic)
 
 
 def _deskew(
-    reader: Reader, sources: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
+    reader: Reader, sources: Sequence[Connection], spec: ScanSpec, frames: Placer, span: Span, report: Report
 ) -> Deskew | None:
     if not spec.deskew:
         return None
@@ -143,7 +143,7 @@ def _deskew(
 
 def _to_scans(
     spec: ScanSpec,
-    frames: Frames,
+    frames: Placer,
     timings: Mapping[str, Measured] | None,
     deskew: Deskew | None,
     firsts: FirstClouds | None,
@@ -168,7 +168,7 @@ def _combined(
     reader: Reader,
     plan: Plan,
     combination: Combination,
-    frames: Frames,
+    frames: Placer,
     span: Span,
     report: Report,
     firsts: FirstClouds | None,
@@ -190,7 +190,7 @@ def _combined(
 
 
 def _measured(
-    reader: Reader, converted: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
+    reader: Reader, converted: Sequence[Connection], spec: ScanSpec, frames: Placer, span: Span, report: Report
 ) -> Mapping[str, Measured]:
     from .measure import measure  # noqa: PLC0415  # only if something is to be measured
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.formats import FORMATS
-from pc2scan.bags.lasting import is_static, lasts
+from pc2scan.bags.latching import is_latched, is_static
 from pc2scan.errors import MessageError, RecordingError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -89,7 +89,7 @@ class OpenRoute:
     @property
     def lasts(self) -> bool:
         """Whether its messages are latched, so that those from before the cut are still valid in it."""
-        return lasts(self.connection)
+        return is_latched(self.connection)
 
 
 def open_routes(
@@ -226,11 +226,11 @@ def _prepare_passing(
         route.passing_handle = declared.add(connection)
         return
     # Imported only for recordings without definitions, or for another ROS version.
-    from pc2scan.messages.transcode import DEFAULT_DISTRO, defined, transcoder  # noqa: PLC0415
+    from pc2scan.messages.transcode import DEFAULT_DISTRO, transcoder, with_definition  # noqa: PLC0415
 
     distro = options.ros_distro or DEFAULT_DISTRO
     if connection.ros_version == target.ros_version:
-        route.passing_handle = declared.add(defined(connection, distro))
+        route.passing_handle = declared.add(with_definition(connection, distro))
         return
     if foreign:
         error: MessageError = MessageError(

@@ -14,10 +14,10 @@ from pc2scan.bags.destinations import (
     check_to,
     default_destination,
     default_storage,
-    kept_form,
     open_writer,
     plan_destination,
     recorded_in,
+    source_form,
 )
 from pc2scan.bags.formats import chunk_format, destinations
 from pc2scan.bags.opening import as_one, open_recordings
@@ -29,8 +29,8 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
-from pc2scan.files.places import made_folder
-from pc2scan.files.staging import check_destination, staged
+from pc2scan.files.places import output_folder
+from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
@@ -181,10 +181,9 @@ def _run_at_urls(
     warn: Callable[[str], None] | None,
 ) -> Report:
     """Convert local copies of URLs, and upload the result."""
-    from pc2scan.remote.staging import Asked  # noqa: PLC0415  # loads fsspec
-    from pc2scan.remote.staging import staged as copied  # noqa: PLC0415
+    from pc2scan.remote.staging import RemoteRequest, local_copies  # noqa: PLC0415  # loads fsspec
 
-    asked = Asked(
+    request = RemoteRequest(
         sources,
         options.frames.tf_from,
         destination,
@@ -198,7 +197,7 @@ def _run_at_urls(
     with ExitStack() as stack:
         write_report = report_file(output, stack)
         try:
-            with copied(asked) as here:
+            with local_copies(request) as here:
                 done = run(
                     here.sources,
                     here.destination,
@@ -258,7 +257,7 @@ def _run(
     report.warnings += (*plan.warnings, *doubts(options))
     in_parts = files.numbered = output.cut is not None and not target.storage
     if in_parts:
-        from pc2scan.files.staged_parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
+        from pc2scan.files.parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
     if output.dry_run:
         report.dry_run = True
         files.open_report(stack)
@@ -269,15 +268,15 @@ def _run(
         _estimate(files, reader, plan, target, options, output, stack, report)
         return None
     if output.folder is not None:
-        stack.enter_context(made_folder(output.folder))
+        stack.enter_context(output_folder(output.folder))
     files.open_report(stack)
     if in_parts:
         staging = staged_parts(path, overwrite=output.overwrite, owned=output.owned, warn=report.warnings.append)
     elif piece is not None:
         # A process that was taken for lost may have completed it.
-        staging = staged(piece.folder, overwrite=True, record_in=recorded_in)
+        staging = staged_output(piece.folder, overwrite=True, record_in=recorded_in)
     else:
-        staging = staged(path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
+        staging = staged_output(path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
     with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
@@ -323,9 +322,9 @@ def _run(
                 writer.compress_ahead(pool)
             rule = chunk_rule(routes, target, writer) if copying else None
             if rule is not None and cut is not None:
-                from pc2scan.bags.splitting import narrowed  # noqa: PLC0415  # most recordings are one file
+                from pc2scan.bags.splitting import narrow_rule  # noqa: PLC0415  # most recordings are one file
 
-                rule = narrowed(rule, cut, reader.connections)
+                rule = narrow_rule(rule, cut, reader.connections)
             # Only the messages of all pieces show that nothing can be converted.
             unconnected = Unconnected(firsts.warn) if firsts is not None and piece is None else None
             stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
@@ -390,11 +389,11 @@ def _estimate(
         last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
         report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
         if files.numbered:
-            from pc2scan.files.numbered import parts_beside  # noqa: PLC0415
-            from pc2scan.files.staged_parts import staying  # noqa: PLC0415
+            from pc2scan.files.parts import unrecorded_warning  # noqa: PLC0415
+            from pc2scan.files.places import parts_beside  # noqa: PLC0415
 
             there = [part.name for part in parts_beside(target.path) if str(part) not in report.files]
-            report.warnings += staying(target.path.name, there)
+            report.warnings += unrecorded_warning(target.path.name, there)
 
 
 def robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
@@ -439,7 +438,7 @@ def _target(
     ros_version = _ros_version(reader.connections)
     storage, compression = default_storage(path, summaries) if not is_named else None, None
     if options.repair:
-        storage, compression = kept_form(path, summaries)
+        storage, compression = source_form(path, summaries)
     target = plan_destination(
         path,
         storage=output.storage or storage,

@@ -196,7 +196,7 @@ class ScanSpec:
                 hint="give a frame that does not move, whose z is up: `fixed_frame=odom`; or an IMU: `imu=/imu/data`",
             )
         if self.imu:
-            from pc2scan.tf.imu_reading import ImuRequest  # noqa: PLC0415  # only where scans are level
+            from pc2scan.tf.imu import ImuRequest  # noqa: PLC0415  # only where scans are level
 
             ImuRequest.parse(self.imu)
 

@@ -10,7 +10,7 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
-from pc2scan.messages.beams import unprojected
+from pc2scan.messages.beams import unproject_scan
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.outputs import OF_SCANS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from pc2scan.model import Buffer
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
     from .conversion import Step
 
@@ -44,7 +44,7 @@ class ScanToCloud(Conversion):
     def __init__(
         self,
         channels: UnprojectParams | None,
-        frames: Frames,
+        frames: Placer,
         *,
         deskewed: bool = False,
         output_type: str = POINTCLOUD2,
@@ -63,7 +63,7 @@ class ScanToCloud(Conversion):
         return (self._cloud,)
 
     def _cloud(self, scan: LaserScan) -> Result:
-        header, points = self._placed(scan, unprojected(scan, self.channels))
+        header, points = self._placed(scan, unproject_scan(scan, self.channels))
         message = StructuredCloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
         rejected = points.rejected
         counts = PointCounts(

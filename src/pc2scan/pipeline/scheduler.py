@@ -11,8 +11,8 @@ from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from pc2scan.bags.many import Many
-from pc2scan.bags.units import Handle, in_time_order, loaded, when_due
+from pc2scan.bags.lazy_items import LazyItems
+from pc2scan.bags.units import Handle, load_unit, load_when_due, merge_by_time
 from pc2scan.model import RawMessage, StoredChunk, owned
 from pc2scan.threads import InOrder
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
-    from pc2scan.bags.units import Loaded, Timed, Unit
+    from pc2scan.bags.units import Loaded, TimedItem, Unit
     from pc2scan.threads import Threads
 
-    Item = TypeVar("Item", bound=Timed)
+    Item = TypeVar("Item", bound=TimedItem)
 
 #: How many bytes are loaded ahead for every thread. Of units up to the second size, always one more than threads is
 #: loaded.
@@ -86,8 +86,8 @@ def schedule(
         Sorted by log time, whatever the number of threads. An exception of the callback is raised in the place of its
         item.
     """
-    loading = when_due if threads is None else partial(_ahead, threads, window)
-    items = in_time_order(units, callback, loading=loading, path=path)
+    loading = load_when_due if threads is None else partial(_ahead, threads, window)
+    items = merge_by_time(units, callback, loading=loading, path=path)
     try:
         for item in items:
             yield item.work(item.message) if isinstance(item, Later) else item
@@ -111,7 +111,7 @@ def _ahead(
             if too_large:
                 yield Handle(unit, partial(_together, threads, unit, callback))
             else:
-                load = partial(loaded, unit, callback, whole=unit.may_be_whole)
+                load = partial(load_unit, unit, callback, whole=unit.may_be_whole)
                 results.put(load, unit.size, at_its_turn=unit.is_quick)
                 waiting.append(unit)
         while waiting:
@@ -127,11 +127,11 @@ def _may_wait(unit: Unit, results: InOrder[Loaded[Any]], jobs: int) -> bool:
 
 def _together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
     """Load a unit on this thread, and work on its messages on all threads."""
-    found = loaded(unit, owned, whole=unit.may_be_whole)
+    found = load_unit(unit, owned, whole=unit.may_be_whole)
     if isinstance(found, StoredChunk):
         return found
-    if isinstance(found, Many):
-        return found.mapped(callback)
+    if isinstance(found, LazyItems):
+        return found.map(callback)
     tasks = [threads.submit(list[Any], map(callback, piece)) for piece in _pieces(found)]
     return [item for task in tasks for item in task.result()]
 

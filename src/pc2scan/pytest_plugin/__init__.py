@@ -60,9 +60,9 @@ def pytest_collect_directory(path: Path, parent: pytest.Collector) -> GoldenFold
     resolved = path.resolve() if folders else path
     if not any(folder == resolved or folder in resolved.parents for folder in folders):
         return None
-    from .collect import collector  # noqa: PLC0415 - heavy
+    from .collect import make_collector  # noqa: PLC0415 - heavy
 
-    return collector(path, parent)
+    return make_collector(path, parent)
 
 
 @pytest.fixture(scope="session")
@@ -94,9 +94,9 @@ def pc2scan_golden(request: pytest.FixtureRequest) -> Callable[[str | PathLike[s
 
     def check(folder: str | PathLike[str]) -> None:
         __tracebackhide__ = True
-        from .collect import checked  # noqa: PLC0415
+        from .collect import check  # noqa: PLC0415
 
-        result = checked(Path(folder), update=update)
+        result = check(Path(folder), update=update)
         if result.outcome in ("failed", "error"):
             pytest.fail("\n".join((f"golden case {result.name}", *result.lines)), pytrace=False)
 

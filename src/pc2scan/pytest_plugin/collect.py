@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from pc2scan.golden.result import CaseResult
 
 
-def checked(folder: Path, *, update: bool) -> CaseResult:
+def check(folder: Path, *, update: bool) -> CaseResult:
     """Check one case."""
     return check_case(folder.resolve().name, folder, run_command, update=update)
 
 
-def collector(path: Path, parent: pytest.Collector) -> GoldenFolder | GoldenCase:
+def make_collector(path: Path, parent: pytest.Collector) -> GoldenFolder | GoldenCase:
     """Make the node of a folder of cases, or of a case."""
     kind = GoldenCase if is_case(path) else GoldenFolder
     node: GoldenFolder | GoldenCase = kind.from_parent(parent, path=path)
@@ -37,7 +37,7 @@ class GoldenFolder(pytest.Directory):
         """Yield its cases, and the folders that may contain cases."""
         for path in sorted(self.path.iterdir()):
             if path.is_dir() and not path.is_symlink() and not path.name.startswith("."):
-                yield collector(path, self)
+                yield make_collector(path, self)
 
 
 class GoldenCase(pytest.Directory):
@@ -53,15 +53,15 @@ class GoldenItem(pytest.Item):
 
     def runtest(self) -> None:
         """Convert and compare."""
-        result = checked(self.path, update=bool(self.config.getoption("--pc2scan-update")))
+        result = check(self.path, update=bool(self.config.getoption("--pc2scan-update")))
         if result.outcome in ("failed", "error"):
-            raise _Unexpected("\n".join(result.lines))
+            raise _CaseFailure("\n".join(result.lines))
         if result.lines:
             self.add_report_section("call", "pc2scan", "\n".join((result.outcome.value, *result.lines)))
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """Show the differences without a traceback."""
-        if isinstance(excinfo.value, _Unexpected):
+        if isinstance(excinfo.value, _CaseFailure):
             return str(excinfo.value)
         return super().repr_failure(excinfo, style)
 
@@ -70,5 +70,5 @@ class GoldenItem(pytest.Item):
         return self.path, None, visible(f"golden case {self.path.name}")
 
 
-class _Unexpected(Exception):  # noqa: N818 - a failure of a test, not an error
+class _CaseFailure(Exception):  # noqa: N818 - a failure of a test, not an error
     """The output differs from the expected one, or could not be checked."""

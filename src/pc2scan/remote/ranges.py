@@ -16,17 +16,15 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import Pc2ScanError, RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC
-from pc2scan.files.source import on_demand, opened_bytes
+from pc2scan.files.source import on_demand, open_bytes
 
-from .names import Names
-from .pace import LEAST_BYTES, affordable
-from .store import RemotePath
-from .urls import is_url
+from .store import LEAST_BYTES, RemotePath, request_size
+from .urls import UrlNames, is_url
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from .store import Object
+    from .store import StoredObject
 
 #: Bytes are fetched in blocks of this size. Their transfer takes little time compared with the request itself.
 _BLOCK = LEAST_BYTES
@@ -35,12 +33,12 @@ _BLOCK = LEAST_BYTES
 _MOST_BLOCKS = 1 << 9
 
 #: Files up to this size are fetched as a whole.
-_SMALL = 1 << 17
+_SMALL_BYTES = 1 << 17
 
-_WHOLE = (ZSTD_MAGIC, b"SQLite format 3\0")
+_READ_WHOLE = (ZSTD_MAGIC, b"SQLite format 3\0")
 
 
-class Nearby:
+class StandIns:
     """Local stand-ins of recordings.
 
     Attributes
@@ -53,11 +51,11 @@ class Nearby:
 
     def __init__(self) -> None:
         self.paths: list[Path] = []
-        self.names = Names()
+        self.names = UrlNames()
 
 
 @contextmanager
-def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
+def stand_ins(paths: Sequence[Path]) -> Iterator[StandIns]:
     """Make recordings readable as local files while the context lasts; errors in it name URLs.
 
     Raises
@@ -65,10 +63,10 @@ def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
     RecordingError
         If a recording cannot be read, or was changed while it was read.
     """
-    found = Nearby()
+    found = StandIns()
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-"))).resolve()
-        read: list[tuple[RemotePath, Object]] = []
+        read: list[tuple[RemotePath, StoredObject]] = []
         for number, path in enumerate(paths):
             if not is_url(path):
                 found.paths.append(path)
@@ -81,24 +79,24 @@ def nearby(paths: Sequence[Path]) -> Iterator[Nearby]:
             found.paths.append(target)
             files = place.files()
             if files is None:
-                read.append((place, place.stated()))
-                _stand_in(place, target, stack)
+                read.append((place, place.stat()))
+                _add_stand_in(place, target, stack)
             else:
                 target.mkdir()
                 for name, file in files.items():
-                    read.append((file, file.stated()))
-                    _stand_in(file, target / name, stack)
+                    read.append((file, file.stat()))
+                    _add_stand_in(file, target / name, stack)
         try:
             yield found
         except Pc2ScanError as err:
             found.names.error(err)
             raise
         for place, stated in read:
-            if place.stated() != stated:
-                raise place.changed()
+            if place.stat() != stated:
+                raise place.change_error()
 
 
-def stand_in(place: RemotePath, target: Path, size: int) -> None:
+def add_stand_in(place: RemotePath, target: Path, size: int) -> None:
     """Create a stand-in of this size at a path; its bytes are fetched when they are first read (see `on_demand`).
 
     Raises
@@ -106,38 +104,38 @@ def stand_in(place: RemotePath, target: Path, size: int) -> None:
     RecordingError
         If it cannot be written.
     """
-    on_demand[target] = _Fetched(place, target, size).fetch
+    on_demand[target] = _StandIn(place, target, size).fetch
 
 
-def complete(path: Path) -> None:
+def fetch_whole(path: Path) -> None:
     """Fetch a file as a whole if it is one that a library reads itself; called before it is opened as a recording."""
     files = [file for file in on_demand if file.parent == path] if path.is_dir() else [path]
     for file in files:
         fetch = on_demand.get(file)
         if fetch is None:
             continue
-        with opened_bytes(file) as opened:
+        with open_bytes(file) as opened:
             head = opened.read(_BLOCK)
-        if head.startswith(_WHOLE):
+        if head.startswith(_READ_WHOLE):
             fetch(0, file.stat().st_size)
 
 
-def _stand_in(place: RemotePath, target: Path, stack: ExitStack) -> None:
-    size = place.stated().size
+def _add_stand_in(place: RemotePath, target: Path, stack: ExitStack) -> None:
+    size = place.stat().size
     began = monotonic()
     head = (place.bytes_at(0, min(size, _BLOCK)) or b"") if size else b""
     took = monotonic() - began
-    if size <= _SMALL or head.startswith(_WHOLE):
+    if size <= _SMALL_BYTES or head.startswith(_READ_WHOLE):
         place.download(target)
         return
-    fetched = _Fetched(place, target, size)
+    fetched = _StandIn(place, target, size)
     fetched.took(len(head), took)
     on_demand[target] = fetched.fetch
     stack.callback(on_demand.pop, target)
     fetched.keep(0, head)
 
 
-class _Fetched:
+class _StandIn:
     """A stand-in that is filled as it is read, by requests that a slow network answers in seconds, too."""
 
     def __init__(self, place: RemotePath, path: Path, size: int) -> None:
@@ -178,7 +176,7 @@ class _Fetched:
 
     def took(self, size: int, seconds: float) -> None:
         """Choose the size of the next request by how long one of this size took."""
-        self._most = max(1, min(affordable(size, seconds) // _BLOCK, _MOST_BLOCKS))
+        self._most = max(1, min(request_size(size, seconds) // _BLOCK, _MOST_BLOCKS))
 
     def keep(self, start: int, data: bytes) -> None:
         """Write fetched bytes into the stand-in."""

@@ -41,7 +41,7 @@ def scratch_folder(scratch: Path | None) -> Iterator[Path]:
     """
     parent = Path(gettempdir()) if scratch is None else scratch
     prefix = f"pc2scan-{re.sub(r'[^A-Za-z0-9]', '_', socket.gethostname())}-"
-    _remove_left(parent, prefix)
+    _remove_killed(parent, prefix)
     try:
         folder = TemporaryDirectory(prefix=f"{prefix}{os.getpid()}-", dir=scratch)
     except OSError as err:
@@ -51,7 +51,7 @@ def scratch_folder(scratch: Path | None) -> Iterator[Path]:
         yield Path(name).resolve()
 
 
-def _remove_left(parent: Path, prefix: str) -> None:
+def _remove_killed(parent: Path, prefix: str) -> None:
     """Remove folders of this user's killed runs: those whose processes do not exist any more."""
     if os.name == "nt":
         # On Windows, os.kill would end the process instead of only looking it up.
@@ -69,7 +69,7 @@ def _remove_left(parent: Path, prefix: str) -> None:
                 continue
 
 
-class Room:
+class ScratchSpace:
     """The space for local copies, shared by all threads that copy.
 
     Parameters
@@ -117,7 +117,7 @@ class Room:
         )
 
 
-class Limit:
+class SizeLimit:
     """Ends a conversion when a folder becomes too large.
 
     Parameters

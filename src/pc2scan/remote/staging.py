@@ -6,20 +6,19 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import DestinationError, Pc2ScanError
-from pc2scan.files.numbered import parts_among
-from pc2scan.files.staged_parts import staying
+from pc2scan.files.parts import unrecorded_warning
+from pc2scan.files.places import parts_among
 
-from .names import Names
-from .scratch import Limit, Room, scratch_folder
+from .scratch import ScratchSpace, SizeLimit, scratch_folder
 from .store import RemotePath
-from .urls import is_url
+from .urls import UrlNames, is_url
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
 
-class Asked(NamedTuple):
+class RemoteRequest(NamedTuple):
     """The sources and the destination of a conversion as requested: paths or URLs.
 
     Attributes
@@ -47,29 +46,29 @@ class Asked(NamedTuple):
     numbered: bool = False
 
 
-class Staged:
+class LocalCopies:
     """The local paths of a conversion.
 
     Attributes
     ----------
     sources, tf_from, destination, folder
-        The local paths of those in `Asked`.
+        The local paths of those in `RemoteRequest`.
     names
         Replaces local paths by URLs in texts for users.
     """
 
-    def __init__(self, asked: Asked, scratch: Path) -> None:
-        self._asked = asked
+    def __init__(self, request: RemoteRequest, scratch: Path) -> None:
+        self._request = request
         self._scratch = scratch
-        self.names = Names()
+        self.names = UrlNames()
         self._read: list[RemotePath] = []
         self._out: RemotePath | None = None
         self._out_folder: Path | None = None
         self._downloads: list[tuple[RemotePath, Path]] = []
         self._number = 0
-        self.sources = [self._here(path) for path in asked.sources]
-        self.tf_from = [self._here(path) for path in asked.tf_from]
-        self.destination, self.folder = asked.destination, asked.folder
+        self.sources = [self._here(path) for path in request.sources]
+        self.tf_from = [self._here(path) for path in request.tf_from]
+        self.destination, self.folder = request.destination, request.folder
         self._place_destination()
         #: Limits the size of copies and result; None if the result is not written here, or there is no limit.
         self.limit = self._make_room()
@@ -96,12 +95,12 @@ class Staged:
 
     def _place_destination(self) -> None:
         """Determine where the result is uploaded, and raise errors that can be found before anything is read."""
-        asked = self._asked
-        first = asked.sources[0] if asked.sources else None
-        if asked.destination is not None:
-            named = asked.destination if is_url(asked.destination) else None
-        elif asked.folder is not None:
-            named = asked.folder if is_url(asked.folder) else None
+        request = self._request
+        first = request.sources[0] if request.sources else None
+        if request.destination is not None:
+            named = request.destination if is_url(request.destination) else None
+        elif request.folder is not None:
+            named = request.folder if is_url(request.folder) else None
         else:
             named = first if is_url(first) else None
         if named is None:
@@ -110,12 +109,12 @@ class Staged:
         if place.is_read_only:
             hint = "give a destination: `destination=scans.mcap`"
             raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown, hint=hint)
-        if named is asked.destination:
+        if named is request.destination:
             read = [each.name for each in self._read if each.folder == place.folder]
-            for name in (place.name, *(parts_among(read, place.name) if asked.numbered else ())):
+            for name in (place.name, *(parts_among(read, place.name) if request.numbered else ())):
                 self._refuse_source(RemotePath(named.parent).child(name))
-            RemotePath(named.parent).refuse_existing(place.name, overwrite=asked.overwrite)
-        if named is asked.folder:
+            RemotePath(named.parent).refuse_existing(place.name, overwrite=request.overwrite)
+        if named is request.folder:
             self._out = place
             url = place.shown
         else:
@@ -126,21 +125,25 @@ class Staged:
         self._out_folder = self._scratch / "out"
         self._out_folder.mkdir()
         self.names.add(self._out_folder, url)
-        if named is asked.folder:
+        if named is request.folder:
             self.folder = self._out_folder
         else:
             self.destination = self._out_folder / place.name
 
-    def _make_room(self) -> Limit | None:
+    def _make_room(self) -> SizeLimit | None:
         """Raise if the copies would be too large, before anything is read; return the limit of copies and result."""
-        asked = self._asked
-        room = Room(self._scratch, asked.scratch_size)
-        needed = sum(place.stated().size for place, _ in self._downloads)
+        request = self._request
+        room = ScratchSpace(self._scratch, request.scratch_size)
+        needed = sum(place.stat().size for place, _ in self._downloads)
         if needed > room.total:
             error = room.refusal(needed, self._scratch.parent)
             error.path = ", ".join(dict.fromkeys(place.shown for place, _ in self._downloads[:3]))
             raise error
-        return None if self._out is None or asked.scratch_size is None else Limit(self._scratch, asked.scratch_size)
+        return (
+            None
+            if self._out is None or request.scratch_size is None
+            else SizeLimit(self._scratch, request.scratch_size)
+        )
 
     def _refuse_source(self, place: RemotePath) -> None:
         """Raise if the result would replace something that is read."""
@@ -151,7 +154,7 @@ class Staged:
 
     def upload(self) -> list[str]:
         """Upload the result, complete or not at all; return warnings."""
-        if self._out is None or self._out_folder is None or self._asked.dry_run:
+        if self._out is None or self._out_folder is None or self._request.dry_run:
             return []
         sources = {*self.sources, *self.tf_from}
         if self.limit is not None:
@@ -160,7 +163,7 @@ class Staged:
         made = sorted((path for path in self._out_folder.iterdir() if path not in sources), reverse=True)
         for path in made:
             self._refuse_source(self._out.child(path.name))
-            self._out.refuse_existing(path.name, overwrite=self._asked.overwrite)
+            self._out.refuse_existing(path.name, overwrite=self._request.overwrite)
         done: list[str] = []
         try:
             for path in made:
@@ -173,16 +176,18 @@ class Staged:
             if len(made) > 1:
                 self._out.remove(done)
             raise
-        target = None if self._asked.destination is None or not self._asked.numbered else self._asked.destination.name
+        target = (
+            None if self._request.destination is None or not self._request.numbered else self._request.destination.name
+        )
         names = {path.name for path in made}
         if target is None or target in names:
             return []
         there = parts_among((name for name in self._out.below() if "/" not in name), target)
-        return staying(target, [name for name in there if name not in names])
+        return unrecorded_warning(target, [name for name in there if name not in names])
 
 
 @contextmanager
-def staged(asked: Asked) -> Iterator[Staged]:
+def local_copies(request: RemoteRequest) -> Iterator[LocalCopies]:
     """Make local copies of a conversion's sources, which exist while the context lasts; errors in it name URLs.
 
     Raises
@@ -192,10 +197,10 @@ def staged(asked: Asked) -> Iterator[Staged]:
     UsageError
         If there is not enough space, or the destination cannot be written or exists.
     """
-    with scratch_folder(asked.scratch) as scratch:
-        found: Staged | None = None
+    with scratch_folder(request.scratch) as scratch:
+        found: LocalCopies | None = None
         try:
-            found = Staged(asked, scratch)
+            found = LocalCopies(request, scratch)
             yield found
         except Pc2ScanError as err:
             if found is not None:

@@ -1,4 +1,8 @@
-"""Files and folders at URLs: their sizes and versions, reading and writing them, and errors in one line."""
+"""Files and folders at URLs: their sizes and versions, reading and writing them, and errors in one line.
+
+The stores' libraries only notice silence. A server that sends a byte now and then is never silent and never done, so
+each transfer has a pace: in every minute 64 KiB arrive, or all that was asked for.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,98 @@ import posixpath
 import secrets
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
+from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, MissingError, OutputError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.source import changed_while_read
 
-from .pace import LEAST_BYTES, Pace, TooSlowError, finished
 from .urls import LIBRARIES, shown_url, url_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+#: The slowest transfer: so many bytes, or all that are left, arrive in so many seconds.
+LEAST_BYTES = 1 << 16
+SLOWEST_SECONDS = 60.0
+
+#: The share of these seconds that a request should take.
+_USUAL_SHARE = 0.25
+
+
+class TooSlowError(Exception):
+    """A transfer is too slow; the place that is read makes an error for users of it."""
+
+    def __init__(self) -> None:
+        super().__init__(f"fewer than {LEAST_BYTES:,} bytes arrived in {SLOWEST_SECONDS:g} seconds")
+
+
+class Pace:
+    """The time until which the next `LEAST_BYTES` of a transfer must have arrived.
+
+    Parameters
+    ----------
+    clock
+        Returns the time, seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
+        self._clock = clock
+        self._counted = 0
+        self._deadline = clock() + SLOWEST_SECONDS
+
+    def note_arrival(self, total: int) -> None:
+        """Note how many bytes have arrived since the beginning."""
+        if total - self._counted >= LEAST_BYTES:
+            self._counted = total
+            self._deadline = self._clock() + SLOWEST_SECONDS
+
+    def seconds_left(self) -> float:
+        """Return the seconds that are left.
+
+        Raises
+        ------
+        TooSlowError
+            If there are none.
+        """
+        left = self._deadline - self._clock()
+        if left <= 0:
+            raise TooSlowError
+        return left
+
+
+def request_size(size: int, seconds: float) -> int:
+    """Return how many bytes a request may ask for, given how long one of this size took.
+
+    >>> request_size(65_536, 0.1), request_size(65_536, 30)
+    (9830400, 32768)
+    """
+    return int(size * _USUAL_SHARE * SLOWEST_SECONDS / max(seconds, 1e-6))
+
+
+def call_in_time(fs: Any, name: str, *args: object, pace: Pace, **options: Any) -> Any:
+    """Call a method of a file system, and return its result.
+
+    Raises
+    ------
+    TooSlowError
+        If it does not keep the pace; it is cancelled then. File systems without a network take the time that they take.
+    """
+    if not fs.async_impl:
+        return getattr(fs, name)(*args, **options)
+    # fsspec has loaded both.
+    from asyncio import run_coroutine_threadsafe  # noqa: PLC0415
+    from concurrent.futures import wait  # noqa: PLC0415
+
+    future = run_coroutine_threadsafe(getattr(fs, f"_{name}")(*args, **options), fs.loop)
+    try:
+        while not future.done():
+            # An interruption by the user waits for as long.
+            wait([future], timeout=min(1, pace.seconds_left()))
+        return future.result()
+    finally:
+        future.cancel()
+
 
 #: Attributes that distinguish versions of an object, the best first. Stores differ in which of these they have.
 _VERSION = (
@@ -50,7 +136,7 @@ _AGAIN = "try again; if it fails again, check the network and the store"
 _NO_ANSWER = "check the network, the host's name and, for your own store, its endpoint"
 
 
-class Object(NamedTuple):
+class StoredObject(NamedTuple):
     """A file of a store: its size, and its version, which changes if the file does; empty if the store has none."""
 
     size: int
@@ -85,7 +171,7 @@ class RemotePath:
                 hint=f"pip install 'pc2scan[remote]'{f' {self._library}' * bool(self._library)}",
             ) from err
         try:
-            with self.reported():
+            with self.translate_errors():
                 self._fs, self.key = url_to_fs(self._url, **_patience(self.scheme))
         except ImportError as err:
             raise UsageError(
@@ -123,7 +209,7 @@ class RemotePath:
         """Whether files there can only be read."""
         return self.scheme in {"http", "https"}
 
-    def stated(self) -> Object:
+    def stat(self) -> StoredObject:
         """Return the size of the file, and its version."""
         found = self._info(self.key)
         if found.get("size") is None:
@@ -132,9 +218,9 @@ class RemotePath:
             )
         return _object(found)
 
-    def below(self) -> dict[str, Object]:
+    def below(self) -> dict[str, StoredObject]:
         """Return all files below a folder, by their paths relative to it; empty if there are none."""
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
             try:
                 found = self._fs.find(self.key, detail=True)
@@ -156,14 +242,14 @@ class RemotePath:
         """Return whether the bucket exists; True for stores without buckets."""
         if self.scheme in _GRADUAL:
             return True
-        with self.reported():
-            return bool(finished(self._fs, "exists", self.key.strip("/").partition("/")[0], pace=Pace()))
+        with self.translate_errors():
+            return bool(call_in_time(self._fs, "exists", self.key.strip("/").partition("/")[0], pace=Pace()))
 
     def is_folder(self) -> bool:
         """Whether it is a folder: other keys begin with this one. True for the root of a store."""
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
-            return not finished(self._fs, "isfile", self.key, pace=Pace())
+            return not call_in_time(self._fs, "isfile", self.key, pace=Pace())
 
     def child(self, below: str) -> RemotePath:
         """Return the place at a path relative to this folder."""
@@ -171,7 +257,7 @@ class RemotePath:
 
     def read(self) -> bytes | None:
         """Return the content of a small file; None if it does not exist."""
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
             try:
                 return bytes(self._fs.cat_file(self.key))
@@ -180,7 +266,7 @@ class RemotePath:
 
     def write(self, data: bytes, *, is_new: bool = False) -> bool:
         """Write a small file. With ``is_new``, return False if it exists already."""
-        with self.reported(writes=True):
+        with self.translate_errors(writes=True):
             self._makedirs(self.key.rpartition("/")[0])
             try:
                 self._fs.pipe_file(self.key, data, mode="create" if is_new else "overwrite")
@@ -195,25 +281,25 @@ class RemotePath:
 
     def delete(self) -> None:
         """Remove a file if it exists."""
-        with self.reported(writes=True), suppress(FileNotFoundError):
+        with self.translate_errors(writes=True), suppress(FileNotFoundError):
             self._fs.rm_file(self.key)
 
     def _exists(self, key: str) -> bool:
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
-            return bool(finished(self._fs, "exists", key, pace=Pace()))
+            return bool(call_in_time(self._fs, "exists", key, pace=Pace()))
 
     def _info(self, key: str) -> dict[str, Any]:
-        with self.reported():
+        with self.translate_errors():
             self._fs.invalidate_cache()
-            found: dict[str, Any] = finished(self._fs, "info", key, pace=Pace())
+            found: dict[str, Any] = call_in_time(self._fs, "info", key, pace=Pace())
         return found
 
     def files(self) -> dict[str, RemotePath] | None:
         """Return the files of a directory by name; None for a file."""
         if self._info(self.key).get("type") != "directory":
             return None
-        with self.reported():
+        with self.translate_errors():
             entries = self._fs.ls(self.key, detail=True)
         held = (entry for entry in entries if entry["type"] == "file")
         names = (str(entry["name"]) for entry in held)
@@ -231,9 +317,9 @@ class RemotePath:
 
     def bytes_at(self, start: int, stop: int) -> bytes | None:
         """Read a range of bytes; None if it is longer than `LEAST_BYTES`, and the transfer too slow for it."""
-        with self.reported():
+        with self.translate_errors():
             try:
-                data = bytes(finished(self._fs, "cat_file", self.key, start=start, end=stop, pace=Pace()))
+                data = bytes(call_in_time(self._fs, "cat_file", self.key, start=start, end=stop, pace=Pace()))
             except TooSlowError:
                 if stop - start > LEAST_BYTES:
                     return None
@@ -247,21 +333,21 @@ class RemotePath:
             )
         return data
 
-    def download(self, target: Path, check: Callable[[], None] | None = None) -> Object:
+    def download(self, target: Path, check: Callable[[], None] | None = None) -> StoredObject:
         """Download the file, and return its size and version; raises if it changes meanwhile, or arrives incomplete.
 
         ``check`` is called from time to time. If it raises, the download ends.
         """
-        before = self.stated()
+        before = self.stat()
         pace = Pace()
-        with self.reported():
+        with self.translate_errors():
             if self.scheme in _IN_BLOCKS:
-                self._fs.get_file(self.key, str(target), **_called(check))
+                self._fs.get_file(self.key, str(target), **_callback_options(check))
             else:
-                options = _called(check, pace.arrived)
-                finished(self._fs, "get_file", self.key, str(target), pace=pace, **options)
-        if self.stated() != before:
-            raise self.changed()
+                options = _callback_options(check, pace.note_arrival)
+                call_in_time(self._fs, "get_file", self.key, str(target), pace=pace, **options)
+        if self.stat() != before:
+            raise self.change_error()
         arrived = target.stat().st_size
         if arrived != before.size:
             raise RecordingError(
@@ -271,7 +357,7 @@ class RemotePath:
             )
         return before
 
-    def changed(self) -> RecordingError:
+    def change_error(self) -> RecordingError:
         """Return the error for a source that has changed."""
         return changed_while_read(self.shown)
 
@@ -309,8 +395,8 @@ class RemotePath:
         shown = f"{self.shown.rstrip('/')}/{name}"
         if not self._exists(key):
             return
-        with self.reported():
-            is_folder = finished(self._fs, "isdir", key, pace=Pace())
+        with self.translate_errors():
+            is_folder = call_in_time(self._fs, "isdir", key, pace=Pace())
         if is_folder:
             raise DestinationError("is a folder; folders in a store are never replaced", path=shown, hint=_OTHER_NAME)
         if not overwrite:
@@ -324,14 +410,14 @@ class RemotePath:
 
     def _makedirs(self, key: str) -> None:
         if self.scheme in _GRADUAL:
-            with self.reported(writes=True):
+            with self.translate_errors(writes=True):
                 self._fs.makedirs(key, exist_ok=True)
 
     def _put(self, source: Path, key: str, check: Callable[[], None] | None = None) -> None:
         """Upload a file. If the store shows unfinished uploads, the file has a temporary name until it is complete."""
-        with self.reported(writes=True):
+        with self.translate_errors(writes=True):
             if self.scheme not in _GRADUAL:
-                self._fs.put_file(str(source), key, **_called(check))
+                self._fs.put_file(str(source), key, **_callback_options(check))
                 return
             folder, _, name = key.rpartition("/")
             partial = f"{folder}/.pc2scan-{secrets.token_hex(4)}-{name}"
@@ -343,7 +429,7 @@ class RemotePath:
                     self._fs.rm_file(partial)
 
     @contextmanager
-    def reported(self, *, writes: bool = False) -> Iterator[None]:
+    def translate_errors(self, *, writes: bool = False) -> Iterator[None]:
         """Turn errors of fsspec and the stores' libraries into our own: one line, without secrets."""
         kind = OutputError if writes else RecordingError
         try:
@@ -392,9 +478,9 @@ class RemotePath:
         return kind(f"cannot be {does}: {f'status {status}' if status else name}", path=self.shown, hint=_NO_ANSWER)
 
 
-def _object(entry: dict[str, Any]) -> Object:
+def _object(entry: dict[str, Any]) -> StoredObject:
     found = next((str(entry[name]) for name in _VERSION if entry.get(name) is not None), "")
-    return Object(int(entry.get("size") or 0), found.strip('"'))
+    return StoredObject(int(entry.get("size") or 0), found.strip('"'))
 
 
 def _patience(scheme: str) -> dict[str, Any]:
@@ -428,17 +514,17 @@ def _status(err: BaseException) -> int | None:
     return status if isinstance(status, int) else None
 
 
-def _called(check: Callable[[], None] | None, arrived: Callable[[int], None] | None = None) -> dict[str, Any]:
+def _callback_options(check: Callable[[], None] | None, arrived: Callable[[int], None] | None = None) -> dict[str, Any]:
     """Return the argument that lets fsspec call functions while it copies: ``arrived`` with the number of bytes."""
     if check is None and arrived is None:
         return {}
     from fsspec.callbacks import Callback  # noqa: PLC0415  # only an extra
 
-    class Called(Callback):  # type: ignore[misc, unused-ignore]
+    class ArrivalCallback(Callback):  # type: ignore[misc, unused-ignore]
         def call(self, *_names: object, **_values: object) -> None:
             if arrived is not None:
                 arrived(self.value)
             if check is not None:
                 check()
 
-    return {"callback": Called()}
+    return {"callback": ArrivalCallback()}

@@ -12,12 +12,10 @@ from pc2scan.errors import stamp_text, visible
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder, PointCloud2
 
-from . import packages
-from .stream import Source, Stream
-from .times import Stamped
+from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
@@ -27,7 +25,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Cloud(Stamped):
+class Cloud(NumpyTimes):
     """A PointCloud2 message. ``cloud["intensity"]`` is a field of all points.
 
     Attributes
@@ -141,7 +139,7 @@ class Cloud(Stamped):
         DecodeError
             If two fields have one name, or the message contradicts itself.
         """
-        return self._message.structured()
+        return self._message.structured_points()
 
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each point and a column for each field.
@@ -151,7 +149,7 @@ class Cloud(Stamped):
         ImportError
             If pandas is not installed.
         """
-        pandas = packages.pandas()
+        pandas = import_pandas()
         return pandas.DataFrame(self._columns(), pandas.RangeIndex(len(self), name="point"))
 
     def to_xarray(self) -> Any:
@@ -164,7 +162,7 @@ class Cloud(Stamped):
         ImportError
             If xarray is not installed.
         """
-        xarray = packages.xarray()
+        xarray = import_xarray()
         data = {name: ("point", values) for name, values in self._columns().items()}
         names = ("topic", "frame", "stamp_ns", "log_time_ns")
         return xarray.Dataset(data, attrs={name: getattr(self, name) for name in names})
@@ -182,7 +180,7 @@ class Cloud(Stamped):
         message = self._message
         described = [getattr(message, each.name) for each in dataclass_fields(message) if each.name[0] != "_"]
         values = [bytes(value) if isinstance(value, memoryview) else value for value in described]
-        return _restored, (self.topic, self.log_time_ns, values)
+        return _restore, (self.topic, self.log_time_ns, values)
 
     def __repr__(self) -> str:
         return (
@@ -191,7 +189,7 @@ class Cloud(Stamped):
         )
 
 
-def _restored(topic: str, log_time_ns: int, values: Sequence[Any]) -> Cloud:
+def _restore(topic: str, log_time_ns: int, values: Sequence[Any]) -> Cloud:
     arguments: list[Any] = [memoryview(value) if isinstance(value, bytes) else value for value in values]
     return Cloud(topic, log_time_ns, PointCloud2(*arguments))
 
@@ -213,15 +211,15 @@ class Clouds(Stream[Cloud]):
         Messages that the last loop could not use: the first hundred, and how many.
     """
 
-    def _source(self, stack: ExitStack, reader: Reader) -> Source:
+    def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
         known = [connection for connection in reader.connections if connection.ros_version is not None]
         decoders = {connection.id: CloudDecoder(connection.serialization) for connection in known}
 
         def cloud(message: RawMessage) -> Cloud:
             connection = message.connection
-            return Cloud(connection.topic, message.log_time_ns, decoders[connection.id](_kept(message.data)))
+            return Cloud(connection.topic, message.log_time_ns, decoders[connection.id](_own_data(message.data)))
 
-        return self._as_recorded(stack, reader, POINTCLOUD2, _scans_instead, cloud)
+        return self._source_of_type(stack, reader, POINTCLOUD2, _hint_scans, cloud)
 
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each point of each cloud. Reads all clouds into memory.
@@ -233,32 +231,28 @@ class Clouds(Stream[Cloud]):
         ImportError
             If pandas is not installed.
         """
-        pandas = packages.pandas()
+        pandas = import_pandas()
         clouds = list(self)
         names = [name for name in (clouds[0].fields if clouds else ()) if all(name in c.fields for c in clouds)]
         parts = [cloud._columns() for cloud in clouds]  # noqa: SLF001  # they make one table
         sizes = [len(cloud) for cloud in clouds]
         stamps = np.array([cloud.stamp for cloud in clouds], "datetime64[ns]")
         table: dict[str, Any] = {"stamp": np.repeat(stamps, sizes)}
-        table.update({name: np.concatenate([part[name] for part in parts]) for name in _common(names, parts)})
+        names = [name for name in names if all(name in part for part in parts)]
+        table.update({name: np.concatenate([part[name] for part in parts]) for name in names})
         if len(self.topics) > 1:
             table["topic"] = pandas.Categorical(np.repeat([cloud.topic for cloud in clouds], sizes))
         return pandas.DataFrame(table)
 
 
-def _common(names: Iterable[str], parts: Sequence[dict[str, NDArray[Any]]]) -> list[str]:
-    """Return the names that every part has."""
-    return [name for name in names if all(name in part for part in parts)]
-
-
-def _kept(data: Buffer) -> Buffer:
+def _own_data(data: Buffer) -> Buffer:
     """Return the data, copied if a view would keep something larger in memory, or is borrowed."""
     if isinstance(data, memoryview) and isinstance(data.obj, bytes) and 2 * len(data) >= len(data.obj):
         return data
     return data if isinstance(data, bytes) else bytes(data)
 
 
-def _scans_instead(reader: Reader) -> str | None:
+def _hint_scans(reader: Reader) -> str | None:
     """Return the hint for a recording that has scans, but no clouds."""
     if not any(connection.ros_type == LASERSCAN for connection in reader.connections):
         return None

@@ -23,9 +23,7 @@ from pc2scan.pipeline.routes import joint_of
 from pc2scan.pipeline.run import robot_transforms, span_of
 from pc2scan.pipeline.topic_report import TopicReport
 
-from . import packages
-from .stream import Read, Source, Stream
-from .times import Stamped
+from .stream import MessageResult, NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -47,7 +45,7 @@ _LIMITS = ("range_min", "range_max", "time_increment", "scan_time")
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Scan(Stamped):
+class Scan(NumpyTimes):
     """A LaserScan message.
 
     Attributes
@@ -138,7 +136,7 @@ class Scan(Stamped):
         ImportError
             If pandas is not installed.
         """
-        pandas = packages.pandas()
+        pandas = import_pandas()
         index = pandas.RangeIndex(len(self.ranges), name="beam")
         return pandas.DataFrame(self._columns(), index)
 
@@ -197,16 +195,16 @@ class Scans(Stream[Scan]):
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self._selection, self._conversion)
 
-    def _source(self, stack: ExitStack, reader: Reader) -> Source:
+    def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
         if self._conversion is not None:
             return self._converting(stack, reader, self._conversion)
-        return self._as_recorded(stack, reader, LASERSCAN, _clouds_instead, _recorded)
+        return self._source_of_type(stack, reader, LASERSCAN, _hint_clouds, _read_scan)
 
-    def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> Source:
+    def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> StreamSource:
         """Convert clouds as `pc2scan.convert` does."""
         if not options.scan.topics:
             # Returns the only topic, or raises.
-            self._selection.chosen(reader, options.scan.source_types, _scans_instead)
+            self._selection.select_connections(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
         plan = make_plan(reader.connections, options)
         span = span_of(reader, options)
@@ -231,14 +229,14 @@ class Scans(Stream[Scan]):
                 joint = joint_of(joints, task, conversion, serial)
                 routes.setdefault(connection.id, []).append(_Task(convert, task.targets, joint))
 
-        def read(message: RawMessage) -> Read:
-            return _converted(routes[message.connection.id], message)
+        def read(message: RawMessage) -> MessageResult:
+            return _convert(routes[message.connection.id], message)
 
         connections = [route.connection for route in plan.routes if route.targets]
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
         latched = [connection for connection in connections if connection.latching]
-        account = _Conversion(report, plan.routes, joints, firsts, early)
-        return Source(
+        account = _ConversionCounter(report, plan.routes, joints, firsts, early)
+        return StreamSource(
             stack,
             [reader, *others],
             topics,
@@ -249,7 +247,7 @@ class Scans(Stream[Scan]):
             latched,
             account,
             tuple(joints.values()),
-            _made if joints else None,
+            _joint_result if joints else None,
         )
 
     def to_dataframe(self) -> Any:
@@ -263,7 +261,7 @@ class Scans(Stream[Scan]):
         ImportError
             If pandas is not installed.
         """
-        pandas = packages.pandas()
+        pandas = import_pandas()
         parts = [(scan, scan._columns()) for scan in self]  # noqa: SLF001  # they make one table
         names = ["angle", "range", "intensity"]
         if not all("intensity" in columns for scan, columns in parts if len(scan.ranges)):
@@ -294,12 +292,12 @@ class Scans(Stream[Scan]):
         UsageError
             If there is no scan, or the beams of the scans are not the same. `to_dataframe` accepts any scans.
         """
-        packages.xarray()
+        import_xarray()
         return _dataset(list(self))
 
 
 def _dataset(scans: Sequence[Scan]) -> Any:
-    xarray = packages.xarray()
+    xarray = import_xarray()
     if not scans:
         raise UsageError("there is no scan to make a Dataset of", hint="check topic, `start` and `end`")
     first = scans[0]
@@ -355,7 +353,7 @@ def _scan(topic: str, log_time_ns: int, data: Buffer, serialization: str) -> Sca
     )
 
 
-def _recorded(message: RawMessage) -> Scan:
+def _read_scan(message: RawMessage) -> Scan:
     connection = message.connection
     return _scan(connection.topic, message.log_time_ns, message.data, connection.serialization)
 
@@ -368,7 +366,7 @@ class _Task(NamedTuple):
     joint: Joint | None
 
 
-def _converted(tasks: Sequence[_Task], message: RawMessage) -> Read:
+def _convert(tasks: Sequence[_Task], message: RawMessage) -> MessageResult:
     connection, log_time_ns = message.connection, message.log_time_ns
     scans: list[Scan] = []
     arrived: list[Arrived] = []
@@ -386,19 +384,21 @@ def _converted(tasks: Sequence[_Task], message: RawMessage) -> Read:
 
                 arrived.append(Arrived(joint, (connection, targets), made, message.sequence))
     except MessageError as err:
-        return Read(connection, log_time_ns, 0, error=err)
+        return MessageResult(connection, log_time_ns, 0, error=err)
     size = 0 if alone is None else len(alone.data)
     converted = None if alone is None else replace(alone, data=b"")
-    return Read(connection, log_time_ns, size, tuple(scans), converted=converted, arrived=tuple(arrived))
+    return MessageResult(connection, log_time_ns, size, tuple(scans), converted=converted, arrived=tuple(arrived))
 
 
-def _made(scan: MadeScan) -> Read:
+def _joint_result(scan: MadeScan) -> MessageResult:
     """Return a scan of several messages as the result of the message that leads it."""
     (connection, targets), log_time_ns, _, _, made = scan
     if isinstance(made, MessageError):
-        return Read(connection, log_time_ns, 0, error=made, is_joint=True)
+        return MessageResult(connection, log_time_ns, 0, error=made, is_joint=True)
     scans = _scans_of(made, targets, log_time_ns, connection.serialization)
-    return Read(connection, log_time_ns, len(made.data), tuple(scans), converted=replace(made, data=b""), is_joint=True)
+    return MessageResult(
+        connection, log_time_ns, len(made.data), tuple(scans), converted=replace(made, data=b""), is_joint=True
+    )
 
 
 def _scans_of(made: Converted, targets: Sequence[str], log_time_ns: int, serialization: str) -> list[Scan]:
@@ -406,7 +406,7 @@ def _scans_of(made: Converted, targets: Sequence[str], log_time_ns: int, seriali
     return [first, *(replace(first, topic=target) for target in targets[1:])]
 
 
-class _Conversion:
+class _ConversionCounter:
     """Counts the results of a conversion, as `pc2scan.convert` does."""
 
     def __init__(
@@ -437,8 +437,8 @@ class _Conversion:
                         joint.reports[number] = entry
         report.topics += entries.values()
 
-    def note(self, message: Read) -> None:
-        """Count a message; see `Account`."""
+    def note(self, message: MessageResult) -> None:
+        """Count a message; see `ResultCounter`."""
         made = message.converted
         if made is not None and isinstance(made.sample, Sampled):
             made.sample.add(made.counts)
@@ -460,11 +460,11 @@ class _Conversion:
                     entry.tilts.append(message.converted.level.tilt)
 
     def finish(self) -> None:
-        """Raise if nothing could be converted; see `Account`."""
+        """Raise if nothing could be converted; see `ResultCounter`."""
         self._unconnected.finish()
 
     def early_warnings(self) -> Sequence[str]:
-        """Return new warnings about the first clouds; see `Account`."""
+        """Return new warnings about the first clouds; see `ResultCounter`."""
         if not self._early:
             return ()
         found = tuple(self._early)
@@ -472,20 +472,20 @@ class _Conversion:
         return found
 
     def warnings(self) -> Sequence[str]:
-        """Return warnings for the user; see `Account`."""
+        """Return warnings for the user; see `ResultCounter`."""
         self._firsts.finish()
         self._report.conclude()
         return self._report.warnings
 
 
-def _clouds_instead(reader: Reader) -> str | None:
+def _hint_clouds(reader: Reader) -> str | None:
     """Return the hint for a recording that has clouds, but no scans."""
     if not any(connection.ros_type in CLOUDS for connection in reader.connections):
         return None
     return "its clouds become scans with parameters: `preset`, `params_file`, or any of them by name, `min_height=-0.3`"
 
 
-def _scans_instead(reader: Reader) -> str | None:
+def _hint_scans(reader: Reader) -> str | None:
     if not any(connection.ros_type == LASERSCAN for connection in reader.connections):
         return None
     return "it has LaserScan topics, which are read as they are without any parameters"

@@ -6,13 +6,16 @@ import warnings
 from abc import ABC, abstractmethod
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from itertools import chain
-from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 from weakref import WeakSet, finalize
+
+import numpy as np
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
-from pc2scan.bags.units import in_time_order
+from pc2scan.bags.units import merge_by_time
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.pipeline.beforehand import refuse_no_messages
 from pc2scan.pipeline.options import ConvertOptions
@@ -33,6 +36,61 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
     from pc2scan.pipeline.conversion import Converted
     from pc2scan.pipeline.stream import Progress
+
+
+def import_pandas() -> Any:
+    """Return the package pandas; raise an ImportError with what to install if it is missing."""
+    return _package("pandas", "to_dataframe")
+
+
+def import_xarray() -> Any:
+    """Return the package xarray; raise an ImportError with what to install if it is missing."""
+    return _package("xarray", "to_xarray")
+
+
+def _package(name: str, method: str) -> Any:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as err:
+        if err.name != name:
+            raise
+        raise ImportError(f"{method}() needs the package {name}: pip install {name}", name=name) from err
+
+
+#: The smallest of 64 bits is NumPy's "not a time".
+_MAX_INT64 = 2**63 - 1
+
+
+def datetime64(nanoseconds: int) -> np.datetime64:
+    """Return nanoseconds since 1970 as ``numpy.datetime64``; ``NaT`` for values beyond 64 bits."""
+    return np.datetime64(nanoseconds, "ns") if abs(nanoseconds) <= _MAX_INT64 else np.datetime64("NaT", "ns")
+
+
+class NumpyTimes:
+    """A message whose times are also NumPy's."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:
+
+        @property
+        def log_time_ns(self) -> int:
+            """The time of recording, nanoseconds since 1970."""
+
+        @property
+        def stamp_ns(self) -> int:
+            """``header.stamp``, nanoseconds since 1970."""
+
+    @property
+    def stamp(self) -> np.datetime64:
+        """``header.stamp`` as ``numpy.datetime64`` in nanoseconds."""
+        return datetime64(self.stamp_ns)
+
+    @property
+    def log_time(self) -> np.datetime64:
+        """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
+        return datetime64(self.log_time_ns)
+
 
 Item = TypeVar("Item")
 
@@ -73,7 +131,7 @@ class Selection:
         if self.on_error not in ("skip", "fail"):
             raise UsageError(f"on_error is {self.on_error!r}, it must be skip or fail")
 
-    def chosen(
+    def select_connections(
         self, reader: Reader, kinds: Collection[str], hint: Callable[[Reader], str | None]
     ) -> dict[str, list[Connection]]:
         """Return the connections of the topics to read, by topic.
@@ -111,8 +169,8 @@ class Selection:
                 hint=f'choose: topic="{min(found)}", or a list of several',
             )
         try:
-            asked = [find_topics(topic, types, sorted(found), *kinds) for topic in self.topics]
-            names = list(dict.fromkeys(name for several in asked for name in several)) or list(found)
+            requested = [find_topics(topic, types, sorted(found), *kinds) for topic in self.topics]
+            names = list(dict.fromkeys(name for several in requested for name in several)) or list(found)
         except TopicError as err:
             err.path = reader.path
             if names_a_type := hint(reader):
@@ -121,7 +179,7 @@ class Selection:
         return {name: found[name] for name in dict.fromkeys(names)}
 
 
-class Read(NamedTuple):
+class MessageResult(NamedTuple):
     """The result of a message: its items, or the error; for a conversion, also the counts of its points.
 
     ``arrived`` is its part of a scan of several messages. ``is_joint`` is whether this is such a scan, whose connection
@@ -138,10 +196,10 @@ class Read(NamedTuple):
     is_joint: bool = False
 
 
-class Account(Protocol):
+class ResultCounter(Protocol):
     """Counts the results of all messages."""
 
-    def note(self, message: Read) -> None:
+    def note(self, message: MessageResult) -> None:
         """Count a message."""
         ...
 
@@ -158,7 +216,7 @@ class Account(Protocol):
         ...
 
 
-class Source(NamedTuple):
+class StreamSource(NamedTuple):
     """An open recording, ready to be read.
 
     Attributes
@@ -179,7 +237,7 @@ class Source(NamedTuple):
         Counts the result of each message; None if not needed.
     joints
         What makes scans of several messages.
-    made
+    read_joint
         Makes the items of such scans.
     """
 
@@ -189,30 +247,30 @@ class Source(NamedTuple):
     connections: Sequence[Connection]
     start_ns: int | None
     stop_ns: int | None
-    read: Callable[[RawMessage], Read]
+    read: Callable[[RawMessage], MessageResult]
     latched: Collection[Connection] = ()
-    account: Account | None = None
+    account: ResultCounter | None = None
     joints: Sequence[Joint] = ()
-    made: Callable[[MadeScan], Read] | None = None
+    read_joint: Callable[[MadeScan], MessageResult] | None = None
 
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage in the parts of the recordings that were read."""
         return tuple(damage for reader in self.readers for damage in reader.damage)
 
-    def messages(self) -> Generator[Read]:
+    def messages(self) -> Generator[MessageResult]:
         """Yield the results of the messages, by log time; a scan of several follows the last of them."""
-        if self.made is None:
-            yield from self._reads()
+        if self.read_joint is None:
+            yield from self._results()
             return
         from pc2scan.pipeline.combine.joint import with_scans  # noqa: PLC0415  # few scans are made of several messages
 
-        with closing(with_scans(self._reads(), _arrivals, self.joints, None)) as found:
+        with closing(with_scans(self._results(), _arrivals, self.joints, None)) as found:
             for each in found:
-                yield each if isinstance(each, Read) else self.made(each)
+                yield each if isinstance(each, MessageResult) else self.read_joint(each)
                 del each
 
-    def _reads(self) -> Generator[Read]:
+    def _results(self) -> Generator[MessageResult]:
         reader = self.readers[0]
         parts = [reader.units(self.connections, self.start_ns, self.stop_ns)]
         if self.latched and self.start_ns is not None:
@@ -220,13 +278,13 @@ class Source(NamedTuple):
 
             parts.insert(0, [latched_at(reader.messages(self.latched, None, self.start_ns), self.start_ns)])
         for units in parts:
-            with closing(in_time_order(units, self.read, path=reader.path)) as found:
+            with closing(merge_by_time(units, self.read, path=reader.path)) as found:
                 # Readers yield whole chunks only if they are given a rule for them, which is not the case here.
                 yield from found  # type: ignore[misc]
 
 
-def _arrivals(read: Read | MadeScan) -> tuple[int, int, tuple[Arrived, ...]]:
-    assert isinstance(read, Read)
+def _arrivals(read: MessageResult | MadeScan) -> tuple[int, int, tuple[Arrived, ...]]:
+    assert isinstance(read, MessageResult)
     return read.log_time_ns, read.size, read.arrived
 
 
@@ -259,7 +317,7 @@ class Stream(ABC, Generic[Item]):
         #: Called regularly with bytes read, bytes in all, and messages read.
         self.progress: Callable[[int, int, int], None] | None = None
         source = self._open()
-        self._prepared: Source | None = source
+        self._prepared: StreamSource | None = source
         #: Closes the open files if the object is never iterated over.
         self._release = finalize(self, source.stack.close)
         self._release.atexit = False
@@ -267,37 +325,37 @@ class Stream(ABC, Generic[Item]):
         self.damage: tuple[Damage, ...] = source.damage
 
     @abstractmethod
-    def _source(self, stack: ExitStack, reader: Reader) -> Source:
+    def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
         """Return what is read from an open recording."""
 
-    def _as_recorded(
+    def _source_of_type(
         self,
         stack: ExitStack,
         reader: Reader,
         msgtype: str,
         hint: Callable[[Reader], str | None],
         item_of: Callable[[RawMessage], Item],
-    ) -> Source:
-        """Return the messages of a type, each of which becomes one item; see `Selection.chosen`."""
-        asked = self._selection
-        chosen = asked.chosen(reader, (msgtype,), hint)
-        span = span_of(reader, ConvertOptions(start=asked.start, end=asked.end))
+    ) -> StreamSource:
+        """Return the messages of a type, each of which becomes one item; see `Selection.select_connections`."""
+        selection = self._selection
+        chosen = selection.select_connections(reader, (msgtype,), hint)
+        span = span_of(reader, ConvertOptions(start=selection.start, end=selection.end))
         connections = list(chain.from_iterable(chosen.values()))
 
-        def read(message: RawMessage) -> Read:
+        def read(message: RawMessage) -> MessageResult:
             connection, log_time_ns = message.connection, message.log_time_ns
             try:
                 item = item_of(message)
             except MessageError as err:
-                return Read(connection, log_time_ns, 0, error=err)
-            return Read(connection, log_time_ns, message.size, (item,))
+                return MessageResult(connection, log_time_ns, 0, error=err)
+            return MessageResult(connection, log_time_ns, message.size, (item,))
 
-        return Source(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, read)
+        return StreamSource(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, read)
 
-    def _open(self) -> Source:
-        asked = self._selection
+    def _open(self) -> StreamSource:
+        selection = self._selection
         with ExitStack() as stack:
-            readers = open_recordings(asked.paths, stack, verify=asked.verify, strict=asked.strict)
+            readers = open_recordings(selection.paths, stack, verify=selection.verify, strict=selection.strict)
             source = self._source(stack, as_one(readers))
             # A topic without messages gives an empty loop, but a cut outside of the recording is an error.
             if source.start_ns is not None or source.stop_ns is not None:
@@ -307,13 +365,13 @@ class Stream(ABC, Generic[Item]):
             return source._replace(stack=stack.pop_all())
 
     def __iter__(self) -> Generator[Item]:
-        items = self._items(self._taken())
+        items = self._items(self._take_source())
         self._live.add(items)
         # From here on the generator closes the files in any case.
         next(items)
         return items
 
-    def reads(self, progress: Progress | None = None) -> Generator[Read]:
+    def reads(self, progress: Progress | None = None) -> Generator[MessageResult]:
         """Yield the result of each message, for callers that report it themselves: Python's warnings are not used.
 
         At the end, `listener` receives the warnings of a conversion.
@@ -328,8 +386,8 @@ class Stream(ABC, Generic[Item]):
         MessageError
             If it is certain that no message can be used.
         """
-        source = self._taken()
-        with source.stack, closing(_accounted(source)) as messages:
+        source = self._take_source()
+        with source.stack, closing(_count_results(source)) as messages:
             reader = source.readers[0]
             total = reader.summary.size_bytes
             for number, message in enumerate(messages):
@@ -342,7 +400,7 @@ class Stream(ABC, Generic[Item]):
                 for text in source.account.warnings():
                     self.listener(text)
 
-    def _taken(self) -> Source:
+    def _take_source(self) -> StreamSource:
         """Return the open recording; the caller closes it."""
         source, self._prepared = self._prepared, None
         if source is None:
@@ -350,7 +408,7 @@ class Stream(ABC, Generic[Item]):
         self._release.detach()
         return source
 
-    def _items(self, source: Source) -> Generator[Item]:
+    def _items(self, source: StreamSource) -> Generator[Item]:
         """Yield the items, after a first None: once the generator has begun, it closes the files in any case."""
         with source.stack:
             yield None  # type: ignore[misc]
@@ -358,7 +416,7 @@ class Stream(ABC, Generic[Item]):
             self.damage = source.damage
             warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
             told: set[str] = set()
-            with closing(_accounted(source)) as messages:
+            with closing(_count_results(source)) as messages:
                 for number, message in enumerate(messages):
                     if self.progress is not None and number % _PROGRESS_EVERY == 0:
                         first = source.readers[0]
@@ -381,7 +439,7 @@ class Stream(ABC, Generic[Item]):
                 elif text not in told:
                     warnings.warn(text, RecordingWarning, stacklevel=2)
 
-    def _skip(self, message: Read) -> None:
+    def _skip(self, message: MessageResult) -> None:
         """Count a message that cannot be used; warn of the first one, list the others."""
         error = message.error
         assert error is not None
@@ -422,7 +480,7 @@ class Stream(ABC, Generic[Item]):
         return f"<{type(self).__name__} on {', '.join(map(visible, self.topics[:_SHOWN]))}{more} of {paths}>"
 
 
-def _accounted(source: Source) -> Generator[Read]:
+def _count_results(source: StreamSource) -> Generator[MessageResult]:
     """Yield the result of each message, after the account has counted it."""
     with closing(source.messages()) as messages:
         for message in messages:

@@ -1,5 +1,5 @@
 """Reads the transforms of whole recordings, and looks them up by tf2's rules."""
 
-from pc2scan.callable_package import make_callable
+from pc2scan.arguments import make_callable
 
 make_callable(__name__)

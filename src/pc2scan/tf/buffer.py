@@ -40,11 +40,17 @@ import numpy as np
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError, UnconnectedError
 
+from .chain import Query, join_walks, walk_up
 from .history import FrameHistory
-from .lookup_errors import empty_name, extrapolation, looping, often_changing, unconnected, unknown_frame
-from .query import Query
+from .lookup_errors import (
+    empty_name_error,
+    extrapolation_error,
+    loop_error,
+    parent_changes_error,
+    unconnected_error,
+    unknown_frame_error,
+)
 from .summary import frame_info, trees_of
-from .walk import joined, walk_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -52,7 +58,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .chain import Chain
-    from .rejections import RejectedTransforms
+    from .lookup_errors import RejectedTransforms
     from .summary import FrameInfo, Tree
 
 #: How often frames may change their parents while a cloud is measured.
@@ -193,7 +199,7 @@ class TransformBuffer:
             If a frame is unknown, the two are not connected, or frames change their parents more than a thousand times
             in the interval.
         """
-        from .many import in_turn, sampled  # noqa: PLC0415  # only deskewing needs it
+        from .sampling import join_samples, sample_chain  # noqa: PLC0415  # only deskewing needs it
 
         query = self._query(target, source, begin_ns, 0)
         if query is None:
@@ -204,17 +210,17 @@ class TransformBuffer:
             self._chains[key] = self._timeless_chain(*key)
         chain = self._chains[key]
         if chain is not None:
-            return sampled(chain, begin_ns, end_ns, step_ns, needed_ns)
+            return sample_chain(chain, begin_ns, end_ns, step_ns, needed_ns)
         changes = self._changes_ns(key)
         inside = changes[(changes > begin_ns) & (changes <= end_ns)].tolist()
         if len(inside) > _MOST_CHANGES:
-            raise often_changing(query, len(inside), _MOST_CHANGES, end_ns - begin_ns)
+            raise parent_changes_error(query, len(inside), _MOST_CHANGES, end_ns - begin_ns)
         ends = [*(change_ns - 1 for change_ns in inside), end_ns]
         parts = []
         for first_ns, last_ns in zip([begin_ns, *inside], ends, strict=True):
             part = self._chain_during(replace(query, stamp_ns=first_ns))
-            parts.append(sampled(part, first_ns, last_ns, step_ns, needed_ns))
-        return in_turn(parts)
+            parts.append(sample_chain(part, first_ns, last_ns, step_ns, needed_ns))
+        return join_samples(parts)
 
     def between_ns(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> int:
         """Return over how long a time `lookup` interpolates: the longest one of all frames of the chain, nanoseconds.
@@ -294,7 +300,7 @@ class TransformBuffer:
         target, source = target.removeprefix("/"), source.removeprefix("/")
         for name, role in ((target, "target_frame"), (source, "source_frame")):
             if not name:
-                raise empty_name(role, stamp_ns)
+                raise empty_name_error(role, stamp_ns)
         if target == source:
             return None
         return Query(
@@ -310,7 +316,7 @@ class TransformBuffer:
         number = self._numbers.get(name)
         if number is not None:
             return number
-        raise unknown_frame(name, role, stamp_ns, self.frames, self.rejections)
+        raise unknown_frame_error(name, role, stamp_ns, self.frames, self.rejections)
 
     def _chain(self, query: Query, time_ns: int | None) -> Chain:
         """Return the chain between the two frames; raise if one of them has no transform at the time."""
@@ -323,7 +329,7 @@ class TransformBuffer:
         outside = [link for link in chain.links if abs(link.gap_ns(time_ns)) > query.tolerance_ns]
         if outside:
             farthest = max(outside, key=lambda link: abs(link.gap_ns(time_ns)))
-            raise extrapolation(query, farthest, self.frames, time_ns)
+            raise extrapolation_error(query, farthest, self.frames, time_ns)
         return chain
 
     def _timeless_chain(self, target: int, source: int) -> Chain | None:
@@ -333,7 +339,7 @@ class TransformBuffer:
         for walk in (target_walk, source_walk):
             if walk.blocked is not None or walk.loop is not None:
                 return None
-        return joined(target_walk, source_walk)
+        return join_walks(target_walk, source_walk)
 
     def _timed_chain(self, query: Query, time_ns: int | None) -> Chain:
         """Return the chain at a time; raise if there is none."""
@@ -347,15 +353,15 @@ class TransformBuffer:
             target_walk = walk_up(query.target_number, self._history, parent_of)
             for walk in (source_walk, target_walk):
                 if walk.loop is not None:
-                    raise looping(query, walk, walk.loop, self.frames)
-            chain = joined(target_walk, source_walk)
+                    raise loop_error(query, walk, walk.loop, self.frames)
+            chain = join_walks(target_walk, source_walk)
             if chain is not None:
                 return chain
         # tf2 walks from the source first, but if both walks were blocked it reports the target's.
         blocked = target_walk.blocked or source_walk.blocked
         if blocked is not None:
-            raise extrapolation(query, blocked, self.frames, time_ns)
-        raise unconnected(query, source_walk, target_walk, self.frames, self.trees)
+            raise extrapolation_error(query, blocked, self.frames, time_ns)
+        raise unconnected_error(query, source_walk, target_walk, self.frames, self.trees)
 
     def _chain_during(self, query: Query) -> Chain | None:
         """Return the chain from a stamp until a frame changes its parent; None if there is none at the stamp."""

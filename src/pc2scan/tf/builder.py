@@ -11,7 +11,7 @@ import numpy as np
 from pc2scan.errors import RecordingError
 
 from .buffer import TransformBuffer
-from .rejections import ACCEPTED, REASONS, RejectedTransforms, reason_of_names, reasons_of
+from .lookup_errors import ACCEPTED, REASONS, RejectedTransforms, reason_of_names, reasons_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -72,11 +72,11 @@ class TransformBuilder:
                 pair = self._add_pair(parent, child)
             self._records += pack(pair, stamp_ns, static, *pose)
 
-    def dumped(self) -> tuple[list[tuple[str, str]], bytes]:
-        """Return what was added, for `add_dumped`: the pairs of frames, and the transforms."""
+    def dump(self) -> tuple[list[tuple[str, str]], bytes]:
+        """Return what was added, for `add_dump`: the pairs of frames, and the transforms."""
         return list(self._pairs), bytes(self._records)
 
-    def add_dumped(self, pairs: Iterable[tuple[str, str]], records: bytes) -> None:
+    def add_dump(self, pairs: Iterable[tuple[str, str]], records: bytes) -> None:
         """Append the transforms of another builder, in their order.
 
         Raises
@@ -110,9 +110,9 @@ class TransformBuilder:
         reasons = reasons_of(poses, pairs[records["pair"], 2])
 
         good = np.flatnonzero(reasons == ACCEPTED)
-        frames, parents, children = self._renumbered(pairs[records["pair"][good], :2])
+        frames, parents, children = self._renumber(pairs[records["pair"][good], :2])
         is_static = _first_of_each(children, records["static"][good], len(frames))
-        order = _kept_order(children, records["stamp_ns"][good], is_static)
+        order = _time_order(children, records["stamp_ns"][good], is_static)
         kept = good[order]
         return TransformBuffer(
             frames=frames,
@@ -127,7 +127,7 @@ class TransformBuilder:
             _numbers={name: number for number, name in enumerate(frames)},
         )
 
-    def _renumbered(self, used: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[np.int32], NDArray[np.int32]]:
+    def _renumber(self, used: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[np.int32], NDArray[np.int32]]:
         """Return the names of the frames with accepted transforms, the only ones for tf2; parents, children."""
         occurs = np.zeros(len(self._names), dtype=np.bool_)
         occurs[used] = True
@@ -161,7 +161,7 @@ def _first_of_each(children: NDArray[np.int32], flags: NDArray[np.bool_], count:
     return result
 
 
-def _kept_order(
+def _time_order(
     children: NDArray[np.int32], stamps_ns: NDArray[np.int64], is_static: NDArray[np.bool_]
 ) -> NDArray[np.int64]:
     """Return the indices of the transforms to keep, by child and stamp.

@@ -1,4 +1,4 @@
-"""The chain of transforms between two frames, and its product."""
+"""The chain of transforms between two frames: found by walks from both up to their roots, and multiplied."""
 
 from __future__ import annotations
 
@@ -9,11 +9,23 @@ from typing import TYPE_CHECKING
 from pc2scan.core.rigid import IDENTITY_POSE, Rigid, compose_poses, inverse_pose
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from pc2scan.core.rigid import Pose
 
     from .history import FrameHistory
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """The names and numbers of two frames, the stamp, and the tolerance."""
+
+    target: str
+    source: str
+    target_number: int
+    source_number: int
+    stamp_ns: int
+    tolerance_ns: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +50,11 @@ class Side:
     def of(cls, links: tuple[FrameHistory, ...]) -> Side:
         """Multiply the static links that come first."""
         static = tuple(takewhile(lambda link: link.static, links))
-        return cls(links, _extended(IDENTITY_POSE, static, None), links[len(static) :])
+        return cls(links, _multiply_links(IDENTITY_POSE, static, None), links[len(static) :])
 
     def pose_at(self, time_ns: int | None) -> Pose:
         """Return ``ancestor_from_frame`` at a time; None asks for each link's latest."""
-        return _extended(self.begin, self.rest, time_ns)
+        return _multiply_links(self.begin, self.rest, time_ns)
 
 
 #: The factor that tf2 uses if the frame itself is the top of its walk; it changes only the signs of zeros.
@@ -95,12 +107,12 @@ class Chain:
         else:
             is_dynamic = not all(link.static for link in known)
         if is_dynamic or self.source_side.rest or self.target_side.rest:
-            return Rigid.from_pose(self._multiplied(known, time_ns))
+            return Rigid.from_pose(self._multiply(known, time_ns))
         if len(known) not in self.fixed:
-            self.fixed[len(known)] = Rigid.from_pose(self._multiplied(known, time_ns))
+            self.fixed[len(known)] = Rigid.from_pose(self._multiply(known, time_ns))
         return self.fixed[len(known)]
 
-    def _multiplied(self, known: tuple[FrameHistory, ...], time_ns: int | None) -> Pose:
+    def _multiply(self, known: tuple[FrameHistory, ...], time_ns: int | None) -> Pose:
         source_pose, target_pose = self.source_side.pose_at(time_ns), self.target_side.pose_at(time_ns)
         if not self.target_side.links:
             return source_pose if known else compose_poses(_INVERSE_OF_NOTHING, source_pose)
@@ -112,8 +124,60 @@ class Chain:
         return compose_poses(inverse_pose(target_pose), source_pose)
 
 
-def _extended(pose: Pose, links: Iterable[FrameHistory], time_ns: int | None) -> Pose:
+def _multiply_links(pose: Pose, links: Iterable[FrameHistory], time_ns: int | None) -> Pose:
     """Transform a pose from the first link's child up to the last link's parent."""
     for link in links:
         pose = compose_poses(link.pose_at(time_ns), pose)
     return pose
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """A walk from a frame up to the root.
+
+    Attributes
+    ----------
+    links
+        The link up from each visited frame, by the frame's index, in this order; None for a root.
+    blocked
+        The child whose parent is not known at the time, if that ended the walk.
+    loop
+        The frame that was visited twice, if that ended the walk.
+    """
+
+    links: dict[int, FrameHistory | None]
+    blocked: FrameHistory | None = None
+    loop: int | None = None
+
+
+def walk_up(
+    start: int, history: Callable[[int], FrameHistory | None], parent_of: Callable[[FrameHistory], int]
+) -> Walk:
+    """Walk up from a frame; ``parent_of`` returns -1 for an unknown parent."""
+    met: dict[int, FrameHistory | None] = {}
+    frame = start
+    while frame not in met:
+        link = met[frame] = history(frame)
+        if link is None:
+            return Walk(met)
+        frame = parent_of(link)
+        if frame < 0:
+            return Walk(met, blocked=link)
+    return Walk(met, loop=frame)
+
+
+def join_walks(target_walk: Walk, source_walk: Walk) -> Chain | None:
+    """Return the chain between the starts of two walks; None if they do not meet."""
+    common = next((frame for frame in target_walk.links if frame in source_walk.links), None)
+    if common is None:
+        return None
+    target_side, _ = _split(target_walk, common)
+    source_side, above = _split(source_walk, common)
+    return Chain(Side.of(target_side), Side.of(source_side), above)
+
+
+def _split(walk: Walk, ancestor: int) -> tuple[tuple[FrameHistory, ...], tuple[FrameHistory, ...]]:
+    """Return the links of a walk below an ancestor, and those from it on."""
+    links = list(walk.links.values())
+    below = list(walk.links).index(ancestor)
+    return tuple(link for link in links[:below] if link), tuple(link for link in links[below:] if link)

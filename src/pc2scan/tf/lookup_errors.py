@@ -1,20 +1,79 @@
-"""The errors for lookups without a transform: why there is none, and what to do about it."""
+"""Why a lookup has no transform, and what to do about it; and which transforms tf2 rejects, and why."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from pc2scan.core.rigid import are_accepted
 from pc2scan.errors import TransformError, UnconnectedError, name_list, stamp_text
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
+    from numpy.typing import NDArray
+
+    from .chain import Query, Walk
     from .history import FrameHistory
-    from .query import Query
-    from .rejections import RejectedTransforms
     from .summary import Tree
-    from .walk import Walk
+
+ACCEPTED, NO_CHILD, NO_PARENT, SELF, NOT_FINITE, ZERO, DENORMALIZED = range(7)
+REASONS = {
+    NO_CHILD: "TF_NO_CHILD_FRAME_ID: child_frame_id is empty",
+    NO_PARENT: "TF_NO_FRAME_ID: frame_id is empty",
+    SELF: "TF_SELF_TRANSFORM: frame_id and child_frame_id are the same",
+    NOT_FINITE: "TF_NAN_INPUT: a component is NaN or infinite",
+    ZERO: "TF_DENORMALIZED_QUATERNION: the quaternion is zero",
+    DENORMALIZED: "TF_DENORMALIZED_QUATERNION: the squared norm of the quaternion differs from 1 by 0.01 or more",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class RejectedTransforms:
+    """Rejected transforms of one pair of frames and one reason.
+
+    Attributes
+    ----------
+    child, parent
+        Frame names, a leading slash stripped.
+    stamp_ns
+        Stamp of the first one.
+    reason
+        tf2's name for the reason, and an explanation.
+    count
+        How many were rejected.
+    """
+
+    child: str
+    parent: str
+    stamp_ns: int
+    reason: str
+    count: int
+
+
+def reason_of_names(parent: str, child: str) -> int:
+    """Return why a pair of frames, leading slashes stripped, is rejected, or `ACCEPTED`."""
+    if not child:
+        return NO_CHILD
+    if not parent:
+        return NO_PARENT
+    return SELF if parent == child else ACCEPTED
+
+
+def reasons_of(poses: NDArray[np.float64], reasons: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Return why each transform is rejected, or `ACCEPTED`; ``reasons`` are those of the names alone."""
+    finite = np.isfinite(poses).all(axis=1)
+    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+        zero = ~poses[:, 3:].any(axis=1)
+    return np.select(
+        [reasons != ACCEPTED, ~finite, zero, ~are_accepted(poses[:, 3:])],
+        [reasons, NOT_FINITE, ZERO, DENORMALIZED],
+        ACCEPTED,
+    ).astype(np.int32)
+
 
 #: Maximum number of frames that an error message names.
 MAX_NAMES = 20
@@ -29,7 +88,7 @@ _OTHER_CLOCK_NS = 3_600_000_000_000
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
 
-def empty_name(role: str, stamp_ns: int) -> TransformError:
+def empty_name_error(role: str, stamp_ns: int) -> TransformError:
     """Return the error for an empty frame name."""
     return UnconnectedError(
         f"the {_ROLES[role]} frame has no name",
@@ -45,7 +104,7 @@ def frames_text(frames: Collection[str]) -> str:
     return f"the {len(frames)} frames with transforms are {name_list(sorted(frames), MAX_NAMES)}"
 
 
-def unknown_frame(
+def unknown_frame_error(
     name: str, role: str, stamp_ns: int, frames: Sequence[str], rejections: Sequence[RejectedTransforms]
 ) -> TransformError:
     """Return the error for a frame that no transform has."""
@@ -64,7 +123,7 @@ def unknown_frame(
     )
 
 
-def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_ns: int | None) -> TransformError:
+def extrapolation_error(query: Query, link: FrameHistory, frames: Sequence[str], time_ns: int | None) -> TransformError:
     """Return the error for a frame of the chain without a transform at the time; ``frames`` are all names."""
     time_ns = time_ns or 0
     gap_ns = link.gap_ns(time_ns)
@@ -76,13 +135,13 @@ def extrapolation(query: Query, link: FrameHistory, frames: Sequence[str], time_
         f"the time is {gap} s too {'early' if gap_ns < 0 else 'late'}, "
         f"the tolerance is {stamp_text(query.tolerance_ns)} s",
         stamp_ns=query.stamp_ns,
-        hint=f"{_bridged(abs(gap_ns))}; {_SEE_TF}",
+        hint=f"{_tolerance_hint(abs(gap_ns))}; {_SEE_TF}",
     )
     error.reason = f"their stamps are {'before the first' if gap_ns < 0 else 'after the last'} [{child}] in [{parent}]"
     return error
 
 
-def _bridged(gap_ns: int) -> str:
+def _tolerance_hint(gap_ns: int) -> str:
     """Return what helps if the nearest transform is this far away."""
     seconds = stamp_text(gap_ns).rstrip("0").rstrip(".")
     if gap_ns <= _BRIDGED_NS:
@@ -95,7 +154,7 @@ def _bridged(gap_ns: int) -> str:
     )
 
 
-def unconnected(
+def unconnected_error(
     query: Query, source_walk: Walk, target_walk: Walk, frames: Sequence[str], trees: Sequence[Tree]
 ) -> TransformError:
     """Return the error for two frames whose walks do not meet."""
@@ -116,7 +175,7 @@ def unconnected(
     )
 
 
-def looping(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> TransformError:
+def loop_error(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> TransformError:
     """Return the error for a walk that visits the frame ``loop`` twice."""
     met = list(walk.links)
     names = [f"[{frames[frame]}]" for frame in met[met.index(loop) :][:MAX_NAMES]]
@@ -128,7 +187,7 @@ def looping(query: Query, walk: Walk, loop: int, frames: Sequence[str]) -> Trans
     )
 
 
-def often_changing(query: Query, changes: int, most: int, duration_ns: int) -> TransformError:
+def parent_changes_error(query: Query, changes: int, most: int, duration_ns: int) -> TransformError:
     """Return the error for frames that change their parents too often within an interval."""
     return TransformError(
         f"between [{query.source}] and [{query.target}], frames change their parents {changes:,} times within "

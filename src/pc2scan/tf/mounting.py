@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.ground import Ground, agreed, look_at
+from pc2scan.core.ground import Ground, common_ground, find_ground
 from pc2scan.core.level import LEVEL
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 
-from .worlds import BODIES, WORLDS
+from .world_frames import BODIES, WORLDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -116,8 +116,8 @@ def mounting(
     topic, frame
         The topic of the clouds, and their ``frame_id``.
     samples
-        Points of some clouds, as `pc2scan.core.level.thinned` returns them: relative to the sensor, along the axes of
-        the frame in which they are judged.
+        Points of some clouds, as `pc2scan.core.level.thin_points` returns them: relative to the sensor, along the axes
+        of the frame in which they are judged.
     buffer
         The recording's transforms; None if there are none.
     judged_in
@@ -127,23 +127,25 @@ def mounting(
     stamp_ns
         The stamp at which transforms are looked up.
     """
-    seen = _Seen(topic, frame, judged_in or frame, samples, agreed([look_at(points) for points in samples]))
+    seen = _Observation(
+        topic, frame, judged_in or frame, samples, common_ground([find_ground(points) for points in samples])
+    )
     if judged_in.removeprefix("/") not in {"", frame.removeprefix("/")}:
         moved = None if buffer is None or not seen.ground.off else _lookup(buffer, judged_in, frame, stamp_ns)
         if moved is not None:
-            return seen.corrected(judged_in, moved, seen.ground, _IDENTITY)
-        return seen.verdict(_fault(seen.ground), heights=heights_for(seen.ground, samples, origin_z=origin_z))
+            return seen.correct(judged_in, moved, seen.ground, _IDENTITY)
+        return seen.verdict(_fault(seen.ground), heights=suitable_heights(seen.ground, samples, origin_z=origin_z))
     if buffer is not None:
         found = _by_transforms(seen, buffer, stamp_ns)
         if found is not None:
             return found
     if not seen.ground.off:
-        return seen.verdict("", heights=heights_for(seen.ground, samples))
+        return seen.verdict("", heights=suitable_heights(seen.ground, samples))
     level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height or 0.0))
-    return seen.replaced(f"{frame.removeprefix('/')}_level", level, heights_for(seen.ground, samples, level))
+    return seen.replace_frame(f"{frame.removeprefix('/')}_level", level, suitable_heights(seen.ground, samples, level))
 
 
-class _Seen(NamedTuple):
+class _Observation(NamedTuple):
     """The ground of a topic's clouds in the frame in which they are judged."""
 
     topic: str
@@ -155,12 +157,12 @@ class _Seen(NamedTuple):
     def verdict(self, fault: str, target: str = "", static: str = "", heights: Heights | None = None) -> Mounting:
         return Mounting(self.topic, self.frame, self.judged_in, self.ground, fault, target, static, heights)
 
-    def replaced(self, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
+    def replace_frame(self, parent: str, parent_from_frame: Rigid, heights: Heights | None) -> Mounting:
         """Return the mounting with another transform of the frame."""
         static = _static(parent, self.frame, parent_from_frame)
         return self.verdict(_fault(self.ground), parent if static else "", static, heights)
 
-    def corrected(self, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
+    def correct(self, target: str, target_from_frame: Rigid, ground: Ground, turn: Rigid) -> Mounting:
         """Return the mounting with the recorded transform rotated until the ground is level, if there is one.
 
         ``ground`` is the ground by the recorded transform; ``turn`` rotates the samples to its axes.
@@ -169,11 +171,13 @@ class _Seen(NamedTuple):
         turned = level.compose(target_from_frame).quaternion
         right = Rigid(turned / np.linalg.norm(turned), target_from_frame.translation)
         moved = [level.apply(turn.apply(points)) for points in self.samples]
-        heights = heights_for(agreed([look_at(points) for points in moved]), moved, origin_z=_height(right))
-        return self.replaced(target, right, heights)
+        heights = suitable_heights(
+            common_ground([find_ground(points) for points in moved]), moved, origin_z=_height(right)
+        )
+        return self.replace_frame(target, right, heights)
 
 
-def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
+def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
     """Return what the transforms say about the frame; None if they neither help nor contradict."""
     ground = seen.ground
     body = next(((name, moved) for name in BODIES if (moved := _above(buffer, name, seen.frame, stamp_ns))), None)
@@ -181,18 +185,18 @@ def _by_transforms(seen: _Seen, buffer: TransformBuffer, stamp_ns: int) -> Mount
         # No frame is known to be level, so a new frame that makes the clouds level is used.
         for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
             if ground.up is not None and float((moved.matrix @ np.array(ground.up))[2]) > math.cos(LEVEL):
-                return seen.verdict(_fault(ground), name, heights=heights_for(ground, seen.samples, moved))
+                return seen.verdict(_fault(ground), name, heights=suitable_heights(ground, seen.samples, moved))
         return None
     name, body_from_frame = body
     turn = body_from_frame.rotation
     samples = [turn.apply(points) for points in seen.samples]
-    there = agreed([look_at(points) for points in samples])
+    there = common_ground([find_ground(points) for points in samples])
     if there.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
-        return seen.corrected(name, body_from_frame, there, turn) if ground.off else None
+        return seen.correct(name, body_from_frame, there, turn) if ground.off else None
     if there.kind == "unknown" and ground.kind in {"tilted", "upside-down"}:
         return None
-    heights = heights_for(there, samples, origin_z=_height(body_from_frame))
+    heights = suitable_heights(there, samples, origin_z=_height(body_from_frame))
     tilt = math.acos(max(-1.0, min(1.0, float(body_from_frame.matrix[2, 2]))))
     fault = _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
@@ -284,7 +288,7 @@ def _direction(up: tuple[float, float, float]) -> str:
     return "(" + ", ".join(_short(f"{part:.2f}") for part in up) + ")"
 
 
-def heights_for(
+def suitable_heights(
     ground: Ground,
     samples: Sequence[NDArray[np.float64]],
     target_from_frame: Rigid | None = None,
@@ -322,7 +326,7 @@ def heights_for(
     fifth, last = percentiles(z, 5, 95)
     if floor is None:
         # A planar lidar has one height, so its scans need some margin around it.
-        return Heights(_floored(fifth - 0.02), -_floored(-last - 0.02))
+        return Heights(_round_down(fifth - 0.02), -_round_down(-last - 0.02))
     on_vehicle = (ground.height or 0.0) > 1.2
     low, high = (floor + 0.3, floor + 2.0) if on_vehicle else (floor + 0.1, floor + 1.5)
     if ceiling is not None:
@@ -330,10 +334,10 @@ def heights_for(
     if ((z >= low) & (z <= high)).mean() < 0.001:
         # There is no object on the ground, or the sensor is above all of them.
         high = max(high, *percentiles(z, 99.5))
-    return Heights(_floored(low + 0.005), _floored(high + 0.005), floor, ceiling)
+    return Heights(_round_down(low + 0.005), _round_down(high + 0.005), floor, ceiling)
 
 
-def without_sensor(frame: str, target: str) -> tuple[str, str]:
+def sensor_exclusion(frame: str, target: str) -> tuple[str, str]:
     """Return the option that excludes points at the sensor itself, and its value.
 
     Parameters
@@ -353,6 +357,6 @@ def _along(up: tuple[float, float, float], distance: float, moved: Rigid) -> flo
     return float(moved.apply(np.array([up]) * distance)[0, 2])
 
 
-def _floored(value: float) -> float:
+def _round_down(value: float) -> float:
     """Round down to a centimetre."""
     return round(math.floor(value * 100) / 100, 2) + 0.0

@@ -10,13 +10,13 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid, TransformRow
 
     from .buffer import TransformBuffer
-    from .levelling import UpSource
+    from .up_sources import UpSource
 
 #: The name of a level frame: the name of the frame that it is made from, and this suffix.
 STABILIZED = "_stabilized"
 
 
-class Level(NamedTuple):
+class LevelFrame(NamedTuple):
     """A frame without roll and pitch, with the origin and the yaw of another frame.
 
     Attributes
@@ -45,7 +45,7 @@ class Level(NamedTuple):
 
 
 class LevelTransform(NamedTuple):
-    """The transform of a level frame, as in a TFMessage, and its tilt, radians; see `Level`."""
+    """The transform of a level frame, as in a TFMessage, and its tilt, radians; see `LevelFrame`."""
 
     row: TransformRow
     tilt: float
@@ -59,10 +59,10 @@ class Placement(NamedTuple):
 
     frame_id: str
     target_from_source: Rigid | None
-    level: Level | None = None
+    level: LevelFrame | None = None
 
 
-class Frames(NamedTuple):
+class Placer(NamedTuple):
     """The transforms of a conversion.
 
     Attributes
@@ -128,7 +128,7 @@ class Frames(NamedTuple):
             return target, transform
         return level.name, level.frame_from_level.inverse().compose(transform)
 
-    def level(self, frame: str, stamp_ns: int) -> Level | None:
+    def level(self, frame: str, stamp_ns: int) -> LevelFrame | None:
         """Return the level frame of a frame at a stamp; None if messages are not converted in one.
 
         Raises
@@ -138,10 +138,10 @@ class Frames(NamedTuple):
         """
         if self.up is None:
             return None
-        from pc2scan.core.upright import tilt, upright  # noqa: PLC0415  # only where scans are level
+        from pc2scan.core.gravity import tilt, upright_rotation  # noqa: PLC0415  # only where scans are level
 
         up = self.up(frame, stamp_ns)
-        level = Level(frame, upright(up), tilt(up))
+        level = LevelFrame(frame, upright_rotation(up), tilt(up))
         if self.buffer is not None and self.buffer.history(level.name) is not None:
             raise UnconnectedError(
                 f"the recording already has a frame {level.name!r}, the name that `level` would use",

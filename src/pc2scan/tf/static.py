@@ -181,15 +181,15 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
     from ruamel.yaml import YAML  # noqa: PLC0415  # heavy, and few have such a file
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
-    from pc2scan.files.nearby import missing_hint  # noqa: PLC0415
-    from pc2scan.files.source import opened_text  # noqa: PLC0415
+    from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415
+    from pc2scan.files.source import open_text  # noqa: PLC0415
 
     try:
         if path.stat().st_size > _MAX_FILE_BYTES:
             raise UsageError(
                 f"has {path.stat().st_size} bytes; a list of static transforms has at most {_MAX_FILE_BYTES}", path=path
             )
-        with opened_text(path) as file:
+        with open_text(path) as file:
             document = YAML(typ="safe", pure=True).load(file.read(_MAX_FILE_BYTES))
     except FileNotFoundError as err:
         hint = missing_hint(path, (".yaml", ".yml"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.bags.chunked.entries import EntryForm, entries_astray
+from pc2scan.bags.chunked.index_checks import EntryForm, count_wrong_entries
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError
 from support import rosbag1_files as bag
@@ -45,7 +45,7 @@ def groups(rows: Sequence[Row]) -> list[tuple[int, bytes]]:
 @pytest.mark.parametrize("count", [0, 1, 24, 25, 300])
 def test_entries_of_messages(count: int) -> None:
     records, rows = chunk(count, count)
-    assert entries_astray(memoryview(records), groups(rows), FORM) == 0
+    assert count_wrong_entries(memoryview(records), groups(rows), FORM) == 0
 
 
 @pytest.mark.parametrize("count", [1, 24, 25, 300])
@@ -64,9 +64,9 @@ def test_entries_of_others(count: int) -> None:
             (owner, time, (1 << 32) - 1),
             (owner, time, further),
         ):
-            assert entries_astray(records, groups([*rows[:number], changed, *rows[number + 1 :]]), FORM) == 1
-        assert entries_astray(records, groups([*rows, rows[number]]), FORM) == 1
-    assert entries_astray(b"", groups(rows), FORM) == count
+            assert count_wrong_entries(records, groups([*rows[:number], changed, *rows[number + 1 :]]), FORM) == 1
+        assert count_wrong_entries(records, groups([*rows, rows[number]]), FORM) == 1
+    assert count_wrong_entries(b"", groups(rows), FORM) == count
 
 
 # --- Readers ---

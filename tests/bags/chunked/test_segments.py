@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.bags.chunked.segments import MIN_WHOLE_BYTES, Segment, standing_alone, units_of
+from pc2scan.bags.chunked.segments import MIN_WHOLE_BYTES, Segment, isolated_chunks, segment_units
 from pc2scan.model import ChunkRule
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ def segment(offset: int, start_ns: int, end_ns: int, ids: Iterable[int] = (1,), 
 
 
 def alone(*segments: Segment, start_ns: int | None = None, stop_ns: int | None = None) -> list[int]:
-    return sorted(found.offset for found in standing_alone(segments, RULE, start_ns, stop_ns))
+    return sorted(found.offset for found in isolated_chunks(segments, RULE, start_ns, stop_ns))
 
 
 def test_of_no_chunks_none_stands_alone() -> None:
@@ -67,11 +67,11 @@ def test_units_are_in_the_order_in_which_they_are_due() -> None:
         return []
 
     late, early = segment(10, 5, 9), replace(segment(30, 1, 9), compression="none")
-    units = units_of([late, early], load, [late], file)
+    units = segment_units([late, early], load, [late], file)
     assert [(unit.start_ns, unit.place, unit.is_quick, unit.may_be_whole) for unit in units] == [
         (1, (30,), True, False),
         (5, (10,), False, True),
     ]
     assert [unit.extent for unit in units] == [(file, 30, 10), (file, 10, 10)]
     large = replace(early, uncompressed_size=1 << 20)
-    assert not units_of([large], load, [], file)[0].is_quick
+    assert not segment_units([large], load, [], file)[0].is_quick

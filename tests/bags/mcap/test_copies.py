@@ -13,10 +13,10 @@ import zstandard
 from mcap.records import MessageIndex
 
 from pc2scan.bags.chunked import segments
-from pc2scan.bags.mcap.copies import whole_by_content, whole_by_index
+from pc2scan.bags.mcap.copies import copy_by_content, copy_by_index
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.records import RecordFile
-from pc2scan.bags.units import in_time_order
+from pc2scan.bags.units import merge_by_time
 from pc2scan.model import ChunkRule, StoredChunk
 from support.mcap_files import encoded, raw_channel, raw_chunk, raw_file, raw_message, record, write
 
@@ -46,12 +46,12 @@ class Chunk:
     def by_index(self, rule: ChunkRule = RULE) -> StoredChunk | None:
         self.path.write_bytes(self.data)
         with closing(RecordFile(self.path)) as file:
-            return whole_by_index(file, self.segment, rule)
+            return copy_by_index(file, self.segment, rule)
 
     def by_content(self, rule: ChunkRule = RULE) -> StoredChunk | memoryview:
         self.path.write_bytes(self.data)
         with closing(RecordFile(self.path)) as file:
-            return whole_by_content(file, self.segment, rule, verify=True)
+            return copy_by_content(file, self.segment, rule, verify=True)
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def test_messages_packed_by_themselves_are_not_copied(tmp_path: Path, monkeypatc
     packed = [(channel, time_ns, zstandard.compress(data)) for channel, time_ns, data in ROWS]
     assert isinstance(Chunk(tmp_path / "packed.mcap", packed).by_content(), memoryview)
     with closing(McapReader(tmp_path / "packed.mcap", verify=False)) as reader:
-        found: list[Any] = list(in_time_order(reader.units(rule=RULE)))
+        found: list[Any] = list(merge_by_time(reader.units(rule=RULE)))
     assert [bytes(message.data) for message in found] == [row[2] for row in ROWS]
 
 
@@ -134,8 +134,8 @@ def test_padding_is_not_copied(tmp_path: Path) -> None:
         opened: Any = reader._index
         (segment,) = opened.segments
         copies = [
-            whole_by_index(file, replace(segment, index_length=len(index)), rule),
-            whole_by_content(file, segment, rule, verify=True),
+            copy_by_index(file, replace(segment, index_length=len(index)), rule),
+            copy_by_content(file, segment, rule, verify=True),
         ]
     for copy in copies:
         assert isinstance(copy, StoredChunk)

@@ -9,8 +9,8 @@ from mcap import records as library
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode as LibrarysOpcode
 
-from pc2scan.bags.mcap import record_types as ours
-from pc2scan.bags.mcap.records import RECORD, encoded
+from pc2scan.bags.mcap import records as ours
+from pc2scan.bags.mcap.records import RECORD, encode_record
 
 RECORDS = (
     ours.Header("ros2", "näme"),
@@ -20,11 +20,11 @@ RECORDS = (
     ours.Channel(1, 7, "/scan", "cdr", {"offered_qos_profiles": "- depth: 1", "": "é"}),
     ours.Channel(0xFFFF, 0, "", "", {}),
     ours.ChunkIndex(1, 2, 3, 4, {1: 5, 0xFFFF: 1 << 63}, 6, "zstd", 7, 8),
-    ours.Attachment(1, 2, "a.txt", "text/plain", b"content"),
-    ours.Attachment(1, 2, "", "", b""),
+    ours.AttachmentRecord(1, 2, "a.txt", "text/plain", b"content"),
+    ours.AttachmentRecord(1, 2, "", "", b""),
     ours.AttachmentIndex(1, 2, 3, 4, 5, "a.txt", "text/plain"),
     ours.Statistics(1 << 33, 2, 3, 4, 5, 6, 7, 8, {1: 9, 2: 10}),
-    ours.Metadata("rosbag2", {"key": "value"}),
+    ours.MetadataRecord("rosbag2", {"key": "value"}),
     ours.MetadataIndex(1, 2, "rosbag2"),
     ours.SummaryOffset(ours.Opcode.CHANNEL, 1, 2),
     ours.DataEnd(0xFFFFFFFF),
@@ -35,31 +35,35 @@ RECORDS = (
 def test_a_record_is_the_librarys(record: ours.Record) -> None:
     fields = {name: value for name, value in record._asdict().items() if name != "crc"}
     builder = RecordBuilder()
-    getattr(library, type(record).__name__)(**fields).write(builder)
-    packed = encoded(record)
+    getattr(library, type(record).__name__.removesuffix("Record"))(**fields).write(builder)
+    packed = encode_record(record)
     assert packed == builder.end()  # type: ignore[no-untyped-call]
     read = ours.unpack(type(record), packed[RECORD.size :])
-    if isinstance(read, ours.Attachment):
+    if isinstance(read, ours.AttachmentRecord):
         read = read._replace(crc=0)
     assert read == record
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: type(record).__name__)
 def test_a_record_that_is_cut_off_is_none(record: ours.Record) -> None:
-    content = encoded(record)[RECORD.size :]
+    content = encode_record(record)[RECORD.size :]
     for length in range(len(content)):
         with pytest.raises(struct.error):
             ours.unpack(type(record), content[:length])
 
 
 def test_numbers_that_no_field_holds() -> None:
-    for record in (ours.Attachment(-1, 0, "", "", b""), ours.DataEnd(1 << 32), ours.Channel(1 << 16, 0, "", "", {})):
+    for record in (
+        ours.AttachmentRecord(-1, 0, "", "", b""),
+        ours.DataEnd(1 << 32),
+        ours.Channel(1 << 16, 0, "", "", {}),
+    ):
         with pytest.raises(struct.error):
-            encoded(record)
+            encode_record(record)
 
 
 def test_text_is_utf_8() -> None:
-    content = encoded(ours.Header("ab", ""))[RECORD.size :].replace(b"ab", b"\xff\xfe")
+    content = encode_record(ours.Header("ab", ""))[RECORD.size :].replace(b"ab", b"\xff\xfe")
     with pytest.raises(UnicodeDecodeError):
         ours.unpack(ours.Header, content)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame
 import pytest
 
-from pc2scan.bags.rosbag1.lz4_frames import packed, ros1_reads
+from pc2scan.bags.rosbag1.chunks import compress_lz4, is_readable_lz4
 from support.rosbag1_files import ROS1, ros1, ros1_missing
 
 if TYPE_CHECKING:
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 DATA = bytes(range(256)) * 1000 + random.Random(1).randbytes(300_000)
 OPTIONS: dict[str, Any] = {"block_linked": False, "store_size": False, "content_checksum": True}
-OURS = packed(DATA)
+OURS = compress_lz4(DATA)
 
 ACCEPTED = {
     **{f"of {size} blocks": lz4.frame.compress(DATA, block_size=size, **OPTIONS) for size in (4, 5, 6, 7)},
-    "empty": packed(b""),
+    "empty": compress_lz4(b""),
     "ours": OURS,
 }
 OTHERS = {"block_linked": True, "store_size": True, "content_checksum": False, "block_checksum": True}
@@ -34,7 +34,7 @@ REFUSED = {
 
 
 def test_frames_that_ros1_reads_are_known() -> None:
-    assert {name: ros1_reads(frame) for name, frame in (ACCEPTED | REFUSED).items()} == {
+    assert {name: is_readable_lz4(frame) for name, frame in (ACCEPTED | REFUSED).items()} == {
         name: name in ACCEPTED for name in ACCEPTED | REFUSED
     }
 

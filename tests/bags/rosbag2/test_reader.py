@@ -203,7 +203,7 @@ def test_a_disk_that_fails_is_no_damage(bag: Path, monkeypatch: pytest.MonkeyPat
     def failing(_: Path) -> None:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr("pc2scan.bags.rosbag2.metadata.opened_text", failing)
+    monkeypatch.setattr("pc2scan.bags.rosbag2.metadata.open_text", failing)
     # Neither is the recording read without it, nor taken for one of somebody else, to be replaced.
     for read_it in (Rosbag2Reader, recorded_in):
         with pytest.raises(RecordingError, match="cannot be read: Input/output error"):

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.qos import parsed_qos, respelled_qos
+from pc2scan.bags.qos import parse_qos, respell_qos
 from pc2scan.bags.rosbag2.reader import Rosbag2Reader
 from pc2scan.bags.rosbag2.writer import Rosbag2Writer
 from pc2scan.errors import OutputError
@@ -135,8 +135,8 @@ def test_mutilated_profiles_are_completed_if_they_can_be(storage: str, version: 
     writer.finish()
     with closing(Rosbag2Reader(tmp_path / "bag")) as reader:
         for qos, found in zip(PROFILES, reader.connections, strict=True):
-            assert found.qos == respelled_qos(qos, by_name=version == 9)
-            assert (found.qos == qos) == (parsed_qos(qos) is None)
+            assert found.qos == respell_qos(qos, by_name=version == 9)
+            assert (found.qos == qos) == (parse_qos(qos) is None)
         assert len(list(reader.messages())) == len(PROFILES)
     # metadata.yaml is well-formed whatever the profiles are.
     assert info_of(tmp_path / "bag")

@@ -51,7 +51,7 @@ def test_idl() -> None:
         f"byte b\nstring name\n{SEPARATOR}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
         f"{SEPARATOR}\nMSG: pkg/Item\n"
     )
-    structs = dict(schema.known("ros2_jazzy")) | parsed(ros2(idl, encoding="ros2idl"))
+    structs = dict(schema.known_types("ros2_jazzy")) | parsed(ros2(idl, encoding="ros2idl"))
     twin = Twin(structs, "pkg/msg/Type", 5)
     assert bytes(plan.encode(twin.cdr)) == twin.ros1_unnumbered
 

@@ -13,7 +13,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError
-from pc2scan.files.borrowed import Borrowed, Buffers
+from pc2scan.files.buffers import BorrowedBuffer, BufferPool
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.combine import conversion as combine
@@ -27,7 +27,7 @@ from pc2scan.pipeline.stages.height_slope import MinHeightSlope
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.pipeline.stages.where import Where
 from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 
 T0 = 1_700_000_000_000_000_000
 MOUNTS = {
@@ -38,10 +38,10 @@ MOUNTS = {
 TOPICS = tuple(f"/{frame}" for frame in MOUNTS)
 
 
-def frames() -> Frames:
+def frames() -> Placer:
     builder = TransformBuilder()
     builder.add([("base_link", frame, T0, *mount.pose) for frame, mount in MOUNTS.items()], static=True)
-    return Frames("base_link", "", builder.build(), 0)
+    return Placer("base_link", "", builder.build(), 0)
 
 
 def conversion(params: ProjectionParams, **options: Any) -> CombineToScan:
@@ -125,13 +125,13 @@ def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: se
     assert all(each.points.fields.keys() == kept for each in prepared)
 
 
-def moving_frames() -> Frames:
+def moving_frames() -> Placer:
     builder = TransformBuilder()
     builder.add([("base_link", frame, T0, *mount.pose) for frame, mount in MOUNTS.items()], static=True)
     for tick in range(40):
         moved = Rigid.from_rpy(0.0, 0.01, 0.02 * tick, (0.03 * tick, 0.0, 0.0))
         builder.add([("odom", "base_link", T0 + tick * 10_000_000, *moved.pose)], static=False)
-    return Frames("base_link", "", builder.build(), 0)
+    return Placer("base_link", "", builder.build(), 0)
 
 
 @pytest.mark.parametrize("filters", [(), (MinHeightSlope(-0.5, 0.05),)])
@@ -172,8 +172,8 @@ def test_messages_projected_for_another_scan_make_the_same(filters: Any, monkeyp
 
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None:
-    buffers = Buffers()
-    borrowed = Borrowed(buffers, 1 << 20)
+    buffers = BufferPool()
+    borrowed = BorrowedBuffer(buffers, 1 << 20)
     rows = np.frombuffer(
         memoryview(borrowed.buffer).toreadonly()[:960_000] if wrapped else borrowed.buffer, np.float32
     ).reshape(-1, 4)
@@ -198,7 +198,7 @@ def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:
     flat = LaserScan(0, T0, "a", -1.0, 1.0, 0.25, 0.0, 0.1, 0.1, 10.0, np.full(9, 2.0, np.float32))
     for params, kept in ((ProjectionParams(), 9), (ProjectionParams(min_height=0.1), 0)):
         spec = ScanSpec(params=params, combining=Combining(rebin=True))
-        made = CombineToScan(spec, ["/a"], Frames(), Measured(0.1), None)
+        made = CombineToScan(spec, ["/a"], Placer(), Measured(0.1), None)
         result: Any = flat
         for stage in made.stages("/a"):
             result = stage(result)

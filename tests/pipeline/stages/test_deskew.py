@@ -15,7 +15,7 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.pipeline.stages.deskew import Deskew, Moving, PointTime
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Frames
+from pc2scan.tf.placing import Placer
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("times.txt")
@@ -29,13 +29,13 @@ def driven(seconds: float) -> Rigid:
     return Rigid.from_rpy(0.0, 0.0, seconds, (1.5 * math.sin(seconds), 1.5 - 1.5 * math.cos(seconds), 0.0))
 
 
-def frames(target: str = "", *, rate: int = 50, begin: float = -1.0, end: float = 1.0, mount: Rigid = MOUNT) -> Frames:
+def frames(target: str = "", *, rate: int = 50, begin: float = -1.0, end: float = 1.0, mount: Rigid = MOUNT) -> Placer:
     builder = TransformBuilder()
     for number in range(round(begin * rate), round(end * rate) + 1):
         stamp_ns = T0 + number * SECOND // rate
         builder.add([("odom", "base_link", stamp_ns, *driven(number / rate).pose)], static=False)
     builder.add([("base_link", "lidar", T0, *mount.pose)], static=True)
-    return Frames(target, "", builder.build(), 0)
+    return Placer(target, "", builder.build(), 0)
 
 
 def points(xyz: Any, times: Any, name: str = "t", **fields: Any) -> Points:
@@ -72,7 +72,7 @@ def test_every_point_is_where_one_lookup_with_two_times_puts_it(target: str, sta
         np.testing.assert_allclose(found[place], expected, rtol=0, atol=1e-6 + 1e-7 * abs(expected).max())
 
 
-def assert_placed_by_lookups(known: Frames, fixed: str, xyz: Any, times: Any) -> None:
+def assert_placed_by_lookups(known: Placer, fixed: str, xyz: Any, times: Any) -> None:
     """Each point is where a lookup with two times puts it, to the micrometre."""
     moving = moving_of(Deskew(known, fixed, PointTime()), points(xyz, times))
     placed, _, rejected = moving.place(moving.points)
@@ -109,7 +109,7 @@ def test_a_frame_that_changes_its_parent_is_not_interpolated(target: str, known_
     change = 50_000_000
     times = np.array([-5_000_000, 0, 10_000_000, 30_000_000, change - 1, change, change + 1, 60_000_000, 95_000_000])
     xyz = np.random.default_rng(6).uniform(-8, 8, (times.size, 3)).astype(np.float32)
-    assert_placed_by_lookups(Frames(target, "", builder.build(), 0), "hall", xyz, times)
+    assert_placed_by_lookups(Placer(target, "", builder.build(), 0), "hall", xyz, times)
 
 
 @pytest.mark.parametrize("squared", [0.9901, 0.999, 1.0, 1.0099])
@@ -130,7 +130,7 @@ def test_quaternions_of_other_lengths_scale_as_in_a_lookup(fixed: str, squared: 
     builder.add([("base_link", "lidar", T0, *longer(Rigid.from_rpy(0, 0, 1, (1.28, 0, 0.5)).pose))], static=True)
     times = np.arange(0, 100_000_000, 5_000_000)
     xyz = np.random.default_rng(7).uniform(-8, 8, (times.size, 3)).astype(np.float32)
-    assert_placed_by_lookups(Frames("base_link", "", builder.build(), 0), fixed, xyz, times)
+    assert_placed_by_lookups(Placer("base_link", "", builder.build(), 0), fixed, xyz, times)
 
 
 @pytest.mark.parametrize("unit", [1, 1_000, 1_000_000, 1_000_000_000])
@@ -206,7 +206,7 @@ def test_a_gap_of_the_odometry_is_reported() -> None:
     for seconds in (-1.0, -0.02, 0.0, 0.7, 0.72):
         pose = driven(seconds).pose
         builder.add([("odom", "lidar", T0 + round(seconds * SECOND), *pose)], static=False)
-    known = Frames("", "", builder.build(), 0)
+    known = Placer("", "", builder.build(), 0)
 
     def gap(first: int, last: int) -> float:
         moving = moving_of(Deskew(known, "odom", PointTime()), points(np.ones((2, 3)), [first, last]))
@@ -222,7 +222,7 @@ def test_a_cloud_before_all_transforms_is_an_error() -> None:
         Deskew(frames(begin=0.5), "odom", PointTime())(points([[1, 1, 1]] * 2, [0, 1000]))
     # The scan's own time has a transform, within the tolerance, but no point has.
     known = frames(begin=0.0)
-    near = Frames("", "", known.buffer, 10_000_000)
+    near = Placer("", "", known.buffer, 10_000_000)
     with pytest.raises(TransformError) as caught:
         Deskew(near, "odom", PointTime())(points([[1, 1, 1]] * 2, [-2_000_000, -1_000_000]))
     assert "exclude such clouds by `start` and `end`" in str(caught.value.hint)

@@ -9,7 +9,7 @@ from itertools import accumulate, zip_longest
 from operator import attrgetter
 from typing import TYPE_CHECKING, Protocol
 
-from pc2scan.bags.units import Extent, Unit, by_start
+from pc2scan.bags.units import Extent, Unit, sort_units
 from pc2scan.model import declared_counts
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ class Segment:
         )
 
 
-def standing_alone(
+def isolated_chunks(
     segments: Collection[Segment], rule: ChunkRule, start_ns: int | None, stop_ns: int | None
 ) -> frozenset[Segment]:
     """Find the chunks that can be copied as a whole, by the index alone.
@@ -132,7 +132,7 @@ class LoadSegment(Protocol):
         ...
 
 
-def counted(
+def count_messages(
     connections: Collection[Connection],
     start_ns: int | None,
     stop_ns: int | None,
@@ -152,11 +152,11 @@ def counted(
     return declared | counts_between(ids) if ids else declared
 
 
-def units_of(
+def segment_units(
     segments: Iterable[Segment], load: LoadSegment, alone: Collection[Segment], file: SourceFile
 ) -> list[Unit]:
     """Return the segments of a file as units; those in ``alone`` may be whole."""
-    return by_start(
+    return sort_units(
         Unit(
             start_ns=segment.start_ns,
             place=(segment.offset,),

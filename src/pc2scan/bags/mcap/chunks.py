@@ -117,8 +117,8 @@ def with_payload(
     head = segment.offset - segment.record_offset
 
     def unpacked(record: memoryview) -> _Result:
-        chunk = _confirmed(record, segment, file)
-        return callback(unpacked_chunk(file, chunk, record[head:], verify=verify))
+        chunk = _check_header(record, segment, file)
+        return callback(decompress_chunk(file, chunk, record[head:], verify=verify))
 
     return file.borrow(segment.record_offset, head + segment.length, unpacked)
 
@@ -146,10 +146,10 @@ def stored_chunk(
     head = segment.offset - segment.record_offset
     following = head + segment.length + segment.padding
     record = memoryview(file.read(segment.record_offset, following + behind))
-    return _confirmed(record, segment, file), record[head : head + segment.length], record[following:]
+    return _check_header(record, segment, file), record[head : head + segment.length], record[following:]
 
 
-def _confirmed(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
+def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -> ChunkSegment:
     """Return the chunk by its own header, which has a CRC, after comparing it with the index."""
     chunk = chunk_at(record, 0, segment.record_offset, file)
     if record[0] != OP_CHUNK or chunk.form != segment.form:
@@ -157,9 +157,9 @@ def _confirmed(record: memoryview, segment: ChunkSegment, file: RecordFile) -> C
     return chunk
 
 
-def unpacked_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:
+def decompress_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:
     """Decompress a chunk's records, and compare their CRC; see `payload`."""
-    unpacked = memoryview(_decompressed(data, chunk, file))
+    unpacked = memoryview(_decompress(data, chunk, file))
     if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
         raise file.damage(
             f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",
@@ -167,7 +167,7 @@ def unpacked_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, v
     return unpacked
 
 
-def _decompressed(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buffer:
+def _decompress(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buffer:
     """Decompress a chunk's payload into exactly the declared size."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"

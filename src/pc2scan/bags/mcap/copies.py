@@ -5,13 +5,13 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.many import MAX_TOGETHER
+from pc2scan.bags.lazy_items import MAX_LISTED_ITEMS
 from pc2scan.files.compression import ZSTD_MAGIC
 from pc2scan.files.crc32 import crc32
 from pc2scan.model import StoredChunk
 
-from .chunks import stored_chunk, unpacked_chunk
-from .records import MESSAGE, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, encoded
+from .chunks import decompress_chunk, stored_chunk
+from .records import MESSAGE, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, encode_record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     Index = dict[int, list[tuple[int, int]]]
 
 
-def agreed(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
+def shared_channels(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
     """Find the channels that the destination declares as this file does, so that a chunk may repeat the declaration."""
     found = []
     for channel_id in rule.connection_ids & index.channels.keys():
         channel = index.channels[channel_id]
         schema = index.schemas.get(channel.schema_id)
-        records = {encoded(channel)} if schema is None else {encoded(channel), encoded(schema)}
+        records = {encode_record(channel)} if schema is None else {encode_record(channel), encode_record(schema)}
         if records <= rule.declarations:
             found.append(channel_id)
     return frozenset(found)
 
 
-def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | None:
+def copy_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | None:
     """Read a chunk and the message indexes after it, without decompressing it.
 
     Returns
@@ -52,7 +52,7 @@ def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> 
     RecordingError
         If bytes are missing, or the chunk's header differs from the index.
     """
-    if not 0 < segment.index_length <= MAX_TOGETHER * 16 or segment.compression not in rule.compressions:
+    if not 0 < segment.index_length <= MAX_LISTED_ITEMS * 16 or segment.compression not in rule.compressions:
         return None
     chunk, stored, indexes = stored_chunk(file, segment, segment.index_length)
     index: Index = {}
@@ -75,7 +75,7 @@ def whole_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> 
     return StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
 
 
-def whole_by_content(
+def copy_by_content(
     file: RecordFile,
     segment: ChunkSegment,
     rule: ChunkRule,
@@ -101,7 +101,7 @@ def whole_by_content(
         As `pc2scan.bags.mcap.chunks.payload` does.
     """
     chunk, stored, _ = stored_chunk(file, segment)
-    records = unpacked_chunk(file, chunk, stored, verify=verify)
+    records = decompress_chunk(file, chunk, stored, verify=verify)
     index = _index_of(records, segment, rule.declarations)
     if index is None or not index.keys() <= rule.connection_ids:
         return records
@@ -133,7 +133,7 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
             _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(records, position)
             index.setdefault(channel_id, []).append((log_time_ns, position))
             times.append(log_time_ns)
-            if len(times) > MAX_TOGETHER:
+            if len(times) > MAX_LISTED_ITEMS:
                 return None
         position = following
     return index if position == size and times and _is_sorted(times, segment) else None

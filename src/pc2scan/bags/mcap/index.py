@@ -17,10 +17,9 @@ from pc2scan.errors import DamageError
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.limits import ConnectionLimit
 
-from . import record_types as records
+from . import records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
-from .record_types import Opcode
-from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, parse, split
+from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, Opcode, parse, split
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -119,7 +118,7 @@ class McapIndex:
         """Add a Schema or a Channel; other records are ignored. The first of an id is kept."""
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
             return
-        record = _declared(opcode, content, offset, file)
+        record = _declared_texts(opcode, content, offset, file)
         known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
         # "A Schema record with an id of zero is invalid and should be ignored."
         if not record.id and opcode == Opcode.SCHEMA:
@@ -133,7 +132,7 @@ class McapIndex:
 
     def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str | None:
         """Return the name of the schema or channel that this record declares differently; None if it does not."""
-        record = _declared(opcode, content, offset, file)
+        record = _declared_texts(opcode, content, offset, file)
         known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
         return _name_of(record) if known.get(record.id, record) != record else None
 
@@ -142,7 +141,7 @@ class McapIndex:
             self.differing.setdefault(what, offset)
 
 
-def _declared(opcode: int, content: Buffer, offset: int, file: RecordFile) -> records.Schema | records.Channel:
+def _declared_texts(opcode: int, content: Buffer, offset: int, file: RecordFile) -> records.Schema | records.Channel:
     if opcode == Opcode.SCHEMA:
         return parse(records.Schema, content, offset, file)
     return parse(records.Channel, content, offset, file)
@@ -168,7 +167,7 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
         If the file is not MCAP.
     DamageError
         If it is cut off, or contradicts itself.
-    AnotherBeginsError
+    NextRecordingError
         If another file follows its data.
     """
     index = McapIndex()
@@ -185,7 +184,7 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
 
 def _refuse_data(file: RecordFile, start: int, end: int) -> None:
     """Raise if another file or more data follow the DataEnd record."""
-    from .another import refuse_another  # noqa: PLC0415  # only damaged files pay for it
+    from .search import refuse_another  # noqa: PLC0415  # only damaged files pay for it
 
     refuse_another(file, start, end)
     rest, position = McapIndex(), start
@@ -317,7 +316,7 @@ class _Window:
         return position
 
 
-class _Run:
+class _MessageRun:
     """Consecutive messages outside any chunk, collected by a walk."""
 
     __slots__ = ("end", "end_ns", "ids", "start", "start_ns")
@@ -355,7 +354,7 @@ class RecordWalk:
         self._file = file
         self._index = index
         self._accounted = accounted or {}
-        self._run: _Run | None = None
+        self._run: _MessageRun | None = None
         self._chunk: ChunkSegment | None = None
         self._indexed: Counter[int] = Counter()
         self._is_behind_chunk = False
@@ -423,7 +422,7 @@ class RecordWalk:
         run = self._run
         if run is None or following - run.start > RUN_SIZE:
             self._close()
-            run = self._run = _Run(offset, log_time_ns)
+            run = self._run = _MessageRun(offset, log_time_ns)
         run.add(channel_id, log_time_ns, following)
         self._index.counts[channel_id] += 1
 

@@ -6,7 +6,7 @@ from array import array
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.many import MAX_TOGETHER, Many
+from pc2scan.bags.lazy_items import MAX_LISTED_ITEMS, LazyItems
 from pc2scan.model import RawMessage, own
 
 from .records import MESSAGE, OP_MESSAGE, RECORD
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection
 
-    Messages = list[RawMessage] | Many[RawMessage]
+    Messages = list[RawMessage] | LazyItems[RawMessage]
 
 #: The first and the last log time that a message can have.
 ANY_TIME = (0, (1 << 64) - 1)
 
 
-class Found(NamedTuple):
+class MessageScan(NamedTuple):
     """The result of scanning records for messages.
 
     Attributes
@@ -43,40 +43,42 @@ class Found(NamedTuple):
     astray: int | None
 
 
-def messages_in(
+def scan_messages(
     data: memoryview,
     wanted: Mapping[int, Connection],
     start_ns: int,
     stop_ns: int,
     span: tuple[int, int] = ANY_TIME,
     further: Callable[[int], None] | None = None,
-) -> Found:
+) -> MessageScan:
     """Scan records for messages; those outside of ``span``, the declared log times, are skipped.
 
     ``further`` is called with the offset of every other record.
     """
-    scan = _stretch_of(data, wanted, start_ns, stop_ns, span, further, 0)
+    scan = _scan_stretch(data, wanted, start_ns, stop_ns, span, further, 0)
     if scan.size + MESSAGE.size > len(data):
         return scan
     messages, others, position, astray = scan
     assert isinstance(messages, list)
     count = len(messages)
     while True:
-        more = _stretch_of(data, wanted, start_ns, stop_ns, span, further, position)
+        more = _scan_stretch(data, wanted, start_ns, stop_ns, span, further, position)
         others |= more.others
         astray = more.astray if astray is None else astray
         count += len(more.messages)
-        messages = [*messages, *more.messages] if count <= MAX_TOGETHER else []
+        messages = [*messages, *more.messages] if count <= MAX_LISTED_ITEMS else []
         if more.size == position:
             break
         position = more.size
-    if count <= MAX_TOGETHER:
-        return Found(messages, others, position, astray)
+    if count <= MAX_LISTED_ITEMS:
+        return MessageScan(messages, others, position, astray)
     start_ns, stop_ns = max(start_ns, span[0]), min(stop_ns, span[1] + 1)
-    return Found(_many(data[:position], wanted, start_ns, stop_ns), others, position, astray)
+    return MessageScan(_lazy_messages(data[:position], wanted, start_ns, stop_ns), others, position, astray)
 
 
-def _many(data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int) -> Many[RawMessage]:
+def _lazy_messages(
+    data: memoryview, wanted: Mapping[int, Connection], start_ns: int, stop_ns: int
+) -> LazyItems[RawMessage]:
     """Return the messages among sound records, each created when it is needed."""
     times, places = array("Q"), array("Q")
     position, last = 0, len(data) - MESSAGE.size
@@ -86,10 +88,10 @@ def _many(data: memoryview, wanted: Mapping[int, Connection], start_ns: int, sto
             times.append(log_time_ns)
             places.append(position)
         position += RECORD.size + length
-    return Many(times, places, partial(message_at, memoryview(own(data)), wanted), len(data))
+    return LazyItems(times, places, partial(message_at, memoryview(own(data)), wanted), len(data))
 
 
-def _stretch_of(
+def _scan_stretch(
     data: memoryview,
     wanted: Mapping[int, Connection],
     start_ns: int,
@@ -97,8 +99,8 @@ def _stretch_of(
     span: tuple[int, int],
     further: Callable[[int], None] | None,
     position: int,
-) -> Found:
-    """Scan records from an offset on, so few bytes that they have at most `MAX_TOGETHER` messages."""
+) -> MessageScan:
+    """Scan records from an offset on, so few bytes that they have at most `MAX_LISTED_ITEMS` messages."""
     astray: int | None = None
     first_ns, last_ns = span
     # One comparison for cut and span; only if it fails, the two are distinguished.
@@ -109,15 +111,15 @@ def _stretch_of(
     # The class's constructor takes twice as long, which matters for small messages.
     new: Callable[[type[RawMessage], tuple[object, ...]], RawMessage] = tuple.__new__
     size = len(data)
-    last = min(size, position + MAX_TOGETHER * MESSAGE.size) - MESSAGE.size
+    last = min(size, position + MAX_LISTED_ITEMS * MESSAGE.size) - MESSAGE.size
     while position <= last:
         opcode, length, channel_id, sequence, log_time_ns, publish_time_ns = unpack(data, position)
         following = position + 9 + length
         if following > size:
-            return Found(found, others, position, astray)
+            return MessageScan(found, others, position, astray)
         if opcode == OP_MESSAGE:
             if length < 22:
-                return Found(found, others, position, astray)
+                return MessageScan(found, others, position, astray)
             connection = wanted.get(channel_id)
             if connection is None:
                 others.add(channel_id)
@@ -137,7 +139,7 @@ def _stretch_of(
         if further is not None:
             further(position)
         position = following
-    return Found(found, others, position, astray)
+    return MessageScan(found, others, position, astray)
 
 
 def message_at(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:

@@ -5,48 +5,48 @@ from __future__ import annotations
 from collections import deque
 from contextlib import suppress
 from functools import partial
+from operator import attrgetter
 from threading import Lock
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
-from pc2scan.bags.chunked.spans import SpanCheck
+from pc2scan.bags.chunked.index_checks import SpanCheck
+from pc2scan.bags.chunked.segments import count_messages, isolated_chunks, segment_units
+from pc2scan.bags.concatenation import NextRecordingError, PartReader, note_next, open_parts
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.many import Many, mapped
-from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
-from pc2scan.bags.zstd import is_frame, unpacked_messages
+from pc2scan.bags.lazy_items import LazyItems, map_items
+from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
+from pc2scan.files.crc32 import combine_crc32, crc32
 from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.model import StoredChunk
 
 from .chunks import ChunkSegment, chunk_at, payload, with_payload
-from .copies import agreed, whole_by_content, whole_by_index
-from .data_crc import data_crc
-from .declared import compare_counts, connections_of, summary_of
-from .entries import index_check, indexed_places
+from .copies import copy_by_content, copy_by_index, shared_channels
 from .index import McapIndex, find_declarations, find_index
-from .messages import ANY_TIME, messages_in
-from .record_types import Opcode
-from .records import RECORD, RecordFile, split
+from .message_index import index_check, indexed_places
+from .messages import ANY_TIME, scan_messages
+from .records import RECORD, Opcode, RecordFile, split
+from .summary import compare_counts, connections_of, summary_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.chunked.entries import IndexCheck
-    from pc2scan.bags.chunked.salvaged import Salvaged
+    from pc2scan.bags.chunked.index_checks import IndexCheck
+    from pc2scan.bags.chunked.salvage import SalvagedMessages
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Item, Loaded, Unit
-    from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
+    from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, RawMessage, Summary
 
     from .messages import Messages
 
 
 def open_reader(path: Path, options: ReadOptions) -> Reader:
     """Open an MCAP file; see `pc2scan.bags.formats.Format`."""
-    return opened_parts(lambda start: McapReader(path, verify=options.verify, strict=options.strict, start=start))
+    return open_parts(lambda start: McapReader(path, verify=options.verify, strict=options.strict, start=start))
 
 
 class McapReader(PartReader):
@@ -91,7 +91,7 @@ class McapReader(PartReader):
         try:
             try:
                 self._index = self._found_index()
-            except AnotherBeginsError as other:
+            except NextRecordingError as other:
                 self._file.end_at(other.offset)
                 self._index = self._found_index()
             note_next(self._file, self._log)
@@ -122,9 +122,9 @@ class McapReader(PartReader):
             return find_index(self._file, verify=self._verify)
         except DamageError as err:
             problem = err
-        from .recovery import recovered_index  # noqa: PLC0415  # only damaged files pay for it
+        from .recovery import recover_index  # noqa: PLC0415  # only damaged files pay for it
 
-        return recovered_index(self._file, problem, self._log, verify=self._verify)
+        return recover_index(self._file, problem, self._log, verify=self._verify)
 
     @property
     def next_start(self) -> int | None:
@@ -175,10 +175,10 @@ class McapReader(PartReader):
         rule = rule if rule and rule.container == "mcap" else None
         self._spans.compare_beside(ids, start_ns, stop_ns)
         segments = [s for s in self._index.segments if s.may_hold(ids, start_ns, stop_ns)]
-        alone = standing_alone(segments, rule, start_ns, stop_ns) if rule else frozenset()
+        alone = isolated_chunks(segments, rule, start_ns, stop_ns) if rule else frozenset()
         blindly: frozenset[int] = frozenset()
         if rule and alone and not self._verify and not self._packs(segments[0]):
-            blindly = agreed(self._index, rule)
+            blindly = shared_channels(self._index, rule)
 
         intolerant = DamageLog(strict=True)
 
@@ -186,7 +186,7 @@ class McapReader(PartReader):
             span = _declared_span(segment)
             further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
             check = self._check_index(segment, wanted, data)
-            scan = messages_in(data, wanted, first, stop, span or ANY_TIME, further)
+            scan = scan_messages(data, wanted, first, stop, span or ANY_TIME, further)
             if scan.astray is not None and span:
                 raise self._file.damage(
                     f"the chunk at byte {segment.offset} has a message of log time {stamp_text(scan.astray)}, "
@@ -215,21 +215,21 @@ class McapReader(PartReader):
                 # Damaged chunks are not copied.
                 with suppress(DamageError):
                     if segment.connection_ids and segment.connection_ids <= blindly:
-                        seen = whole_by_index(self._file, segment, rule)
-                    seen = seen or whole_by_content(self._file, segment, rule, verify=self._verify, compare=compare)
+                        seen = copy_by_index(self._file, segment, rule)
+                    seen = seen or copy_by_content(self._file, segment, rule, verify=self._verify, compare=compare)
             if isinstance(seen, StoredChunk):
                 return seen
 
             def taken(data: memoryview) -> Loaded[Item]:
                 if self._data_crc is not None:
                     self._data_crc.add(segment, data)
-                unpacked = unpacked_messages(sound(segment, data), intolerant, segment.offset, self._file.path)
-                return mapped(callback, unpacked)
+                unpacked = decompress_messages(sound(segment, data), intolerant, segment.offset, self._file.path)
+                return map_items(callback, unpacked)
 
             # A damaged segment is read again to recover its messages.
             with suppress(DamageError):
                 return with_payload(self._file, segment, taken, verify=self._verify) if seen is None else taken(seen)
-            place = self._located(segment)
+            place = self._locate(segment)
             data, problem = self._prefix(place)
             found: Messages = []
             try:
@@ -238,19 +238,19 @@ class McapReader(PartReader):
             except DamageError as err:
                 problem = err
             if problem is not None:
-                found = self._salvaged(place, data, problem).selected(wanted, first, stop)
-            return mapped(callback, unpacked_messages(found, self._log, place.offset, self._file.path))
+                found = self._salvage(place, data, problem).select(wanted, first, stop)
+            return map_items(callback, decompress_messages(found, self._log, place.offset, self._file.path))
 
         section = self._data_crc
         if section is None:
-            return units_of(segments, read, alone, self._file)
+            return segment_units(segments, read, alone, self._file)
 
         def read_and_compare(segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
             items = read(segment, callback, whole=whole)
             section.compare()
             return items
 
-        return units_of(segments, read_and_compare, alone, self._file)
+        return segment_units(segments, read_and_compare, alone, self._file)
 
     def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
         """A segment's records as far as they can be decompressed, and why that is not all."""
@@ -259,13 +259,13 @@ class McapReader(PartReader):
         except DamageError as err:
             if self._log.strict:
                 raise
-            if (found := self._located(segment)) is not segment:
+            if (found := self._locate(segment)) is not segment:
                 return self._prefix(found)
             from .recovery import payload_prefix  # noqa: PLC0415
 
             return payload_prefix(self._file, segment, err)
 
-    def _located(self, segment: Segment) -> Segment:
+    def _locate(self, segment: Segment) -> Segment:
         """Return a damaged segment, or the chunk elsewhere in the file that the index has in its place."""
         if self._log.strict or not isinstance(segment, ChunkSegment):
             return segment
@@ -294,7 +294,7 @@ class McapReader(PartReader):
         """Whether messages are single zstd frames, which one segment shows for all."""
         data, _ = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
-        return any(map(is_frame, messages_in(data, known, 0, 1 << 64).messages))
+        return any(map(is_frame, scan_messages(data, known, 0, 1 << 64).messages))
 
     def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
         """A chunk's records, as far as they can be read."""
@@ -306,10 +306,10 @@ class McapReader(PartReader):
                 return split(data, chunk.offset, self._file)
             except DamageError as err:
                 problem = err
-        from .recovery import salvaged_records  # noqa: PLC0415
+        from .recovery import salvage_records  # noqa: PLC0415
 
-        self._salvaged(chunk, data, problem)
-        return salvaged_records(data)
+        self._salvage(chunk, data, problem)
+        return salvage_records(data)
 
     def _check_index(self, segment: Segment, ids: Container[int], records: memoryview) -> IndexCheck | None:
         """Compare the message indexes after a chunk with it; None for those of a damaged file."""
@@ -378,7 +378,7 @@ class McapReader(PartReader):
         """Return the log times of a chunk's messages by its message indexes, or by its header; see `SpanCheck`."""
         if not isinstance(segment, ChunkSegment):
             return segment.start_ns, segment.end_ns
-        from .counts import indexed_span  # noqa: PLC0415
+        from .message_index import indexed_span  # noqa: PLC0415
 
         span = indexed_span(self._file, segment)
         if span is None and self._index.summarized:
@@ -392,21 +392,21 @@ class McapReader(PartReader):
         """Read a chunk and return the log times of its messages."""
         data, problem = self._prefix(segment)
         known = {connection.id: connection for connection in self._connections}
-        messages = messages_in(data, known, 0, 1 << 64).messages
-        times = messages.times if isinstance(messages, Many) else [message.log_time_ns for message in messages]
+        messages = scan_messages(data, known, 0, 1 << 64).messages
+        times = messages.times if isinstance(messages, LazyItems) else [message.log_time_ns for message in messages]
         return (min(times), max(times)) if times and problem is None else None
 
-    def _salvaged(self, segment: Segment, data: memoryview, problem: DamageError) -> Salvaged:
+    def _salvage(self, segment: Segment, data: memoryview, problem: DamageError) -> SalvagedMessages:
         """Note a damaged segment, and recover its messages."""
         if self._log.strict:
             raise problem
-        from pc2scan.bags.chunked.salvaged import note_salvaged  # noqa: PLC0415  # only damaged files pay for it
+        from pc2scan.bags.chunked.salvage import note_salvaged  # noqa: PLC0415  # only damaged files pay for it
 
-        from .recovery import salvaged_messages  # noqa: PLC0415
+        from .recovery import salvage_messages  # noqa: PLC0415
 
         known = {connection.id: connection for connection in self._connections}
         complete = len(data) == segment.uncompressed_size
-        left = salvaged_messages(data, known, _declared_span(segment), complete=complete)
+        left = salvage_messages(data, known, _declared_span(segment), complete=complete)
         offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
         check = self._check_index(segment, known, data)
         indexed = check.total if check else None
@@ -424,17 +424,17 @@ class McapReader(PartReader):
         """Count by the statistics, or for a cut by message indexes; see `pc2scan.bags.reader.Reader`."""
 
         def by_index(ids: frozenset[int]) -> dict[int, int]:
-            from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+            from .message_index import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
             return counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
 
-        return counted(connections, start_ns, stop_ns, by_index)
+        return count_messages(connections, start_ns, stop_ns, by_index)
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield attachments in the order of the file; each is read when it is needed."""
         if not self._index.attachments:
             return iter(())
-        from .extras import attachments_of  # noqa: PLC0415  # few files have any
+        from .summary import attachments_of  # noqa: PLC0415  # few files have any
 
         return attachments_of(self._file, self._index, self._log, verify=self._verify)
 
@@ -442,7 +442,7 @@ class McapReader(PartReader):
         """Yield metadata records in the order of the file."""
         if not self._index.metadata:
             return iter(())
-        from .extras import metadata_of  # noqa: PLC0415  # few files have any
+        from .summary import metadata_of  # noqa: PLC0415  # few files have any
 
         return metadata_of(self._file, self._index, self._log)
 
@@ -456,3 +456,87 @@ def _declared_span(segment: Segment) -> tuple[int, int] | None:
     if isinstance(segment, ChunkSegment) and 0 < segment.start_ns <= segment.end_ns:
         return segment.start_ns, segment.end_ns
     return None
+
+
+#: Bytes between messages are read in pieces of this size.
+_PIECE = 4 << 20
+
+
+class DataCrc:
+    """Compares the CRC of a data section when all of its messages were read.
+
+    Parameters
+    ----------
+    file
+        The file.
+    segments
+        All segments with messages.
+    stop
+        The end of the data section.
+    recorded
+        Its recorded CRC.
+    log
+        Gets a difference.
+    counted
+        Whether statistics tell if messages are missing.
+    """
+
+    def __init__(
+        self,
+        file: RecordFile,
+        segments: Sequence[Segment],
+        stop: int,
+        recorded: int,
+        log: DamageLog,
+        *,
+        counted: bool,
+    ) -> None:
+        self._file = file
+        self._segments = sorted(segments, key=attrgetter("offset"))
+        self._stop = stop
+        self._recorded = recorded
+        self._log = log
+        self._counted = counted
+        self._found: dict[int, int] = {}
+        self._lock = Lock()
+
+    def add(self, segment: Segment, data: Buffer) -> None:
+        """Add a segment that was read; may be called on any thread, and again."""
+        self._found[segment.offset] = crc32(data)
+
+    def compare(self) -> None:
+        """Compare the CRC when all segments were read.
+
+        Raises
+        ------
+        DamageError
+            If it differs, and damage is an error.
+        """
+        with self._lock:
+            if len(self._found) < len(self._segments):
+                return
+            found, self._found = self._found, {}
+        value = position = 0
+        for segment in self._segments:
+            value = self._between(value, position, segment.offset)
+            value = combine_crc32(value, found[segment.offset], segment.length)
+            position = segment.offset + segment.length
+        value = self._between(value, position, self._stop)
+        if value != self._recorded:
+            error = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
+            self._log.note(self._file.damage(error), key="data", messages_lost=0 if self._counted else None)
+
+    def _between(self, value: int, start: int, stop: int) -> int:
+        for position in range(start, stop, _PIECE):
+            value = crc32(self._file.read(position, min(_PIECE, stop - position)), value)
+        return value
+
+
+def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | None:
+    """Return the comparison for a file; None if it has no CRC, or its chunks have their own."""
+    if index.data_end is None or not index.segments:
+        return None
+    stop, recorded = index.data_end
+    if not recorded or any(isinstance(segment, ChunkSegment) for segment in index.segments):
+        return None
+    return DataCrc(file, index.segments, stop, recorded, log, counted=index.statistics is not None)

@@ -6,7 +6,8 @@ Source of the format: https://mcap.dev/spec and https://mcap.dev/spec/registry.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, TypeVar
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
@@ -14,12 +15,245 @@ from pc2scan.errors import DamageError
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.source import SourceFile
 
-from .record_types import Attachment, Opcode, Record, pack, unpack
-
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from pc2scan.model import Buffer
+
+
+class Opcode(IntEnum):
+    """The kinds of records."""
+
+    HEADER = 0x01
+    FOOTER = 0x02
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+    MESSAGE_INDEX = 0x07
+    CHUNK_INDEX = 0x08
+    ATTACHMENT = 0x09
+    ATTACHMENT_INDEX = 0x0A
+    STATISTICS = 0x0B
+    METADATA = 0x0C
+    METADATA_INDEX = 0x0D
+    SUMMARY_OFFSET = 0x0E
+    DATA_END = 0x0F
+
+
+# The fields of each are in the order in which they are stored.
+
+
+class Header(NamedTuple):
+    """The first record."""
+
+    profile: str
+    library: str
+
+
+class Footer(NamedTuple):
+    """The last record."""
+
+    summary_start: int
+    summary_offset_start: int
+    summary_crc: int
+
+
+class Schema(NamedTuple):
+    """A message definition."""
+
+    id: int
+    name: str
+    encoding: str
+    data: bytes
+
+
+class Channel(NamedTuple):
+    """A topic of one publisher."""
+
+    id: int
+    schema_id: int
+    topic: str
+    message_encoding: str
+    metadata: Mapping[str, str]
+
+
+class ChunkIndex(NamedTuple):
+    """The position of a chunk, and of the message indexes after it, by channel."""
+
+    message_start_time: int
+    message_end_time: int
+    chunk_start_offset: int
+    chunk_length: int
+    message_index_offsets: Mapping[int, int]
+    message_index_length: int
+    compression: str
+    compressed_size: int
+    uncompressed_size: int
+
+
+class AttachmentRecord(NamedTuple):
+    """A file in the recording. The CRC covers all other fields, or is 0."""
+
+    log_time: int
+    create_time: int
+    name: str
+    media_type: str
+    data: bytes
+    crc: int = 0
+
+
+class AttachmentIndex(NamedTuple):
+    """The position of an attachment."""
+
+    offset: int
+    length: int
+    log_time: int
+    create_time: int
+    data_size: int
+    name: str
+    media_type: str
+
+
+class Statistics(NamedTuple):
+    """The numbers of messages, schemas, channels, attachments, metadata records and chunks."""
+
+    message_count: int
+    schema_count: int
+    channel_count: int
+    attachment_count: int
+    metadata_count: int
+    chunk_count: int
+    message_start_time: int
+    message_end_time: int
+    channel_message_counts: Mapping[int, int]
+
+
+class MetadataRecord(NamedTuple):
+    """A metadata record: text by name."""
+
+    name: str
+    metadata: Mapping[str, str]
+
+
+class MetadataIndex(NamedTuple):
+    """The position of a metadata record."""
+
+    offset: int
+    length: int
+    name: str
+
+
+class SummaryOffset(NamedTuple):
+    """The position of the records of a kind in the summary."""
+
+    group_opcode: int
+    group_start: int
+    group_length: int
+
+
+class DataEnd(NamedTuple):
+    """The end of the data section, with its CRC or 0."""
+
+    data_section_crc: int
+
+
+Record: TypeAlias = (
+    Header
+    | Footer
+    | Schema
+    | Channel
+    | ChunkIndex
+    | AttachmentRecord
+    | AttachmentIndex
+    | Statistics
+    | MetadataRecord
+    | MetadataIndex
+    | SummaryOffset
+    | DataEnd
+)
+
+_Kind = TypeVar("_Kind", bound=Record)
+
+#: How each is stored: its opcode, and its fields. ``B H I Q`` are unsigned numbers, as in `struct`; ``s`` is text;
+#: ``x`` and ``X`` are bytes after their length of 32 and 64 bits; ``t`` and ``n`` are mappings of texts and numbers.
+_FORMS: Mapping[type, tuple[Opcode, str]] = {
+    Header: (Opcode.HEADER, "ss"),
+    Footer: (Opcode.FOOTER, "QQI"),
+    Schema: (Opcode.SCHEMA, "Hssx"),
+    Channel: (Opcode.CHANNEL, "HHsst"),
+    ChunkIndex: (Opcode.CHUNK_INDEX, "QQQQnQsQQ"),
+    AttachmentRecord: (Opcode.ATTACHMENT, "QQssXI"),
+    AttachmentIndex: (Opcode.ATTACHMENT_INDEX, "QQQQQss"),
+    Statistics: (Opcode.STATISTICS, "QHIIIIQQn"),
+    MetadataRecord: (Opcode.METADATA, "st"),
+    MetadataIndex: (Opcode.METADATA_INDEX, "QQs"),
+    SummaryOffset: (Opcode.SUMMARY_OFFSET, "BQQ"),
+    DataEnd: (Opcode.DATA_END, "I"),
+}
+
+_NUMBERS = {code: struct.Struct(f"<{code}") for code in "BHIQ"}
+#: The codes of a mapping's keys and values.
+_PAIRS = {"t": "ss", "n": "HQ"}
+
+
+def pack(record: Record) -> tuple[Opcode, bytes]:
+    """Return a record's opcode and content.
+
+    Raises
+    ------
+    struct.error
+        If a number is negative or too large.
+    """
+    opcode, codes = _FORMS[type(record)]
+    return opcode, b"".join(map(_stored_field, codes, record))
+
+
+def _stored_field(code: str, value: Any) -> bytes:
+    if code in _NUMBERS:
+        return _NUMBERS[code].pack(value)
+    if code in _PAIRS:
+        data = b"".join(part for pair in value.items() for part in map(_stored_field, _PAIRS[code], pair))
+    else:
+        data = value.encode() if code == "s" else value
+    return _NUMBERS["Q" if code == "X" else "I"].pack(len(data)) + data
+
+
+def unpack(kind: type[_Kind], content: Buffer) -> _Kind:
+    """Read a record's content; further bytes are ignored.
+
+    Raises
+    ------
+    struct.error
+        If it is too short.
+    UnicodeDecodeError
+        If a text is not UTF-8.
+    """
+    values, position, content = [], 0, memoryview(content)
+    for code in _FORMS[kind][1]:
+        value, position = _read_field(code, content, position)
+        values.append(value)
+    return kind(*values)
+
+
+def _read_field(code: str, content: memoryview, position: int) -> tuple[Any, int]:
+    """Read a field; return it and the position after it."""
+    number = _NUMBERS.get(code)
+    if number is not None:
+        return number.unpack_from(content, position)[0], position + number.size
+    length, position = _read_field("Q" if code == "X" else "I", content, position)
+    end = position + length
+    if end > len(content):
+        raise struct.error(f"{length} bytes are declared where there are {len(content) - position}")
+    if code in _PAIRS:
+        pairs = {}
+        while position < end:
+            key, position = _read_field(_PAIRS[code][0], content, position)
+            pairs[key], position = _read_field(_PAIRS[code][1], content, position)
+        return pairs, position
+    data = bytes(content[position:end])
+    return (data.decode() if code == "s" else data), end
+
 
 #: The first and the last eight bytes of every file.
 MAGIC = FORMATS["mcap"].magic
@@ -50,7 +284,7 @@ class RecordFile(SourceFile):
 
     def damage(self, message: str) -> DamageError:
         """Return the error for a damaged file."""
-        return DamageError(self.located(message), path=self.path, hint=RECOVER)
+        return DamageError(self.with_location(message), path=self.path, hint=RECOVER)
 
     def record(self, offset: int, opcode: Opcode) -> bytes:
         """Read the content of a record of a known kind."""
@@ -91,9 +325,9 @@ def split(data: memoryview, origin: int, file: RecordFile) -> Iterator[tuple[int
         raise file.damage(f"the records from byte {origin} on do not end after {len(data)} bytes")
 
 
-def encoded(record: Record) -> bytes:
+def encode_record(record: Record) -> bytes:
     """Pack a record, its opcode and length included, and the CRC of an attachment."""
     opcode, content = pack(record)
-    if isinstance(record, Attachment):
+    if isinstance(record, AttachmentRecord):
         content = content[:-4] + struct.pack("<I", crc32(content[:-4]))
     return RECORD.pack(opcode, len(content)) + content

@@ -14,18 +14,16 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunked.salvaged import Salvaged, settled
+from pc2scan.bags.chunked.salvage import SalvagedMessages, clamp_times
 from pc2scan.bags.chunked.segments import times_around
-from pc2scan.bags.many import Many
-from pc2scan.bags.parts import AnotherBeginsError
+from pc2scan.bags.concatenation import NextRecordingError
+from pc2scan.bags.lazy_items import LazyItems
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 
-from .another import refuse_another
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
 from .messages import message_at
-from .record_types import Opcode
 from .records import (
     COMPRESSIONS,
     FIRST_PRIVATE,
@@ -34,6 +32,7 @@ from .records import (
     OP_CHUNK,
     OP_MESSAGE,
     RECORD,
+    Opcode,
 )
 from .search import (
     WINDOW,
@@ -48,6 +47,7 @@ from .search import (
     next_record,
     payload_stop,
     record_end,
+    refuse_another,
 )
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class _Gap(NamedTuple):
     error: DamageError
 
 
-def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, verify: bool) -> McapIndex:
+def recover_index(file: RecordFile, problem: DamageError, log: DamageLog, *, verify: bool) -> McapIndex:
     """Index a damaged file.
 
     Parameters
@@ -114,7 +114,7 @@ def recovered_index(file: RecordFile, problem: DamageError, log: DamageLog, *, v
     else:
         indexed = summary.segments
     index.statistics = summary.statistics
-    gaps = list(_walked(file, index, summary.channels, end))
+    gaps = list(_walk(file, index, summary.channels, end))
     for identity, schema in summary.schemas.items():
         index.schemas.setdefault(identity, schema)
     for identity, channel in summary.channels.items():
@@ -141,7 +141,7 @@ def _ends_with_magic(file: RecordFile) -> bool:
     return file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
 
 
-def _walked(file: RecordFile, index: McapIndex, summarized: Collection[int], end: int) -> Iterator[_Gap]:
+def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: int) -> Iterator[_Gap]:
     """Walk over all records up to a byte; if that fails, continue at the next one, and yield the gap.
 
     ``summarized`` are the channels in the summary.
@@ -251,8 +251,8 @@ def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int,
         the next chunk that the index does not have at all.
     """
     walked = McapIndex()
-    with suppress(AnotherBeginsError):
-        deque(_walked(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file)), maxlen=0)
+    with suppress(NextRecordingError):
+        deque(_walk(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file)), maxlen=0)
     there = _chunks_by_identity(walked.segments)
     missing = _chunks_by_identity(segments)
     # Chunks at their places, then chunks elsewhere, and then chunks in the places of others or of none.
@@ -323,9 +323,9 @@ def payload_prefix(file: RecordFile, segment: Segment, problem: DamageError) -> 
     return memoryview(decompressed_prefix(data, chunk.compression, chunk.uncompressed_size)), problem
 
 
-def salvaged_messages(
+def salvage_messages(
     data: memoryview, known: Mapping[int, Connection], span: tuple[int, int] | None, *, complete: bool
-) -> Salvaged:
+) -> SalvagedMessages:
     """Find the messages of a damaged chunk.
 
     Parameters
@@ -335,13 +335,13 @@ def salvaged_messages(
     known
         Every channel.
     span
-        The first and the last log time that the chunk declares, if it does; see `settled`.
+        The first and the last log time that the chunk declares, if it does; see `clamp_times`.
     complete
         Whether these are all of its records: a message with a wrong length at their end is then the last one.
     """
     times, places = array("Q"), array("Q")
     unknown_channel = lost = 0
-    for start, stop, framed in _framed(data, known, span):
+    for start, stop, framed in _find_records(data, known, span):
         sound = framed or (complete and stop == len(data) and is_message(data, start, known, span))
         if not sound or (data[start] not in _INSIDE_CHUNKS and data[start] < FIRST_PRIVATE):
             lost += stop - start
@@ -352,8 +352,8 @@ def salvaged_messages(
                 continue
             times.append(log_time_ns)
             places.append(start)
-    messages = Many(times, places, partial(_message_there, data, known), len(data)).together()
-    return Salvaged(settled(messages, span) if span else messages, lost, unknown_channel)
+    messages = LazyItems(times, places, partial(_message_there, data, known), len(data)).as_list()
+    return SalvagedMessages(clamp_times(messages, span) if span else messages, lost, unknown_channel)
 
 
 def _message_there(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
@@ -362,14 +362,14 @@ def _message_there(data: memoryview, known: Mapping[int, Connection], place: int
     return message if record_end(data, place) is not None else message._replace(data=data[place + MESSAGE.size :])
 
 
-def salvaged_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+def salvage_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Yield the opcodes and contents of the records recovered from a chunk."""
-    for start, stop, sound in _framed(data, None, None):
+    for start, stop, sound in _find_records(data, None, None):
         if sound:
             yield data[start], data[start + RECORD.size : stop]
 
 
-def _framed(
+def _find_records(
     data: memoryview, known: Collection[int] | None, span: tuple[int, int] | None
 ) -> Iterator[tuple[int, int, bool]]:
     """Yield records and the gaps between them: start, stop, and whether it is a record.

@@ -6,12 +6,25 @@ import re
 import struct
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.concatenation import NextRecordingError
 from pc2scan.errors import DamageError
 
-from . import record_types as records
+from . import records
 from .chunks import CHUNK_HEAD_SIZE, chunk_at
-from .record_types import Opcode, pack, unpack
-from .records import COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, has_meaning, parse
+from .records import (
+    COMPRESSIONS,
+    MAGIC,
+    MESSAGE,
+    OP_CHUNK,
+    OP_MESSAGE,
+    OP_MESSAGE_INDEX,
+    RECORD,
+    Opcode,
+    has_meaning,
+    pack,
+    parse,
+    unpack,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -128,7 +141,7 @@ def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, 
         return False
     if opcode == Opcode.ATTACHMENT:
         return length >= 40
-    kind = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.METADATA: records.Metadata}
+    kind = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.METADATA: records.MetadataRecord}
     try:
         parse(kind[Opcode(opcode)], file.read(offset + RECORD.size, length), offset, file)
     except DamageError:
@@ -223,3 +236,23 @@ def next_message(
         if stop + RECORD.size > len(data) or record_end(data, stop) is not None or span is not None:
             return position
     return None
+
+
+#: Bytes that are searched at a time.
+_WINDOW = 1 << 20
+
+#: Limit of a Header's size: it has the names of a profile and of a library.
+_MAX_HEADER = 1 << 16
+
+
+def refuse_another(file: RecordFile, start: int, stop: int) -> None:
+    """Raise if another file begins in this part of the file, with the magic and a Header."""
+    overlap = len(MAGIC) + RECORD.size - 1
+    for begin in range(start, stop, _WINDOW):
+        window = file.read(begin, min(_WINDOW + overlap, file.size - begin))
+        at = window.find(MAGIC)
+        while 0 <= at <= len(window) - overlap - 1:
+            opcode, length = RECORD.unpack_from(window, at + len(MAGIC))
+            if begin + at > 0 and opcode == Opcode.HEADER and length <= _MAX_HEADER:
+                raise NextRecordingError(begin + at)
+            at = window.find(MAGIC, at + 1)

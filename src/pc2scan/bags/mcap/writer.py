@@ -16,8 +16,7 @@ from pc2scan.files.source import FreeIds, NewFile
 from pc2scan.files.write_ahead import WriteAhead
 from pc2scan.model import StoredChunk, normalized_type, ros1_type
 
-from . import record_types as records
-from .record_types import Opcode
+from . import records
 from .records import (
     CHUNK,
     COMPRESSIONS,
@@ -28,7 +27,8 @@ from .records import (
     OP_MESSAGE_INDEX,
     RECORD,
     UINT64,
-    encoded,
+    Opcode,
+    encode_record,
 )
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class McapWriter:
             self._file = NewFile(path)
         except OSError as err:
             raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
-        self._file.put(MAGIC, encoded(records.Header(profile, "pc2scan")))
+        self._file.put(MAGIC, encode_record(records.Header(profile, "pc2scan")))
         for record in metadata:
             self.add_metadata(record)
 
@@ -181,7 +181,7 @@ class McapWriter:
         return equal[wanted]
 
     def _declare(self, opcode: Opcode, record: records.Record) -> None:
-        packed = encoded(record)
+        packed = encode_record(record)
         self._put(packed)
         self._groups[opcode].append(packed)
 
@@ -221,25 +221,25 @@ class McapWriter:
         if chunk.compression:
             self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
         else:
-            self._ahead.put(partial(self._repacked, chunk), self._put_chunk, chunk.size)
+            self._ahead.put(partial(self._recompress, chunk), self._put_chunk, chunk.size)
 
     def _finish_chunk(self) -> None:
         """Queue the open chunk to be compressed and written, and begin another one."""
         chunk = self._chunk
         if chunk.size:
-            self._ahead.put(partial(self._packed, chunk), partial(self._put_packed, chunk), chunk.size)
+            self._ahead.put(partial(self._compress_chunk, chunk), partial(self._put_compressed, chunk), chunk.size)
             self._chunk = _OpenChunk(self._spare.pop() if self._spare else BytesIO())
 
-    def _packed(self, chunk: _OpenChunk) -> StoredChunk:
+    def _compress_chunk(self, chunk: _OpenChunk) -> StoredChunk:
         """Compress a chunk; runs on any thread."""
         data = chunk.buffer.getbuffer()[: chunk.size]
         compression = self._compression or "none"
         return StoredChunk(compression, self._compress(data), chunk.size, crc32(data), chunk.index)
 
-    def _repacked(self, chunk: StoredChunk) -> StoredChunk:
+    def _recompress(self, chunk: StoredChunk) -> StoredChunk:
         return replace(chunk, compression=self._compression or "none", stored=self._compress(memoryview(chunk.stored)))
 
-    def _put_packed(self, chunk: _OpenChunk, packed: StoredChunk) -> None:
+    def _put_compressed(self, chunk: _OpenChunk, packed: StoredChunk) -> None:
         self._put_chunk(packed)
         if isinstance(packed.stored, memoryview):
             # A buffer with a view of it cannot be written.
@@ -277,13 +277,13 @@ class McapWriter:
             message_start_time=start_ns,
             uncompressed_size=chunk.size,
         )
-        self._groups[Opcode.CHUNK_INDEX].append(encoded(index))
+        self._groups[Opcode.CHUNK_INDEX].append(encode_record(index))
         self._first_ns = start_ns if self._first_ns is None else min(self._first_ns, start_ns)
         self._last_ns = max(self._last_ns, end_ns)
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Append an attachment, with CRC and index."""
-        record = records.Attachment(
+        record = records.AttachmentRecord(
             create_time=attachment.create_time_ns,
             log_time=attachment.log_time_ns,
             name=attachment.name,
@@ -291,7 +291,7 @@ class McapWriter:
             data=attachment.data,
         )
         try:
-            packed = encoded(record)
+            packed = encode_record(record)
         except struct.error as err:
             raise OutputError(
                 f"attachment {attachment.name!r} has log time {attachment.log_time_ns} ns and creation time "
@@ -307,28 +307,28 @@ class McapWriter:
             name=record.name,
             media_type=record.media_type,
         )
-        self._groups[Opcode.ATTACHMENT_INDEX].append(encoded(index))
+        self._groups[Opcode.ATTACHMENT_INDEX].append(encode_record(index))
 
     def add_metadata(self, metadata: Metadata) -> None:
         """Append a metadata record, with index."""
-        packed = encoded(records.Metadata(metadata.name, dict(metadata.entries)))
+        packed = encode_record(records.MetadataRecord(metadata.name, dict(metadata.entries)))
         index = records.MetadataIndex(offset=self._put(packed), length=len(packed), name=metadata.name)
-        self._groups[Opcode.METADATA_INDEX].append(encoded(index))
+        self._groups[Opcode.METADATA_INDEX].append(encode_record(index))
 
     def finish(self) -> None:
         """Write the last chunk and the summary, and put everything on the disk."""
         self._finish_chunk()
-        self._put(encoded(records.DataEnd(0)))
-        self._groups[Opcode.STATISTICS].append(encoded(self._statistics()))
+        self._put(encode_record(records.DataEnd(0)))
+        self._groups[Opcode.STATISTICS].append(encode_record(self._statistics()))
         start = position = self._file.position
         summary, offsets = [], []
         for opcode, group in self._groups.items():
             if group:
                 packed = b"".join(group)
                 summary.append(packed)
-                offsets.append(encoded(records.SummaryOffset(opcode, position, len(packed))))
+                offsets.append(encode_record(records.SummaryOffset(opcode, position, len(packed))))
                 position += len(packed)
-        tail = b"".join((*summary, *offsets, encoded(records.Footer(start, position, 0))))
+        tail = b"".join((*summary, *offsets, encode_record(records.Footer(start, position, 0))))
         # The footer's last field is the CRC of the summary and of the footer's other fields.
         self._file.put(tail[:-4], struct.pack("<I", crc32(tail[:-4])), MAGIC)
         self._file.finish()

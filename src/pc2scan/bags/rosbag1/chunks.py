@@ -13,9 +13,9 @@ from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from pc2scan.bags.many import MAX_TOGETHER, Many
+from pc2scan.bags.lazy_items import MAX_LISTED_ITEMS, LazyItems
 from pc2scan.errors import stamp_text
-from pc2scan.files.compression import CompressionError, decompress
+from pc2scan.files.compression import LZ4_MAGIC, CompressionError, decompress
 from pc2scan.files.limits import allowed_bytes
 from pc2scan.model import RawMessage, own
 
@@ -25,9 +25,9 @@ from .records import (
     SECOND_NS,
     UINT32,
     UINT32_MAX,
-    Damaged,
+    FormatError,
     kind_of,
-    parsed_fields,
+    parse_fields,
     time_field,
     uint32_field,
 )
@@ -55,25 +55,25 @@ def with_payload(file: BagFile, segment: Segment, callback: Callable[[Buffer], _
     """Call ``callback`` with a decompressed chunk, which may be borrowed; see `SourceFile.borrow`."""
 
     def unpacked(data: memoryview) -> _Result:
-        return callback(decompressed(file, segment, data))
+        return callback(decompress_chunk(file, segment, data))
 
     return file.borrow(segment.offset, segment.length, unpacked)
 
 
-def decompressed(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
+def decompress_chunk(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
     """Decompress a chunk's ``data`` to its declared size."""
     compression, size = segment.compression, segment.uncompressed_size
     if size > (allowed := allowed_bytes(file.size)):
-        raise Damaged(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
+        raise FormatError(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
     try:
         unpacked, complete = decompress(compression, data, size)
     except (CompressionError, MemoryError) as err:
-        raise Damaged(f"its {compression} data cannot be decompressed: {err}") from err
+        raise FormatError(f"its {compression} data cannot be decompressed: {err}") from err
     if not complete and len(unpacked) <= size:
-        raise Damaged(f"its {compression} data ends early, {size} bytes are declared")
+        raise FormatError(f"its {compression} data ends early, {size} bytes are declared")
     if len(unpacked) != size:
         observed = f"more than {size}" if len(unpacked) > size else str(len(unpacked))
-        raise Damaged(f"it holds {observed} bytes when decompressed, {size} are declared")
+        raise FormatError(f"it holds {observed} bytes when decompressed, {size} are declared")
     return unpacked
 
 
@@ -82,18 +82,18 @@ def _record(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, i
     lengths = []
     for _ in range(2):
         if position + 4 > len(data):
-            raise Damaged(f"a record's length does not fit into the {len(data)} bytes of its chunk")
+            raise FormatError(f"a record's length does not fit into the {len(data)} bytes of its chunk")
         (length,) = UINT32.unpack_from(data, position)
         lengths.append(position + 4)
         position += 4 + length
         lengths.append(position)
         if position > len(data):
-            raise Damaged(f"a record reaches to byte {position} of a chunk of {len(data)} bytes")
+            raise FormatError(f"a record reaches to byte {position} of a chunk of {len(data)} bytes")
     header, header_stop, body, body_stop = lengths
-    return parsed_fields(data[header:header_stop]), body, body_stop
+    return parse_fields(data[header:header_stop]), body, body_stop
 
 
-def records_in(data: memoryview) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
+def scan_records(data: memoryview) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
     """Yield all records of a chunk, as fields and body."""
     position = 0
     while position < len(data):
@@ -155,7 +155,7 @@ class Places:
     contradicts: bool = False
 
 
-def messages_in(
+def scan_messages(
     chunk: Buffer,
     wanted: Mapping[int, Connection | None],
     start_ns: int | None,
@@ -164,7 +164,7 @@ def messages_in(
     span: tuple[int, int] | None = None,
     places: list[int] | None = None,
     describe: Callable[[Mapping[bytes, bytes], Buffer], object] | None = None,
-) -> list[RawMessage] | Many[RawMessage]:
+) -> list[RawMessage] | LazyItems[RawMessage]:
     """Find the messages of a decompressed chunk.
 
     Parameters
@@ -184,7 +184,7 @@ def messages_in(
 
     Raises
     ------
-    Damaged
+    FormatError
         If a record does not fit, is not a message or connection, or has a connection not in ``wanted``, or if a wanted
         message is outside of ``span``.
     """
@@ -198,14 +198,14 @@ def messages_in(
     position, count = 0, 0
     messages: list[RawMessage] = []
     while position < end:
-        position = _stretch_of(data, wanted, (low, high), (first, last), position, messages, places, describe)
-        if len(messages) + count > MAX_TOGETHER:
+        position = _scan_stretch(data, wanted, (low, high), (first, last), position, messages, places, describe)
+        if len(messages) + count > MAX_LISTED_ITEMS:
             count += len(messages)
             messages = []
-    return _many(data, wanted, low, high) if count else messages
+    return _lazy_messages(data, wanted, low, high) if count else messages
 
 
-def _stretch_of(
+def _scan_stretch(
     data: memoryview,
     wanted: Mapping[int, Connection | None],
     cut: tuple[int, int],
@@ -215,7 +215,7 @@ def _stretch_of(
     places: list[int] | None,
     describe: Callable[[Mapping[bytes, bytes], Buffer], object] | None,
 ) -> int:
-    """Find messages from a place on, in so many bytes that they can be no more than `MAX_TOGETHER`.
+    """Find messages from a place on, in so many bytes that they can be no more than `MAX_LISTED_ITEMS`.
 
     Returns
     -------
@@ -226,7 +226,7 @@ def _stretch_of(
     end = len(data)
     layout, literals, expected, at_connection, at_seconds = current = USUAL_LAYOUT
     prefix = layout.size
-    stop = min(end, position + MAX_TOGETHER * prefix)
+    stop = min(end, position + MAX_LISTED_ITEMS * prefix)
     while position < stop:
         origin = position
         values = layout.unpack_from(data, position) if position + prefix <= end else None
@@ -236,7 +236,7 @@ def _stretch_of(
             start = position + prefix
             position = start + values[6]
             if position > end:
-                raise Damaged(f"a message reaches to byte {position} of a chunk of {end} bytes")
+                raise FormatError(f"a message reaches to byte {position} of a chunk of {end} bytes")
         else:
             fields, start, following = _record(data, position)
             # Writers use one order of fields: use it from now on, and read this record again.
@@ -250,13 +250,13 @@ def _stretch_of(
                     describe(fields, data[start:position])
                 continue
             if kind_of(fields) != MESSAGE:
-                raise Damaged(f"a record of kind {kind_of(fields)} is in it, allowed are messages and connections")
+                raise FormatError(f"a record of kind {kind_of(fields)} is in it, allowed are messages and connections")
             identity = uint32_field(fields, "conn")
             stamp = time_field(fields, "time")
         try:
             connection = wanted[identity]
         except KeyError:
-            raise Damaged(f"it has a message of connection {identity}, which is not in the index") from None
+            raise FormatError(f"it has a message of connection {identity}, which is not in the index") from None
         if places is not None:
             places.append(origin)
         if connection is None:
@@ -264,16 +264,18 @@ def _stretch_of(
         if low <= stamp < high:
             messages.append(RawMessage(connection, stamp, data[start:position], stamp))
         elif not first <= stamp <= last:
-            raise Damaged(
+            raise FormatError(
                 f"it has a message of log time {stamp_text(stamp)}, "
                 f"declared are {stamp_text(first)} to {stamp_text(last)}"
             )
     return position
 
 
-def _many(data: memoryview, wanted: Mapping[int, Connection | None], start_ns: int, stop_ns: int) -> Many[RawMessage]:
+def _lazy_messages(
+    data: memoryview, wanted: Mapping[int, Connection | None], start_ns: int, stop_ns: int
+) -> LazyItems[RawMessage]:
     """Return the messages of a sound chunk, each created when it is needed."""
-    found = FoundMessages()
+    found = MessagePlaces()
     layout, literals, expected, at_connection, at_seconds = USUAL_LAYOUT
     position, end = 0, len(data)
     while position < end:
@@ -290,10 +292,10 @@ def _many(data: memoryview, wanted: Mapping[int, Connection | None], start_ns: i
             identity, stamp = uint32_field(fields, "conn"), time_field(fields, "time")
         if wanted[identity] is not None and start_ns <= stamp < stop_ns:
             found.add(identity, stamp, start, position)
-    return found.many(memoryview(own(data)), {key: item for key, item in wanted.items() if item is not None})
+    return found.lazy_messages(memoryview(own(data)), {key: item for key, item in wanted.items() if item is not None})
 
 
-class FoundMessages:
+class MessagePlaces:
     """Where messages of a chunk are."""
 
     def __init__(self) -> None:
@@ -306,7 +308,7 @@ class FoundMessages:
         for values, value in ((self._ids, identity), (self._starts, start), (self._stops, stop)):
             values.append(value)
 
-    def many(self, data: memoryview, known: Mapping[int, Connection]) -> Many[RawMessage]:
+    def lazy_messages(self, data: memoryview, known: Mapping[int, Connection]) -> LazyItems[RawMessage]:
         """Return the messages, each created when it is needed."""
         times, ids, starts, stops = self._times, self._ids, self._starts, self._stops
 
@@ -314,4 +316,50 @@ class FoundMessages:
             stamp = times[number]
             return RawMessage(known[ids[number]], stamp, data[starts[number] : stops[number]], stamp)
 
-        return Many(times, array("Q", range(len(times))), made, len(data) + 3 * ids.itemsize * len(ids))
+        return LazyItems(times, array("Q", range(len(times))), made, len(data) + 3 * ids.itemsize * len(ids))
+
+
+# --- LZ4 frames ---
+#
+# ROS 1's own reader accepts only frames with independent blocks, no content size, and a checksum.
+# Source: ``roslz4/src/lz4s.c`` in ros_comm, and https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md.
+
+#: Version 1, independent blocks, content checksum; no block checksums, content size or dictionary.
+_FLAGS = 0b0110_0100
+#: Blocks of at most 64 KiB, 256 KiB, 1 MiB, 4 MiB.
+_BLOCK_SIZES = {0x40: 1 << 16, 0x50: 1 << 18, 0x60: 1 << 20, 0x70: 1 << 22}
+_STORED = 0x8000_0000
+_HEADER_SIZE = 7
+
+
+def compress_lz4(data: Buffer) -> bytes:
+    """Compress data into an LZ4 frame that ROS 1's own reader accepts."""
+    import lz4.frame  # noqa: PLC0415  # heavy
+
+    frame: bytes = lz4.frame.compress(
+        data,
+        block_size=lz4.frame.BLOCKSIZE_MAX1MB,
+        block_linked=False,
+        store_size=False,
+        content_checksum=True,
+    )
+    return frame
+
+
+def is_readable_lz4(data: Buffer) -> bool:
+    """Whether these bytes are exactly one LZ4 frame that ROS 1's own reader accepts."""
+    if len(data) < _HEADER_SIZE or data[:4] != LZ4_MAGIC or data[4] != _FLAGS or data[5] not in _BLOCK_SIZES:
+        return False
+    limit = _BLOCK_SIZES[data[5]]
+    position = _HEADER_SIZE
+    while position + 4 <= len(data):
+        (size,) = UINT32.unpack_from(data, position)
+        position += 4
+        if size == 0:
+            # The checksum, and the end.
+            return position + 4 == len(data)
+        size &= ~_STORED
+        if size > limit:
+            return False
+        position += size
+    return False

@@ -10,7 +10,7 @@ from pc2scan.bags.chunked.segments import Segment
 from pc2scan.errors import RecordingError
 from pc2scan.files.limits import ConnectionLimit
 
-from .chunks import payload, records_in
+from .chunks import payload, scan_records
 from .records import (
     BAG_HEADER,
     CHUNK,
@@ -19,10 +19,10 @@ from .records import (
     CONNECTION,
     FIRST_LINE,
     MESSAGE,
-    Damaged,
+    FormatError,
     field_of,
     kind_of,
-    parsed_connection,
+    parse_connection,
     text_of,
     time_field,
     uint32_field,
@@ -57,7 +57,7 @@ class Connections:
 
     def add(self, fields: Mapping[bytes, bytes], body: Buffer) -> None:
         """Add the connection of a record with these fields and this body."""
-        connection = parsed_connection(fields, body)
+        connection = parse_connection(fields, body)
         if self.by_id.setdefault(connection.id, connection) is connection:
             self._limit.add(len(body))
 
@@ -83,8 +83,8 @@ class ConnectionCheck:
             record = (fields.get(b"topic"), bytes(body))
             if self._equal.get(identity) == record:
                 return None
-            copy, known = parsed_connection(fields, body), self._connections.get(identity)
-        except Damaged as err:
+            copy, known = parse_connection(fields, body), self._connections.get(identity)
+        except FormatError as err:
             return f"it describes a connection that cannot be read: {err}"
         if known is None:
             return f"it describes connection {identity}, which is not in the index"
@@ -116,10 +116,10 @@ def read_index(file: BagFile) -> BagIndex:
     for _ in range(chunk_count):
         fields, start, position = file.record(position, CHUNK_INFO)
         if (version := uint32_field(fields, "ver")) != 1:
-            raise Damaged(f"a chunk info has version {version}, only 1 can be read")
+            raise FormatError(f"a chunk info has version {version}, only 1 can be read")
         entries = uint32_field(fields, "count")
         if 8 * entries != position - start:
-            raise Damaged(f"a chunk info of {position - start} bytes declares {entries} counts of 8 bytes")
+            raise FormatError(f"a chunk info of {position - start} bytes declares {entries} counts of 8 bytes")
         numbers = struct.unpack(f"<{2 * entries}I", file.body(start, start + 8 * entries))
         for identity, count in zip(numbers[::2], numbers[1::2], strict=True):
             counts[identity] = counts.get(identity, 0) + count
@@ -159,7 +159,7 @@ def _end_behind_index(file: BagFile, position: int) -> None:
     if (start := another_bag(file, position, file.size)) is not None:
         file.end_at(start)
     if (found := record_behind(file, position)) is not None:
-        raise Damaged(f"it continues at byte {found}, after the records that the bag header counts")
+        raise FormatError(f"it continues at byte {found}, after the records that the bag header counts")
 
 
 def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
@@ -182,9 +182,9 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
         )
     index_pos = uint64_field(fields, "index_pos")
     if index_pos == 0:
-        raise Damaged("there is none, the bag was never closed (index_pos is 0)")
+        raise FormatError("there is none, the bag was never closed (index_pos is 0)")
     if index_pos > file.size:
-        raise Damaged(f"the index should be at byte {index_pos}, the file has {file.size} bytes")
+        raise FormatError(f"the index should be at byte {index_pos}, the file has {file.size} bytes")
     return index_pos, uint32_field(fields, "conn_count"), uint32_field(fields, "chunk_count")
 
 
@@ -197,7 +197,7 @@ def chunk_segment(fields: Mapping[bytes, bytes], chunk_pos: int, start: int, sto
     """Make a segment from a chunk's record, without times and connections."""
     compression = text_of(field_of(fields, "compression"))
     if compression not in COMPRESSIONS:
-        raise Damaged(
+        raise FormatError(
             f"the chunk at byte {chunk_pos} is compressed with {compression!r}, allowed are {', '.join(COMPRESSIONS)}"
         )
     size = uint32_field(fields, "size")
@@ -207,15 +207,15 @@ def chunk_segment(fields: Mapping[bytes, bytes], chunk_pos: int, start: int, sto
 def _refuse_overlaps(segments: Sequence[Segment], size: int) -> None:
     """Raise if chunks overlap: otherwise the index of a short file could repeat its chunks without limit."""
     if len({segment.offset for segment in segments}) < len(segments):
-        raise Damaged("the index names a chunk twice")
+        raise FormatError("the index names a chunk twice")
     # One damaged length may reach into the next chunk, but not all lengths.
     if (stored := sum(segment.length for segment in segments)) > 2 * size:
-        raise Damaged(f"the chunks have {stored} bytes together, in a bag of {size}")
+        raise FormatError(f"the chunks have {stored} bytes together, in a bag of {size}")
 
 
 def contained_span(file: BagFile, segment: Segment) -> tuple[int, int] | None:
     """Read a chunk for the first and the last log time of its messages; None if it has none."""
-    records = records_in(memoryview(payload(file, segment)))
+    records = scan_records(memoryview(payload(file, segment)))
     stamps = [time_field(fields, "time") for fields, _ in records if kind_of(fields) == MESSAGE]
     return (min(stamps), max(stamps)) if stamps else None
 
@@ -231,9 +231,9 @@ def _find_connections(file: BagFile, segments: Sequence[Segment], missing: set[i
     for segment in segments:
         if not missing:
             return
-        for fields, body in records_in(memoryview(payload(file, segment))):
+        for fields, body in scan_records(memoryview(payload(file, segment))):
             if kind_of(fields) == CONNECTION and (identity := uint32_field(fields, "conn")) in missing:
                 found.add(fields, body)
                 missing.discard(identity)
     if missing:
-        raise Damaged(f"connection {min(missing)} has messages but is not described")
+        raise FormatError(f"connection {min(missing)} has messages but is not described")

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.entries import IndexCheck
-from pc2scan.bags.chunked.segments import counted, standing_alone, units_of
-from pc2scan.bags.chunked.spans import SpanCheck
+from pc2scan.bags.chunked.index_checks import IndexCheck, SpanCheck
+from pc2scan.bags.chunked.segments import count_messages, isolated_chunks, segment_units
+from pc2scan.bags.concatenation import NextRecordingError, PartReader, note_next, open_parts
 from pc2scan.bags.damage import DamageLog
-from pc2scan.bags.many import Many, mapped
-from pc2scan.bags.parts import AnotherBeginsError, PartReader, note_next, opened_parts
+from pc2scan.bags.lazy_items import LazyItems, map_items
 from pc2scan.model import StoredChunk, Summary
 
-from .chunks import Places, decompressed, messages_in, with_payload
-from .copies import first_uses, whole_chunk
-from .entries import index_check
+from .chunks import Places, decompress_chunk, is_readable_lz4, scan_messages, with_payload
 from .index import ConnectionCheck, contained_span, read_index
-from .records import BagFile, Damaged, uint32_field
+from .index_data import index_check
+from .records import BagFile, FormatError, uint32_field
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.chunked.salvaged import Salvaged
+    from pc2scan.bags.chunked.salvage import SalvagedMessages
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
 
 def open_reader(path: Path, options: ReadOptions) -> Reader:
     """Open a ROS 1 bag; see `pc2scan.bags.formats.Format`."""
-    return opened_parts(lambda start: Rosbag1Reader(path, strict=options.strict, start=start))
+    return open_parts(lambda start: Rosbag1Reader(path, strict=options.strict, start=start))
 
 
 class Rosbag1Reader(PartReader):
@@ -73,7 +72,7 @@ class Rosbag1Reader(PartReader):
         try:
             try:
                 self._index = self._found_index()
-            except AnotherBeginsError as other:
+            except NextRecordingError as other:
                 self._file.end_at(other.offset)
                 self._index = self._found_index()
             note_next(self._file, self._log)
@@ -94,11 +93,11 @@ class Rosbag1Reader(PartReader):
         """Index the bag, by its own index or without it."""
         try:
             return read_index(self._file)
-        except Damaged as err:
+        except FormatError as err:
             problem = self._file.damage_error(f"its index cannot be read: {err}")
-        from .recovery import recovered_index  # noqa: PLC0415  # only damaged bags pay for it
+        from .recovery import recover_index  # noqa: PLC0415  # only damaged bags pay for it
 
-        return recovered_index(self._file, problem, self._log)
+        return recover_index(self._file, problem, self._log)
 
     @property
     def next_start(self) -> int | None:
@@ -151,12 +150,12 @@ class Rosbag1Reader(PartReader):
         self._bytes_read = 0
         self._spans.compare_beside(ids, start_ns, stop_ns)
         due = [segment for segment in self._index.segments if segment.may_hold(ids, start_ns, stop_ns)]
-        alone = standing_alone(due, rule, start_ns, stop_ns) if rule else frozenset()
+        alone = isolated_chunks(due, rule, start_ns, stop_ns) if rule else frozenset()
         needed = first_uses(due, start_ns) if alone else {}
 
         def load_whole(segment: Segment, rule: ChunkRule) -> Loaded[RawMessage]:
             stored = self._file.read(segment.offset, segment.length)
-            chunk = decompressed(self._file, segment, stored)
+            chunk = decompress_chunk(self._file, segment, stored)
             places = Places()
 
             def describe(fields: Mapping[bytes, bytes], body: Buffer) -> None:
@@ -166,11 +165,11 @@ class Rosbag1Reader(PartReader):
 
             span = (segment.start_ns, segment.end_ns)
             check = self._check_index(segment, chunk, chosen)
-            messages = messages_in(
+            messages = scan_messages(
                 chunk, wanted, start_ns, stop_ns, span=span, places=places.messages, describe=describe
             )
             self._compare_index(segment, check, len(messages))
-            if isinstance(messages, Many):
+            if isinstance(messages, LazyItems):
                 return messages
             return whole_chunk(segment, stored, chunk, messages, places, rule, needed[segment]) or messages
 
@@ -178,25 +177,25 @@ class Rosbag1Reader(PartReader):
             self._bytes_read += segment.length
             if rule and whole:
                 # Damaged chunks are not copied.
-                with suppress(Damaged):
+                with suppress(FormatError):
                     found = load_whole(segment, rule)
-                    return found if isinstance(found, StoredChunk) else mapped(callback, found)
+                    return found if isinstance(found, StoredChunk) else map_items(callback, found)
 
             def taken(chunk: Buffer) -> Loaded[Item]:
                 describe, span = partial(self._agrees, segment), (segment.start_ns, segment.end_ns)
                 check = self._check_index(segment, chunk, chosen)
-                found = messages_in(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)
+                found = scan_messages(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)
                 is_cut = segment.start_ns < (start_ns or 0) or (stop_ns is not None and stop_ns <= segment.end_ns)
                 self._compare_index(segment, check, None if is_cut else len(found))
-                return mapped(callback, found)
+                return map_items(callback, found)
 
             try:
                 return with_payload(self._file, segment, taken)
-            except Damaged as err:
+            except FormatError as err:
                 problem = err
-            return mapped(callback, self._salvaged(segment, problem).selected(chosen, start_ns, stop_ns))
+            return map_items(callback, self._salvage(segment, problem).select(chosen, start_ns, stop_ns))
 
-        return units_of(due, load, alone, self._file)
+        return segment_units(due, load, alone, self._file)
 
     def _check_index(self, segment: Segment, chunk: Buffer, ids: frozenset[int]) -> IndexCheck:
         """Compare the index records after a chunk with it; those of a damaged bag are not compared."""
@@ -224,27 +223,27 @@ class Rosbag1Reader(PartReader):
         return difference is None
 
     def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
-        from .counts import indexed_span  # noqa: PLC0415
+        from .index_data import indexed_span  # noqa: PLC0415
 
         return indexed_span(self._file, segment)
 
     def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
         try:
             return contained_span(self._file, segment)
-        except Damaged:
+        except FormatError:
             return None
 
-    def _salvaged(self, segment: Segment, problem: Damaged) -> Salvaged:
+    def _salvage(self, segment: Segment, problem: FormatError) -> SalvagedMessages:
         """Note a damaged chunk, and recover its messages."""
         error = self._file.damage_error(f"the chunk with data at byte {segment.offset} cannot be read: {problem}")
         if self._log.strict:
             raise error from problem
-        from pc2scan.bags.chunked.salvaged import note_salvaged  # noqa: PLC0415  # only damaged bags pay for it
+        from pc2scan.bags.chunked.salvage import note_salvaged  # noqa: PLC0415  # only damaged bags pay for it
 
-        from .recovery import payload_prefix, salvaged_messages  # noqa: PLC0415
+        from .recovery import payload_prefix, salvage_messages  # noqa: PLC0415
 
         chunk = payload_prefix(self._file, segment)
-        left = salvaged_messages(chunk, self._index.connections, (segment.start_ns, segment.end_ns))
+        left = salvage_messages(chunk, self._index.connections, (segment.start_ns, segment.end_ns))
         check = self._check_index(segment, chunk, frozenset(self._index.connections))
         counted = None not in (connection.message_count for connection in self.connections)
         note_salvaged(self._log, error, segment, segment.offset, len(chunk), left, check.total, counted=counted)
@@ -256,11 +255,11 @@ class Rosbag1Reader(PartReader):
         """Count by the index, or for a cut by the chunks' index records; see `pc2scan.bags.reader.Reader`."""
 
         def by_index(ids: frozenset[int]) -> dict[int, int]:
-            from .counts import counts_between  # noqa: PLC0415  # only topics that are skipped need it
+            from .index_data import counts_between  # noqa: PLC0415  # only topics that are skipped need it
 
             return counts_between(self._file, self._index.segments, ids, start_ns, stop_ns)
 
-        return counted(connections, start_ns, stop_ns, by_index)
+        return count_messages(connections, start_ns, stop_ns, by_index)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -270,3 +269,70 @@ class Rosbag1Reader(PartReader):
     def close(self) -> None:
         """Release the file. Messages that were handed out stay valid."""
         self._file.close()
+
+
+def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segment, frozenset[int]]:
+    """Find the connections that each chunk has to describe, because no earlier chunk does.
+
+    ROS 1's ``rosbag reindex`` needs a connection's description in the chunk of its first message.
+
+    Parameters
+    ----------
+    segments
+        All segments to read.
+    start_ns
+        The start of the cut: a chunk across it may be written without its first messages.
+    """
+    uses = {}
+    seen: frozenset[int] = frozenset()
+    for segment in sorted(segments, key=attrgetter("start_ns", "offset")):
+        ids = segment.connection_ids or frozenset()
+        uses[segment] = ids - seen
+        if start_ns is None or start_ns <= segment.start_ns:
+            seen |= uses[segment]
+    return uses
+
+
+def whole_chunk(
+    segment: Segment,
+    stored: Buffer,
+    records: Buffer,
+    messages: Sequence[RawMessage],
+    places: Places,
+    rule: ChunkRule,
+    needed: Collection[int],
+) -> StoredChunk | None:
+    """Return a chunk that was read as one to copy.
+
+    Parameters
+    ----------
+    stored, records
+        Its records, compressed and decompressed.
+    messages, places
+        Its messages and their offsets.
+    needed
+        The connections that it has to describe.
+
+    Returns
+    -------
+    StoredChunk | None
+        None if ``rule`` does not allow to copy it, its messages are not sorted by log time, or it contradicts the
+        index. LZ4 frames that ROS 1's own reader refuses are compressed again.
+    """
+    if places.contradicts:
+        return None
+    times = [message.log_time_ns for message in messages]
+    if not times or len(times) != len(places.messages) or times != sorted(times):
+        return None
+    if times[0] < segment.start_ns or segment.end_ns < times[-1]:
+        return None
+    if not places.described <= rule.connection_ids or not places.described.issuperset(needed):
+        return None
+    index: dict[int, list[tuple[int, int]]] = {}
+    for message, place in zip(messages, places.messages, strict=True):
+        index.setdefault(message.connection.id, []).append((message.log_time_ns, place))
+    if not index.keys() <= rule.connection_ids:
+        return None
+    if segment.compression not in rule.compressions or (segment.compression == "lz4" and not is_readable_lz4(stored)):
+        return StoredChunk("", records, len(records), 0, index)
+    return StoredChunk(segment.compression, stored, len(records), 0, index)

@@ -61,11 +61,11 @@ UINT64 = struct.Struct("<Q")
 PAIR = struct.Struct("<II")
 
 
-class Damaged(Exception):  # noqa: N818  # it never leaves the reader
+class FormatError(Exception):  # it never leaves the reader
     """Bytes contradict the format; the reader adds the place and raises a DamageError."""
 
 
-def parsed_fields(raw: Buffer) -> dict[bytes, bytes]:
+def parse_fields(raw: Buffer) -> dict[bytes, bytes]:
     """Split a header into fields; each is a uint32 length and ``name=value``."""
     raw = bytes(raw)
     fields: dict[bytes, bytes] = {}
@@ -73,16 +73,16 @@ def parsed_fields(raw: Buffer) -> dict[bytes, bytes]:
     while position < len(raw):
         start = position + 4
         if start > len(raw):
-            raise Damaged(f"a header of {len(raw)} bytes ends inside a field's length")
+            raise FormatError(f"a header of {len(raw)} bytes ends inside a field's length")
         (size,) = UINT32.unpack_from(raw, position)
         position = start + size
         if position > len(raw):
-            raise Damaged(f"a header field of {size} bytes does not fit into its header of {len(raw)} bytes")
+            raise FormatError(f"a header field of {size} bytes does not fit into its header of {len(raw)} bytes")
         name, equals, value = raw[start:position].partition(b"=")
         if not equals:
-            raise Damaged(f"the header field {name[:40]!r} has no '='")
+            raise FormatError(f"the header field {name[:40]!r} has no '='")
         if len(fields) == _MAX_FIELDS:
-            raise Damaged(f"a header has more than {_MAX_FIELDS} fields")
+            raise FormatError(f"a header has more than {_MAX_FIELDS} fields")
         fields[name] = value
     return fields
 
@@ -91,9 +91,9 @@ def field_of(fields: Mapping[bytes, bytes], name: str, size: int | None = None) 
     """Return a required field, of ``size`` bytes if given."""
     value = fields.get(name.encode())
     if value is None:
-        raise Damaged(f"a record's header has no field '{name}'")
+        raise FormatError(f"a record's header has no field '{name}'")
     if size is not None and len(value) != size:
-        raise Damaged(f"the header field '{name}' has {len(value)} bytes, {size} are needed")
+        raise FormatError(f"the header field '{name}' has {len(value)} bytes, {size} are needed")
     return value
 
 
@@ -125,10 +125,10 @@ def text_of(value: bytes) -> str:
     return value.decode("utf-8", "surrogateescape")
 
 
-def parsed_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection:
+def parse_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection:
     """Make a connection from its record. The body is a header itself: the publisher's."""
     topic = text_of(field_of(fields, "topic"))
-    header = parsed_fields(body)
+    header = parse_fields(body)
     texts = {text_of(name): text_of(value) for name, value in header.items() if name != b"message_definition"}
     metadata = {name: value for name, value in texts.items() if name not in OWN_FIELDS}
     # What the publisher called the topic, and a latching that is not plainly "1", would otherwise be lost.
@@ -158,13 +158,13 @@ class BagFile(SourceFile):
         self._ahead_start = 0
         self._ahead = b""
 
-    def damage(self, message: str) -> Damaged:
+    def damage(self, message: str) -> FormatError:
         """Return the error for a damaged bag; the reader adds the place."""
-        return Damaged(message)
+        return FormatError(message)
 
     def damage_error(self, message: str) -> DamageError:
         """Return the error that the reader raises."""
-        return DamageError(self.located(message), path=self.path, hint=RECOVER)
+        return DamageError(self.with_location(message), path=self.path, hint=RECOVER)
 
     def head(self, length: int) -> bytes:
         """Read the first bytes, fewer if there are fewer."""
@@ -174,15 +174,15 @@ class BagFile(SourceFile):
         """Return a record of a required kind: its fields, and start and stop of its body."""
         (length,) = UINT32.unpack(self.nearby(offset, 4))
         body = offset + 4 + length + 4
-        fields = parsed_fields(self.nearby(offset + 4, length))
+        fields = parse_fields(self.nearby(offset + 4, length))
         (length,) = UINT32.unpack(self.nearby(body - 4, 4))
         if kind_of(fields) != kind:
-            raise Damaged(
+            raise FormatError(
                 f"the record at byte {offset} is a {_KINDS.get(kind_of(fields), kind_of(fields))}, "
                 f"a {_KINDS[kind]} should be there"
             )
         if body + length > self.size:
-            raise Damaged(
+            raise FormatError(
                 f"the {_KINDS[kind]} at byte {offset} reaches to byte {body + length}, the file has {self.size} bytes"
             )
         return fields, body, body + length

@@ -12,11 +12,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.salvaged import Salvaged, settled
+from pc2scan.bags.chunked.salvage import SalvagedMessages, clamp_times
 from pc2scan.bags.chunked.segments import Segment, times_around
 from pc2scan.files.salvage import decompressed_prefix
 
-from .chunks import FoundMessages, payload
+from .chunks import MessagePlaces, payload
 from .index import BagIndex, Connections, chunk_segment
 from .records import (
     BAG_HEADER,
@@ -26,12 +26,12 @@ from .records import (
     INDEX_DATA,
     MESSAGE,
     SECOND_NS,
-    Damaged,
+    FormatError,
     kind_of,
     time_field,
     uint32_field,
 )
-from .search import ANYWHERE, OUTSIDE_CHUNKS, Record, next_record, record_at, refuse_another
+from .search import ANYWHERE, OUTSIDE_CHUNKS, BagRecord, next_record, record_at, refuse_another
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -50,7 +50,7 @@ _RUN_SIZE = 4 << 20
 
 
 @dataclass(slots=True)
-class _Found:
+class _RecoveredRecords:
     """The results of the pass over the file."""
 
     connections: Connections
@@ -58,7 +58,7 @@ class _Found:
     gaps: list[tuple[int, int, str]] = field(default_factory=list)
 
 
-class _Stamps:
+class _MessageRun:
     """The log times and connections of consecutive messages."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class _Stamps:
         self.counts[connection] = self.counts.get(connection, 0) + 1
 
 
-def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagIndex:
+def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagIndex:
     """Index a bag without its own index.
 
     Parameters
@@ -91,18 +91,18 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
 
     Raises
     ------
-    AnotherBeginsError
+    NextRecordingError
         If another bag begins where something is damaged.
     """
     if log.strict:
         raise problem
-    found = _Found(Connections(file))
+    found = _RecoveredRecords(Connections(file))
     position = _next_after_header(file)
-    loose = _Stamps()
+    loose = _MessageRun()
     loose_start = position
     # The index records after the last chunk; None if they cannot be used.
-    index: _Stamps | None = None
-    previous: tuple[int, Record] | None = None
+    index: _MessageRun | None = None
+    previous: tuple[int, BagRecord] | None = None
 
     def end_run(at: int) -> None:
         nonlocal loose
@@ -111,7 +111,7 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
             found.segments.append(
                 Segment(loose_start, size, "none", size, 0, loose.first_ns, loose.last_ns, frozenset(loose.counts))
             )
-        loose = _Stamps()
+        loose = _MessageRun()
 
     while position < file.size:
         record = record_at(file.nearby, position, file.size)
@@ -158,7 +158,7 @@ def recovered_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagI
                 _set_times(found, index)
                 _note_record(file, found, position, record)
                 noted = record.kind == CHUNK and found.segments and found.segments[-1].offset == record.start
-                index = _Stamps() if noted else None
+                index = _MessageRun() if noted else None
         previous, position = (position, record), record.stop
     end_run(file.size)
     _find_times(file, found, log)
@@ -175,17 +175,17 @@ def _next_after_header(file: BagFile) -> int:
     return next_record(file.nearby, len(FIRST_LINE), file.size, ANYWHERE)
 
 
-def _note_record(file: BagFile, found: _Found, position: int, record: Record) -> None:
+def _note_record(file: BagFile, found: _RecoveredRecords, position: int, record: BagRecord) -> None:
     if record.kind == CHUNK:
         _add_chunk(file, found, position, record.stop)
     elif record.kind == CONNECTION:
         try:
             found.connections.add(record.fields, file.nearby(record.start, record.stop - record.start))
-        except Damaged as err:
+        except FormatError as err:
             found.gaps.append((position, record.stop, str(err)))
 
 
-def _with_entries(index: _Stamps | None, file: BagFile, record: Record) -> _Stamps | None:
+def _with_entries(index: _MessageRun | None, file: BagFile, record: BagRecord) -> _MessageRun | None:
     """Add the entries of an index record: times and places of a connection's messages, 12 bytes each."""
     count = uint32_field(record.fields, "count")
     if index is None or 12 * count != record.stop - record.start or uint32_field(record.fields, "ver") != 1:
@@ -197,7 +197,7 @@ def _with_entries(index: _Stamps | None, file: BagFile, record: Record) -> _Stam
     return index
 
 
-def _set_times(found: _Found, index: _Stamps | None) -> None:
+def _set_times(found: _RecoveredRecords, index: _MessageRun | None) -> None:
     """Set the last chunk's times to those in its index records."""
     if index is not None and index.counts and found.segments and not found.segments[-1].end_ns:
         found.segments[-1] = replace(
@@ -208,33 +208,33 @@ def _set_times(found: _Found, index: _Stamps | None) -> None:
         )
 
 
-def _add_chunk(file: BagFile, found: _Found, position: int, stop: int) -> None:
+def _add_chunk(file: BagFile, found: _RecoveredRecords, position: int, stop: int) -> None:
     record = record_at(file.nearby, position, file.size)
     assert record is not None
     try:
         found.segments.append(chunk_segment(record.fields, position, record.start, stop))
-    except Damaged as err:
+    except FormatError as err:
         found.gaps.append((position, stop, str(err)))
 
 
-def _is_sound(file: BagFile, found: _Found, record: Record) -> bool:
+def _is_sound(file: BagFile, found: _RecoveredRecords, record: BagRecord) -> bool:
     """Whether the last chunk decompresses to its declared size."""
     segment = found.segments[-1] if found.segments else None
     if segment is None or segment.offset != record.start:
         return True
     try:
         return bool(payload(file, segment))
-    except Damaged:
+    except FormatError:
         return False
 
 
-def _set_end(found: _Found, record: Record, stop: int) -> None:
+def _set_end(found: _RecoveredRecords, record: BagRecord, stop: int) -> None:
     """Set the end of the last chunk to the next record."""
     if found.segments and found.segments[-1].offset == record.start:
         found.segments[-1] = replace(found.segments[-1], length=stop - record.start)
 
 
-def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
+def _find_times(file: BagFile, found: _RecoveredRecords, log: DamageLog) -> None:
     """Read the chunks whose times are not in index records, or that may describe unknown connections."""
     segments = []
     known = found.connections.by_id
@@ -244,16 +244,16 @@ def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
             continue
         try:
             data = payload(file, segment)
-        except Damaged:
+        except FormatError:
             data = payload_prefix(file, segment)
-        stamps = _Stamps()
-        for fields, start, stop, sound in framed(data):
+        stamps = _MessageRun()
+        for fields, start, stop, sound in find_records(data):
             if not sound:
                 continue
             if kind_of(fields) == MESSAGE:
                 stamps.add(uint32_field(fields, "conn"), time_field(fields, "time"))
             elif kind_of(fields) == CONNECTION:
-                with suppress(Damaged):
+                with suppress(FormatError):
                     found.connections.add(fields, data[start:stop])
         if stamps.counts:
             segments.append(
@@ -274,7 +274,7 @@ def _find_times(file: BagFile, found: _Found, log: DamageLog) -> None:
     found.segments = segments
 
 
-def _note(file: BagFile, found: _Found, problem: DamageError, log: DamageLog) -> None:
+def _note(file: BagFile, found: _RecoveredRecords, problem: DamageError, log: DamageLog) -> None:
     around = times_around(found.segments)
     log.note(problem, **around(file.size, file.size))
     for start, stop, what in found.gaps:
@@ -291,7 +291,7 @@ def payload_prefix(file: BagFile, segment: Segment) -> bytes:
     return decompressed_prefix(data, segment.compression, segment.uncompressed_size)
 
 
-def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple[int, int]) -> Salvaged:
+def salvage_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple[int, int]) -> SalvagedMessages:
     """Find the messages of a damaged chunk.
 
     Parameters
@@ -301,12 +301,12 @@ def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple
     known
         Every connection.
     span
-        The first and the last log time of the chunk in the index; see `settled`.
+        The first and the last log time of the chunk in the index; see `clamp_times`.
     """
     data = memoryview(chunk)
-    found = FoundMessages()
+    found = MessagePlaces()
     lost = unknown_channel = 0
-    for fields, start, stop, sound in framed(chunk):
+    for fields, start, stop, sound in find_records(chunk):
         if not sound:
             lost += stop - start
         elif kind_of(fields) == MESSAGE:
@@ -317,10 +317,10 @@ def salvaged_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple
             seconds, nanoseconds = divmod(time_field(fields, "time"), SECOND_NS)
             stamp = seconds * SECOND_NS + nanoseconds
             found.add(identity, stamp, start, stop)
-    return Salvaged(settled(found.many(data, known).together(), span), lost, unknown_channel)
+    return SalvagedMessages(clamp_times(found.lazy_messages(data, known).as_list(), span), lost, unknown_channel)
 
 
-def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
+def find_records(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
     """Yield the records of a chunk (fields, and start and stop of the body) and the gaps between them.
 
     The last value is true for a record.
@@ -333,7 +333,7 @@ def framed(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
     size = len(chunk)
     position = 0
     # A record is kept back until the next one begins at its end: its length may be damaged.
-    held: tuple[int, Record] | None = None
+    held: tuple[int, BagRecord] | None = None
     while position < size:
         record = record_at(read, position, size)
         if record is not None and record.stop <= size and record.kind in inside:

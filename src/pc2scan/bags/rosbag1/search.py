@@ -6,7 +6,7 @@ import re
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.parts import AnotherBeginsError
+from pc2scan.bags.concatenation import NextRecordingError
 
 from .records import (
     BAG_HEADER,
@@ -17,8 +17,8 @@ from .records import (
     INDEX_DATA,
     MESSAGE,
     UINT32,
-    Damaged,
-    parsed_fields,
+    FormatError,
+    parse_fields,
 )
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ _NEEDED = {
 Fields = dict[bytes, bytes]
 
 
-class Record(NamedTuple):
+class BagRecord(NamedTuple):
     """A record: its fields, and start and stop of its body."""
 
     fields: Fields
@@ -73,7 +73,7 @@ def _are_complete(fields: Fields) -> bool:
     return all(len(fields[name]) == size for name, size in ((b"conn", 4), (b"time", 8), (b"size", 4)) if name in fields)
 
 
-def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> Record | None:
+def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> BagRecord | None:
     """Return the record that begins here, if one does; its body may reach beyond ``size``."""
     if position + 8 > size:
         return None
@@ -81,14 +81,14 @@ def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> Re
     if not 8 <= length <= _MAX_HEADER or position + 8 + length > size:
         return None
     try:
-        fields = parsed_fields(read(position + 4, length))
-    except Damaged:
+        fields = parse_fields(read(position + 4, length))
+    except FormatError:
         return None
     if not _are_complete(fields):
         return None
     (body,) = UINT32.unpack(read(position + 4 + length, 4))
     start = position + 8 + length
-    return Record(fields, start, start + body)
+    return BagRecord(fields, start, start + body)
 
 
 def _record_in(window: bytes, op_at: int) -> int | None:
@@ -98,8 +98,8 @@ def _record_in(window: bytes, op_at: int) -> int | None:
         (length,) = struct.unpack_from("<I", window, start)
         if op_at - start + 5 <= length + 4 <= _MAX_HEADER and start + 8 + length <= len(window):
             try:
-                fields = parsed_fields(window[start + 4 : start + 4 + length])
-            except Damaged:
+                fields = parse_fields(window[start + 4 : start + 4 + length])
+            except FormatError:
                 continue
             if _are_complete(fields):
                 return start
@@ -155,4 +155,4 @@ def record_behind(file: BagFile, start: int) -> int | None:
 def refuse_another(file: BagFile, start: int, stop: int) -> None:
     """Raise if another bag begins in this part of the file."""
     if (found := another_bag(file, start, stop)) is not None:
-        raise AnotherBeginsError(found)
+        raise NextRecordingError(found)

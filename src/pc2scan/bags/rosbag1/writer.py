@@ -13,8 +13,7 @@ from pc2scan.files.source import FreeIds, NewFile
 from pc2scan.files.write_ahead import WriteAhead
 from pc2scan.model import StoredChunk, ros1_type
 
-from . import lz4_frames as rosbag1_lz4
-from .chunks import USUAL_LAYOUT
+from .chunks import USUAL_LAYOUT, compress_lz4
 from .records import (
     BAG_HEADER,
     CHUNK,
@@ -207,7 +206,7 @@ class Rosbag1Writer:
         if chunk.compression:
             self._ahead.put_ready(partial(self._put_chunk, chunk), len(chunk.stored))
         else:
-            self._ahead.put(partial(self._packed, chunk), self._put_chunk, chunk.size)
+            self._ahead.put(partial(self._compress_chunk, chunk), self._put_chunk, chunk.size)
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Do nothing: a ROS 1 bag has no attachments."""
@@ -242,11 +241,11 @@ class Rosbag1Writer:
             return
         # Joined here: the last part may belong to the caller.
         whole = StoredChunk("", b"".join(chunk.parts), chunk.size, 0, chunk.index)
-        self._ahead.put(partial(self._packed, whole), self._put_chunk, chunk.size)
+        self._ahead.put(partial(self._compress_chunk, whole), self._put_chunk, chunk.size)
 
-    def _packed(self, chunk: StoredChunk) -> StoredChunk:
+    def _compress_chunk(self, chunk: StoredChunk) -> StoredChunk:
         """Compress a chunk; runs on any thread."""
-        return replace(chunk, compression=self._compression, stored=_compressed(chunk.stored, self._compression))
+        return replace(chunk, compression=self._compression, stored=_compress(chunk.stored, self._compression))
 
     def _put_chunk(self, chunk: StoredChunk, parts: Sequence[Buffer] = ()) -> None:
         """Write a chunk, whose records are in ``parts`` if there are any, and its index."""
@@ -271,9 +270,9 @@ class _OpenChunk:
         self.size += len(part)
 
 
-def _compressed(data: Buffer, compression: str) -> Buffer:
+def _compress(data: Buffer, compression: str) -> Buffer:
     """Compress a chunk so that ROS 1's own reader accepts it."""
-    return rosbag1_lz4.packed(data) if compression == "lz4" else compress(compression, data)
+    return compress_lz4(data) if compression == "lz4" else compress(compression, data)
 
 
 def _pack_fields(fields: Mapping[str, bytes]) -> bytes:
@@ -309,7 +308,7 @@ def _pack_bag_header(index_pos: int, connection_count: int, chunk_count: int) ->
 
 
 def _pack_connection(identity: int, connection: Connection) -> bytes:
-    """Pack a connection's record; the inverse of `parsed_connection`."""
+    """Pack a connection's record; the inverse of `parse_connection`."""
     metadata = {name: value for name, value in connection.metadata.items() if name not in OWN_FIELDS}
     header = {
         **metadata,

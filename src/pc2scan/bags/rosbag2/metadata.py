@@ -34,7 +34,7 @@ from pc2scan.bags.formats import and_list, storages
 from pc2scan.bags.qos import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.records import Record
-from pc2scan.files.source import opened_text
+from pc2scan.files.source import open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 from pc2scan.model import Connection
 
@@ -58,7 +58,7 @@ class UnsupportedError(ValueError):
     """metadata.yaml is sound, but the recording is of an unsupported kind."""
 
 
-class Extent(NamedTuple):
+class FileExtent(NamedTuple):
     """The messages of one file by metadata.yaml: their number, and the first and the last log time."""
 
     message_count: int
@@ -93,7 +93,7 @@ class BagInfo:
     custom_data: Mapping[str, str] = field(default_factory=dict)
     message_count: int | None = None
     topic_counts: Mapping[tuple[str, str], int] = field(default_factory=dict)
-    extents: Mapping[str, Extent] = field(default_factory=dict)
+    extents: Mapping[str, FileExtent] = field(default_factory=dict)
     span_ns: tuple[int, int] | None = None
     is_guessed: bool = False
 
@@ -111,12 +111,12 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
     path = folder / METADATA_NAME
     try:
         if not os.path.lexists(path):
-            return replace(_guessed_info(folder), is_guessed=True)
-        with opened_text(path) as file:
+            return replace(_guess_info(folder), is_guessed=True)
+        with open_text(path) as file:
             # One more than allowed, so that longer text is refused.
             text = file.read(MAX_CHARACTERS + 1)
-        info = _parsed_info(load_yaml(text))
-        return info if info.storage else replace(info, storage=_shown_storage(folder, info.files))
+        info = _parse_info(load_yaml(text))
+        return info if info.storage else replace(info, storage=_storage_text(folder, info.files))
     except UnicodeDecodeError as err:
         log.note(DamageError(f"is not UTF-8: {err.reason}", path=path, hint=_WITHOUT_METADATA))
     except OSError as err:
@@ -125,20 +125,20 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
         raise RecordingError(str(err), path=path, hint=_WITHOUT_METADATA) from err
     except ValueError as err:
         log.note(DamageError(str(err), path=path, hint=_WITHOUT_METADATA))
-    return _guessed_info(folder)
+    return _guess_info(folder)
 
 
-def is_in(folder: Path) -> bool:
+def holds_recording(folder: Path) -> bool:
     """Whether a directory holds a recording: metadata.yaml, or files with a storage's suffix."""
     return (folder / METADATA_NAME).exists() or bool(storage_files(folder))
 
 
-def is_one(folder: Path) -> bool:
+def is_recording(folder: Path) -> bool:
     """Whether everything in a directory is one recording: it has a metadata.yaml, or all are named as parts of one."""
     if (folder / METADATA_NAME).exists():
         return True
-    held = recordings_in(folder)
-    return are_named_as_parts(held) and held == storage_files(folder)
+    recordings = recordings_in(folder)
+    return are_named_as_parts(recordings) and recordings == storage_files(folder)
 
 
 def storage_files(folder: Path) -> list[Path]:
@@ -147,7 +147,7 @@ def storage_files(folder: Path) -> list[Path]:
     return sorted(found, key=natural_order)
 
 
-def located_file(folder: Path, name: str) -> Path:
+def locate_file(folder: Path, name: str) -> Path:
     """Find a file that metadata.yaml names, also if it was compressed or decompressed since.
 
     Raises
@@ -194,11 +194,11 @@ def _storage_of(name: str) -> str | None:
     return next((storage for storage, entry in storages().items() if entry.suffix == suffix), None)
 
 
-def _shown_storage(folder: Path, names: Iterable[str]) -> str:
+def _storage_text(folder: Path, names: Iterable[str]) -> str:
     """Return the storage of files if metadata.yaml has none: by content, or by name for compressed files."""
     for name in names:
         try:
-            path = located_file(folder, name)
+            path = locate_file(folder, name)
         except DamageError:
             continue
         with path.open("rb") as file:
@@ -211,7 +211,7 @@ def _shown_storage(folder: Path, names: Iterable[str]) -> str:
     raise ValueError(f"storage_identifier of {ROOT} is empty, and no file shows which storage it is")
 
 
-def _guessed_info(folder: Path) -> BagInfo:
+def _guess_info(folder: Path) -> BagInfo:
     files = storage_files(folder)
     storages = sorted({_storage_of(file.name) or "" for file in files})
     if not files:
@@ -225,7 +225,7 @@ def _guessed_info(folder: Path) -> BagInfo:
     return BagInfo(storages[0], tuple(file.name for file in files))
 
 
-def _parsed_info(document: Any) -> BagInfo:
+def _parse_info(document: Any) -> BagInfo:
     root = _get(document, ROOT, dict, "the file")
     version = _get(root, "version", int, ROOT)
     if not 1 <= version <= NEWEST_VERSION:
@@ -254,14 +254,14 @@ def _parsed_info(document: Any) -> BagInfo:
     )
 
 
-def _extents(root: Any) -> Iterator[tuple[str, Extent]]:
+def _extents(root: Any) -> Iterator[tuple[str, FileExtent]]:
     """Yield the entries of the files; wrong ones are ignored, since entries are needed only for missing files."""
     entries = root.get("files")
     for entry in entries if isinstance(entries, list) else ():
         try:
             first_ns = int(entry["starting_time"]["nanoseconds_since_epoch"])
             last_ns = first_ns + int(entry["duration"]["nanoseconds"])
-            yield _file_name(entry["path"]), Extent(int(entry["message_count"]), first_ns, last_ns)
+            yield _file_name(entry["path"]), FileExtent(int(entry["message_count"]), first_ns, last_ns)
         except (KeyError, TypeError, ValueError):
             continue
 

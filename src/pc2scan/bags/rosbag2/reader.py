@@ -14,11 +14,11 @@ from pc2scan.bags.folders import refuse_unrelated
 from pc2scan.bags.formats import ReadOptions, storages
 from pc2scan.bags.merged import MergedReader
 from pc2scan.errors import DamageError, RecordingError, stamp_text
+from pc2scan.files.copies import private_folder
 from pc2scan.files.limits import ConnectionLimit
-from pc2scan.files.source import opened_bytes
-from pc2scan.files.temporary import private_folder
+from pc2scan.files.source import open_bytes
 
-from .metadata import METADATA_NAME, RECORD_NAME, located_file, read_info
+from .metadata import METADATA_NAME, RECORD_NAME, locate_file, read_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -76,7 +76,7 @@ class Rosbag2Reader(MergedReader):
             undo.callback(self._discard_temporary)
             for name in self._info.files:
                 try:
-                    file = located_file(path, name)
+                    file = locate_file(path, name)
                     reader = self._open(file, verify=verify)
                 except DamageError as err:
                     err.path = self._origins.get(Path(err.path or name), Path(err.path or name))
@@ -99,7 +99,7 @@ class Rosbag2Reader(MergedReader):
         except BaseException:
             self.close()
             raise
-        amended, added = _completed(self.connections, self._info.topics)
+        amended, added = _complete_connections(self.connections, self._info.topics)
         self._amend(amended, added)
         self._inner = super().summary
         packed = self._info.message_compression == "zstd" or any(zstd.is_zstd(file) for file in files)
@@ -149,7 +149,7 @@ class Rosbag2Reader(MergedReader):
         if zstd.is_zstd(file):
             if self._temporary is None:
                 self._temporary = private_folder(self._path)
-            unpacked = zstd.unpacked_file(file, Path(self._temporary.name), self._log)
+            unpacked = zstd.decompress_file(file, Path(self._temporary.name), self._log)
             self._origins[unpacked] = file
             file = unpacked
         storage = storages()[self._info.storage]
@@ -226,7 +226,7 @@ class Rosbag2Reader(MergedReader):
         for connection in self.connections:
             stored = connection.ros_type, connection.serialization
             kinds = listed.get(connection.topic, [])
-            if kinds and not any(_agree(kind, stored) for kind in kinds):
+            if kinds and not any(_is_same_connection(kind, stored) for kind in kinds):
                 declared, found = (f"{msgtype!r:.80} in {form!r:.40}" for msgtype, form in (kinds[0], stored))
                 problem = f"{METADATA_NAME} lists {connection.topic} as {declared}, its files have {found}"
                 self._log.note(
@@ -244,7 +244,7 @@ class Rosbag2Reader(MergedReader):
 def _refuse_others(file: Path, storage: Format) -> None:
     """Raise if a file is not of the expected storage."""
     try:
-        with opened_bytes(file) as stream:
+        with open_bytes(file) as stream:
             head = stream.read(16)
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=file) from err
@@ -253,14 +253,14 @@ def _refuse_others(file: Path, storage: Format) -> None:
         raise DamageError(f"is no {storage.name} file: it {found}", path=file, hint=RECOVER)
 
 
-def _agree(listed: tuple[str, str], stored: tuple[str, str]) -> bool:
+def _is_same_connection(listed: tuple[str, str], stored: tuple[str, str]) -> bool:
     """Whether a topic has the type and serialization that metadata.yaml lists; channels in MCAP may lack a type."""
     (listed_type, listed_form), (stored_type, stored_form) = listed, stored
     same_type = listed_type == stored_type or not (listed_type and stored_type)
     return same_type and listed_form in ("", stored_form)
 
 
-def _completed(
+def _complete_connections(
     stored: Sequence[Connection], listed: Sequence[Connection]
 ) -> tuple[dict[int, Connection], list[Connection]]:
     """Return what metadata.yaml adds to the storage's connections: missing attributes, and further connections."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.formats import WriteOptions, storages
-from pc2scan.bags.qos import MAX_CHARACTERS, parsed_qos, respelled_qos
+from pc2scan.bags.qos import MAX_CHARACTERS, parse_qos, respell_qos
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.yaml import dump_yaml
 from pc2scan.model import MAX_ROSBAG2_NS, Connection, Metadata
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.mcap.writer import McapWriter
-    from pc2scan.bags.splitting import Cut, Part, SplitWriter
+    from pc2scan.bags.splitting import Cut, RecordingPart, SplitWriter
     from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
     from pc2scan.threads import Threads
 
@@ -111,12 +111,12 @@ class Rosbag2Writer:
         try:
             path.mkdir()
         except OSError as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
         options = WriteOptions(name=name, compression=compression, metadata_version=metadata_version)
         assert entry.open_storage is not None
         open_storage = entry.open_storage
 
-        def open_part(file: Path) -> tuple[Writer, Callable[[Part | _File], None]]:
+        def open_part(file: Path) -> tuple[Writer, Callable[[RecordingPart | _File], None]]:
             storage, keep_info = open_storage(file, options)
             # Each file repeats metadata.yaml's content for itself.
             return storage, lambda part: keep_info(dump_yaml(self._info([part])).rstrip("\n"))
@@ -141,7 +141,7 @@ class Rosbag2Writer:
     def add_connection(self, connection: Connection) -> int:
         """Declare a topic, with type and QoS profiles in rosbag2's spelling."""
         connection = connection.in_utf8
-        qos = respelled_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
+        qos = respell_qos(connection.qos, by_name=self._version >= NEWEST_VERSION)
         # The MCAP writer prefers the text in the channel's metadata.
         metadata = {key: qos if key == "offered_qos_profiles" else value for key, value in connection.metadata.items()}
         msgtype = connection.ros_type if connection.serialization == "cdr" else connection.msgtype
@@ -195,7 +195,7 @@ class Rosbag2Writer:
 
     def finish(self) -> None:
         """Finish the storage, write metadata.yaml, and put everything on the disk."""
-        parts: Sequence[Part | _File] = [_File(self._file, self._counts, self._span_ns)]
+        parts: Sequence[RecordingPart | _File] = [_File(self._file, self._counts, self._span_ns)]
         if self._split is None:
             self._keep_info(parts[0])
         self._storage.finish()
@@ -208,7 +208,7 @@ class Rosbag2Writer:
         """Release the storage; the caller removes the directory."""
         self._storage.abort()
 
-    def _info(self, parts: Sequence[Part | _File]) -> dict[str, Any]:
+    def _info(self, parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
         packed = self._message_compression != "none"
         return {
             "version": self._version,
@@ -233,7 +233,7 @@ class Rosbag2Writer:
         # A text that is too long for a list of profiles is only in the storage: writing it as YAML would take seconds.
         qos: Any = connection.qos if len(connection.qos) <= MAX_CHARACTERS else ""
         if self._version >= NEWEST_VERSION:
-            profiles = parsed_qos(qos) if qos else []
+            profiles = parse_qos(qos) if qos else []
             qos = qos if profiles is None else profiles
         return {
             "name": connection.topic,
@@ -243,7 +243,7 @@ class Rosbag2Writer:
             "type_description_hash": connection.digest,
         }
 
-    def _failed(self, err: OSError) -> OutputError:
+    def _write_error(self, err: OSError) -> OutputError:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
 
 
@@ -267,7 +267,7 @@ def write_info(folder: Path, info: Mapping[str, Any]) -> None:
         raise OutputError(f"cannot be written: {err.strerror}", path=folder) from err
 
 
-def joined_info(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def join_infos(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the content of metadata.yaml for the files of recordings with the same topics that follow each other.
 
     Files without messages are not listed, unless there are no others.
@@ -292,7 +292,7 @@ def joined_info(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _extent(parts: Sequence[Part | _File]) -> dict[str, Any]:
+def _extent(parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
     """Return the times and the number of messages of files."""
     spans = [part.span_ns for part in parts if part.span_ns is not None]
     return _extent_of(spans, sum(sum(part.counts.values()) for part in parts))

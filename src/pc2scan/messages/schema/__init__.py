@@ -14,14 +14,11 @@ genmsg's ``gentools.py`` (the md5sum), REP 2016 (RIHS01).
 
 from __future__ import annotations
 
-from .checking import closure
+from .checking import closure, min_size, same_layout
 from .definition_text import parse
-from .digests import md5sum, rihs01
-from .layout import same_layout
-from .message_sets import fielddefs, known
-from .rendering import render
-from .sizes import least_bytes
-from .types import HEADER, PRIMITIVES, Constant, Field, Schema, Struct, builtin, canonical
+from .message_sets import fielddefs, known_types
+from .rendering import md5sum, render, rihs01
+from .types import HEADER, PRIMITIVES, Constant, Field, Schema, Struct, canonical_type, is_builtin
 
 __all__ = [
     "HEADER",
@@ -30,13 +27,13 @@ __all__ = [
     "Field",
     "Schema",
     "Struct",
-    "builtin",
-    "canonical",
+    "canonical_type",
     "closure",
     "fielddefs",
-    "known",
-    "least_bytes",
+    "is_builtin",
+    "known_types",
     "md5sum",
+    "min_size",
     "parse",
     "render",
     "rihs01",

@@ -1,4 +1,4 @@
-"""Collects a type and all nested types, and checks their names and sizes."""
+"""Checks definitions: their names and sizes, the minimum size of a message, and whether two have the same layout."""
 
 from __future__ import annotations
 
@@ -7,13 +7,73 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DecodeError
 
-from .sizes import least_bytes
-from .types import BUILTIN, PLACEHOLDER, PRIMITIVES, ROS2_ONLY, builtin, excerpt
+from .types import BUILTIN, PLACEHOLDER, PRIMITIVES, ROS2_ONLY, excerpt, fields_of, is_builtin
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from .types import Constant, Field, Schema, Struct
+
+#: Bytes of the primitives that have a fixed size.
+_WIDTHS = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
+    f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+
+
+def min_size(schema: Mapping[str, Struct], name: str, ros_version: int) -> int:
+    """Count the bytes that every message of a type takes: sequences and strings empty, no padding.
+
+    Parameters
+    ----------
+    schema
+        Has the type and all nested types; no type contains itself.
+    ros_version
+        ROS version of the wire format: 1 or 2.
+    """
+    known: dict[str, int] = {}
+
+    def least(name: str) -> int:
+        if name not in known:
+            fields = fields_of(name, schema[name], ros_version)
+            # ROS 2 puts one byte into a message without fields.
+            known[name] = sum(map(of_field, fields)) if fields else ros_version - 1
+        return known[name]
+
+    def of_field(field: Field) -> int:
+        if field.shape == "sequence":
+            return 4
+        if field.type == "string":
+            # ROS 2's strings end with a NUL.
+            size = 3 + ros_version
+        else:
+            size = _WIDTHS[field.type] if field.type in PRIMITIVES else least(field.type)
+        return size * field.size if field.shape == "array" else size
+
+    return least(name)
+
+
+def same_layout(ours: Mapping[str, Struct], theirs: Mapping[str, Struct], name: str) -> bool:
+    """Whether both have a type with the same bytes on the wire and the same names.
+
+    Names are compared without case and underscores (ROS 1's ``CameraInfo.D`` is ROS 2's ``d``). Bounds and
+    constants are ignored, and ``byte``, ``char`` and ``uint8`` are the same.
+    """
+    if is_builtin(name):
+        return True
+    if name not in ours or name not in theirs:
+        return False
+    left, right = ours[name].fields, theirs[name].fields
+    return len(left) == len(right) and all(
+        _wire(a) == _wire(b) and (a.type in PRIMITIVES or same_layout(ours, theirs, a.type))
+        for a, b in zip(left, right, strict=True)
+    )
+
+
+def _wire(field: Field) -> tuple[str, str, str, int]:
+    kind = "uint8" if field.type in {"byte", "char"} else field.type
+    size = field.size if field.shape == "array" else 0
+    return field.name.lower().replace("_", ""), kind, field.shape, size
+
 
 MAX_DEPTH = 64
 #: Limit of declared fields. rosbags needs up to a millisecond and 45 kB to compile one; each element of a fixed
@@ -63,7 +123,7 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
         if len(path) >= MAX_DEPTH:
             raise DecodeError(f"{root}: nested more than {MAX_DEPTH} levels deep")
         _check_name(name, name.split("/"))
-        struct = BUILTIN[name][1] if builtin(name) else lookup(name)
+        struct = BUILTIN[name][1] if is_builtin(name) else lookup(name)
         if struct is None:
             within = f" (needed by {path[-1]})" if path else ""
             raise DecodeError(
@@ -78,12 +138,12 @@ def closure(root: str, lookup: Callable[[str], Struct | None]) -> Schema:
         for field in struct.fields:
             _check_field(name, field)
             nested = 1 if field.type in PRIMITIVES else visit(field.type, (*path, name))
-            if field.shape == "sequence" and field.type not in PRIMITIVES and _empty(schema, field.type):
+            if field.shape == "sequence" and field.type not in PRIMITIVES and _is_empty(schema, field.type):
                 raise DecodeError(f"{name}: {field.name} is a sequence of messages without fields")
             if (
                 field.shape == "sequence"
                 and nested > MAX_LEAVES_BESIDE_BYTES
-                and nested > MAX_LEAVES_BESIDE_BYTES + MAX_LEAVES_A_BYTE * least_bytes(schema, field.type, 1)
+                and nested > MAX_LEAVES_BESIDE_BYTES + MAX_LEAVES_A_BYTE * min_size(schema, field.type, 1)
             ):
                 raise DecodeError(f"{name}: {field.name} is a sequence of messages with {nested} fields and few bytes")
             total += _width(field) * nested
@@ -105,10 +165,10 @@ def _width(field: Field) -> int:
     )
 
 
-def _empty(schema: Schema, name: str) -> bool:
+def _is_empty(schema: Schema, name: str) -> bool:
     """Whether a message takes no bytes in ROS 1, so that a sequence may have any number of them."""
     return all(
-        field.shape != "sequence" and field.type not in PRIMITIVES and _empty(schema, field.type)
+        field.shape != "sequence" and field.type not in PRIMITIVES and _is_empty(schema, field.type)
         for field in schema[name].fields
     )
 

@@ -1,4 +1,7 @@
-"""Reads the definition texts of recordings: ``ros1msg`` and ``ros2msg`` here, ``ros2idl`` with `idl`."""
+"""Reads the definition texts of recordings: ``ros1msg``, ``ros2msg``, and IDL as ROS 2 generates it (``ros2idl``).
+
+IDL is read with rosbags' parser; IDL that would take the parser long is refused.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DecodeError
 
-from .idl import parse_idl
+from .message_sets import structs_of
 from .types import (
     BUILTIN,
     HEADER,
@@ -17,7 +20,7 @@ from .types import (
     Field,
     Shape,
     Struct,
-    canonical,
+    canonical_type,
     excerpt,
     without_sequence_number,
 )
@@ -72,7 +75,7 @@ def parse(definition: Definition, msgtype: str) -> dict[str, Struct]:
         if kind == "IDL":
             structs.update(parse_idl(text, name))
         else:
-            structs[canonical(name)] = _parse_msg(text, canonical(name), ros1=ros1)
+            structs[canonical_type(name)] = _parse_msg(text, canonical_type(name), ros1=ros1)
     return {name: without_sequence_number(name, struct) for name, struct in structs.items()}
 
 
@@ -108,7 +111,7 @@ def _parse_msg(text: str, owner: str, *, ros1: bool) -> Struct:
             value = rest[1:].strip()
             # Only a ROS 1 string runs to the end of the line; elsewhere # begins a comment.
             if not (ros1 and match["type"] == "string"):
-                value = _uncommented(value)
+                value = _strip_comment(value)
             constants.append(Constant(match["name"], match["type"], value))
         elif not rest or rest.startswith("#") or not ros1:
             # In ROS 2 a default value may follow the name; it takes no place in a message.
@@ -137,13 +140,13 @@ def _resolve(word: str, owner: str, *, ros1: bool) -> str:
     if word in _ROS1_WORDS:
         return _ROS1_WORDS[word]
     if "/" in word:
-        return canonical(word)
+        return canonical_type(word)
     if word == "Header" and ros1:
         return HEADER
-    return canonical(f"{owner.rpartition('/')[0]}/{word}")
+    return canonical_type(f"{owner.rpartition('/')[0]}/{word}")
 
 
-def _uncommented(value: str) -> str:
+def _strip_comment(value: str) -> str:
     """Remove a comment, unless the ``#`` is within quotes."""
     quoted = re.match(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"", value)
     return quoted[0] if quoted else value.split("#", 1)[0].rstrip()
@@ -154,3 +157,66 @@ def _number(digits: str) -> int:
     if len(digits) > 10:
         raise DecodeError(f"size of {len(digits)} digits in a definition")
     return int(digits)
+
+
+# --- IDL ---
+
+_IDL_STRING = r'"(?:\\.|[^"\\])*"'
+_IDL_TOKENS = re.compile(
+    rf'(?P<string>{_IDL_STRING})|/\*.*?\*/|//[^\n]*|(?P<open>"|/\*)|'
+    rf'@(?P<annotation>\w+)(?:\s*\((?:{_IDL_STRING}|[^()"])*\))?',
+    re.DOTALL,
+)
+
+
+def parse_idl(text: str, name: str) -> dict[str, Struct]:
+    """Read IDL as ROS 2 generates it."""
+    from rosbags.typesys import TypesysError, get_types_from_idl  # noqa: PLC0415
+
+    try:
+        return structs_of(get_types_from_idl(_plain_idl(text, name)))
+    except (
+        TypesysError,
+        ArithmeticError,
+        AssertionError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as err:
+        raise DecodeError(f"{name}: its IDL cannot be read: {excerpt(str(err))}") from err
+
+
+def _plain_idl(text: str, name: str) -> str:
+    r"""Strip comments, annotations and includes, and refuse what ROS 2 does not generate.
+
+    rosbags' parser needs 64 times as long for every nested parenthesis and twice as long for every nested
+    sequence, and a shift can ask for any number of bits. ``\\`` is refused because rosbags' parser and this function
+    disagree on where such a string ends, and an optional member because it is not plain CDR.
+    """
+
+    def keep(match: re.Match[str]) -> str:
+        if match["annotation"] == "optional":
+            raise DecodeError(f"{name}: its IDL has an optional member")
+        if match["open"]:
+            # Raises at the first: searching the end of each would take quadratic time.
+            raise DecodeError(
+                f"{name}: its IDL has a {'string' if match['open'] == chr(34) else 'comment'} without an end"
+            )
+        return match["string"] or " "
+
+    text = re.sub(r"^[ \t]*#.*$", "", text, flags=re.MULTILINE)
+    text = _IDL_TOKENS.sub(keep, text)
+    bare = re.sub(_IDL_STRING, " ", text)
+    for pattern, what in (
+        (r"\([^)]*\(", "nested parentheses"),
+        (r"<<", "a shift"),
+        (r"sequence\s*<\s*sequence", "a sequence of sequences"),
+        (r'"', "a string without an end"),
+    ):
+        if re.search(pattern, bare):
+            raise DecodeError(f"{name}: its IDL has {what}")
+    if "\\\\" in text:
+        raise DecodeError(f"{name}: its IDL has an escaped backslash")
+    return text

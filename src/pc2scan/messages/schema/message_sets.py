@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from .types import PLACEHOLDER, PRIMITIVES, Constant, Field, Shape, Struct, canonical, without_sequence_number
+from .types import PLACEHOLDER, PRIMITIVES, Constant, Field, Shape, Struct, canonical_type, without_sequence_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @lru_cache(maxsize=16)
-def known(store: str) -> Mapping[str, Struct]:
+def known_types(store: str) -> Mapping[str, Struct]:
     """Read one of rosbags' message sets, by the value of its ``Stores`` name: ``ros2_jazzy``.
 
     ``tf2_msgs/msg/TFMessage``, which rosbags' set for ROS 1 lacks, is added.
@@ -32,7 +32,7 @@ def known(store: str) -> Mapping[str, Struct]:
 def structs_of(typesdict: Mapping[str, Any]) -> dict[str, Struct]:
     """Turn rosbags' parse trees into structs."""
     return {
-        canonical(name): Struct(
+        canonical_type(name): Struct(
             tuple(_from_rosbags(field, desc) for field, desc in fields if field != PLACEHOLDER),
             tuple(Constant(constant, word, str(value)) for constant, word, value in constants),
         )
@@ -50,7 +50,7 @@ def _from_rosbags(name: str, desc: Any) -> Field:
         inner, size = content
         return replace(_from_rosbags(name, inner), shape=shapes[kind], size=size)
     if kind == Nodetype.NAME:
-        return Field(name, canonical(content))
+        return Field(name, canonical_type(content))
     word, bound = content
     return Field(name, word, bound=bound)
 

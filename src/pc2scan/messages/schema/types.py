@@ -77,15 +77,15 @@ BUILTIN = {
 }
 
 
-def builtin(name: str) -> bool:
+def is_builtin(name: str) -> bool:
     """Whether a type is a time or a duration, which are primitives in ROS 1."""
     return name in BUILTIN
 
 
-def canonical(msgtype: str) -> str:
+def canonical_type(msgtype: str) -> str:
     """Spell a type as ROS 2 does, with its current name.
 
-    >>> canonical("tf/tfMessage"), canonical("sensor_msgs/PointCloud2")
+    >>> canonical_type("tf/tfMessage"), canonical_type("sensor_msgs/PointCloud2")
     ('tf2_msgs/msg/TFMessage', 'sensor_msgs/msg/PointCloud2')
     """
     name = normalized_type(msgtype)

@@ -17,10 +17,10 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
-from pc2scan.core.project import Part, ProjectedScan, Projector, compact, packed
+from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous, transform_rows
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
-from pc2scan.files.borrowed import Memory, keep
+from pc2scan.files.buffers import ReadBuffer, retain
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.messages.outputs import OF_CLOUDS
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
-    from pc2scan.files.borrowed import Kept
+    from pc2scan.files.buffers import RetainedMemory
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Converted, Measured, Step
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.pipeline.stages.select import Select
-    from pc2scan.tf.placing import Frames, Level
+    from pc2scan.tf.placing import LevelFrame, Placer
 
     from .matching import Grouper
     from .rebinned import Rebinned
@@ -120,7 +120,7 @@ class Prepared(NamedTuple):
     fixed_from_source: Rigid | None
     gap_ns: int
     track: Track | None
-    level: Level | None
+    level: LevelFrame | None
     rejected: Mapping[str, int]
     flat: bool
     nearest: ProjectedScan | None = None
@@ -156,7 +156,7 @@ class CombineToScan(Conversion):
         self,
         spec: ScanSpec,
         topics: Sequence[str],
-        frames: Frames,
+        frames: Placer,
         measured: Measured,
         grouper: Callable[[], Grouper[Prepared]] | None,
         deskew: Deskew | None = None,
@@ -240,9 +240,9 @@ class CombineToScan(Conversion):
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
-            from pc2scan.messages.beams import beams_of  # noqa: PLC0415  # most sources are clouds
+            from pc2scan.messages.beams import scan_points  # noqa: PLC0415  # most sources are clouds
 
-            points, _, rejected = beams_of(message)
+            points, _, rejected = scan_points(message)
         else:
             points = message
         stamp_ns, frames = points.stamp_ns, self._frames
@@ -323,7 +323,7 @@ class CombineToScan(Conversion):
     def _nearest(self, lead: Prepared, member: Prepared) -> tuple[ProjectedScan, Motion | None]:
         """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
         points, transform, rejected, motion = self._placed(lead, member)
-        nearest = self._projector.nearest(Part(*points.xyz(), _rounded(transform)))
+        nearest = self._projector.nearest(PointsPart(*points.xyz(), _rounded(transform)))
         if rejected:
             nearest.counts += PointCounts(sum(rejected.values()), **rejected)
         return nearest, motion
@@ -370,10 +370,10 @@ class CombineToScan(Conversion):
             The scan, with the counts of all points.
         """
         others: list[PointCounts] = []
-        parts: list[Part] = []
+        parts: list[PointsPart] = []
         known: list[ProjectedScan] = []
         motions: list[Motion] = []
-        beams: list[tuple[Part, NDArray[np.int32]]] = []
+        beams: list[tuple[PointsPart, NDArray[np.int32]]] = []
         sources: list[tuple[int, Points]] = []
         for member in members:
             if member.nearest is not None and _fits(member, lead):
@@ -387,7 +387,7 @@ class CombineToScan(Conversion):
                 motions.append(motion)
             values = points.field(self._intensity) if self._intensity in points.fields else None
             by_height = not (member.flat and self._any_height)
-            parts.append(Part(*points.xyz(), _rounded(transform), values, any_height=not by_height))
+            parts.append(PointsPart(*points.xyz(), _rounded(transform), values, any_height=not by_height))
             if member.flat:
                 beams.append((parts[-1], points.field("index")))
             if self._keeps_used:
@@ -451,14 +451,14 @@ class CombineToScan(Conversion):
         rejected = {**member.rejected, **selected.rejected}
         return selected.points, selected.motion or selected.target_from_source, rejected, motion
 
-    def _used(self, scan: LaserScan, parts: Sequence[Part], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
+    def _used(self, scan: LaserScan, parts: Sequence[PointsPart], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
         """Return the points that the beams of a scan read."""
-        from pc2scan.messages.used_points import gathered  # noqa: PLC0415  # only where they are kept
+        from pc2scan.messages.used_points import gather_points  # noqa: PLC0415  # only where they are kept
 
         read = self._projector.read_together(parts)
-        return gathered(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
+        return gather_points(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
-    def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinned:
+    def _rebinned(self, beams: Sequence[tuple[PointsPart, NDArray[np.int32]]]) -> Rebinned:
         from .rebinned import rebinned  # noqa: PLC0415  # most sources are clouds
 
         found = []
@@ -482,7 +482,9 @@ def _as_it_is(prepared: Prepared) -> Prepared:
 
 def _transformed(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
     """Return points as they are projected; those of a moving sensor are transformed already."""
-    return points.transform(packed(transform.as_float32()), frame_id) if isinstance(transform, Rigid) else points
+    return (
+        points.transform(transform_rows(transform.as_float32()), frame_id) if isinstance(transform, Rigid) else points
+    )
 
 
 def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
@@ -490,19 +492,19 @@ def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTra
     return transform.as_float32() if isinstance(transform, Rigid) else transform
 
 
-def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
+def kept_together(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:
     """Return the memory that all these arrays are views of, which is kept; None if they must be copied."""
-    memory: Kept | None = None
-    whole: bytes | Memory | None = None
+    memory: RetainedMemory | None = None
+    whole: bytes | ReadBuffer | None = None
     for array in arrays:
         base: Any = array
-        while isinstance(base, np.ndarray | memoryview) and not isinstance(base, Memory):
+        while isinstance(base, np.ndarray | memoryview) and not isinstance(base, ReadBuffer):
             base = base.obj if isinstance(base, memoryview) else base.base
-        if whole is None and isinstance(base, bytes | Memory):
+        if whole is None and isinstance(base, bytes | ReadBuffer):
             whole = base
             # A message in a much larger chunk is copied, which takes less memory than keeping the chunk.
             spanned = sum(abs(step) * (count - 1) for step, count in zip(array.strides, array.shape, strict=True))
-            memory = keep(whole) if 2 * spanned >= len(base) else None
+            memory = retain(whole) if 2 * spanned >= len(base) else None
         if memory is None or base is not whole:
             return None
     return memory
@@ -510,7 +512,7 @@ def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
 
 def _copied(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return copies of fields, whose memory may be overwritten."""
-    axes = compact(*(fields[axis] for axis in "xyz"))
+    axes = contiguous(*(fields[axis] for axis in "xyz"))
     copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
     return copies | dict(zip("xyz", axes, strict=True))
 

@@ -8,7 +8,7 @@ from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.units import in_time_order
+from pc2scan.bags.units import merge_by_time
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.model import Buffer, Connection, RawMessage
     from pc2scan.pipeline.plan import Combination
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
     from .asked import Combining
     from .conversion import Prepared
@@ -84,7 +84,7 @@ def measured(
     reader: Reader,
     combination: Combination,
     connections: Sequence[Connection],
-    frames: Frames,
+    frames: Placer,
     start_ns: int | None,
     stop_ns: int | None,
 ) -> tuple[Measured, Callable[[], Grouper[Prepared]] | None, list[str], list[str]]:
@@ -229,7 +229,7 @@ def _look(
 
     # The callback returns only the times, so that no cloud is copied.
     units = reader.units(connections, start_ns, stop_ns)
-    with closing(in_time_order(units, times, path=reader.path)) as seen:
+    with closing(merge_by_time(units, times, path=reader.path)) as seen:
         for each in islice(seen, most):
             assert isinstance(each, _Times)
             if each.stamp_ns is None:

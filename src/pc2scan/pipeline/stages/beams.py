@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from pc2scan.core.beam_filters import between_surfaces, shadows, speckles_by_distance, speckles_by_neighbors
+from pc2scan.core.beam_filters import shadows, speckles_by_distance, speckles_by_neighbors, veiled_beams
 from pc2scan.errors import UsageError
 from pc2scan.text import did_you_mean
 
@@ -33,7 +33,7 @@ _SHADOWS: Mapping[str, float | int | bool] = {
 class Shadows:
     """Finds returns between an edge and the surface behind it, which are on neither.
 
-    Without parameters by pc2scan's own rule, `pc2scan.core.beam_filters.between_surfaces`. With any of them it is
+    Without parameters by pc2scan's own rule, `pc2scan.core.beam_filters.veiled_beams`. With any of them it is
     laser_filters' ``ScanShadowsFilter``, `pc2scan.core.beam_filters.shadows`; the others then have the values of
     laser_filters' example.
 
@@ -66,7 +66,7 @@ class Shadows:
     def __call__(self, ranges: NDArray[np.float32], increment: float, *, closed: bool) -> NDArray[np.bool_]:
         """Return which beams to remove."""
         if not self._parameters:
-            return between_surfaces(ranges, increment, closed=closed)
+            return veiled_beams(ranges, increment, closed=closed)
         return shadows(ranges, increment, closed=closed, **self._parameters)
 
     @property

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import Rigid
     from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.placing import Frames
+    from pc2scan.tf.placing import Placer
 
 #: The time of a cloud that its scan gets.
 STAMPS = ("header", "start", "middle", "end")
@@ -275,7 +275,7 @@ class Deskew:
 
     def __init__(
         self,
-        frames: Frames,
+        frames: Placer,
         fixed_frame: str,
         point_time: PointTime,
         stamp: str = "header",
@@ -294,7 +294,7 @@ class Deskew:
             return self
         return Deskew(self._frames, self._fixed, PointTime(turn=turn), self._stamp)
 
-    def within(self, frames: Frames) -> Deskew:
+    def within(self, frames: Placer) -> Deskew:
         """Return an instance with other frames."""
         return Deskew(frames, self._fixed, self._point_time, self._stamp, self._turns)
 

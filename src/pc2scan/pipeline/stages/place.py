@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
-    from pc2scan.tf.placing import Frames, Placement
+    from pc2scan.tf.placing import Placement, Placer
 
     from .deskew import Deskew, Moving
 
@@ -67,7 +67,7 @@ class Place:
 
     __slots__ = ("deskew", "frames")
 
-    def __init__(self, frames: Frames, deskew: Deskew | None = None) -> None:
+    def __init__(self, frames: Placer, deskew: Deskew | None = None) -> None:
         self.frames = frames
         self.deskew = deskew
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.points import NUMBER
-from pc2scan.core.project import packed
+from pc2scan.core.project import transform_rows
 from pc2scan.errors import UnconnectedError
 
 from .filters import Frame
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.points import Points
     from pc2scan.core.rigid import Rigid
-    from pc2scan.tf.placing import Frames, Placement
+    from pc2scan.tf.placing import Placement, Placer
 
     from .deskew import Moving
     from .filters import Filter
@@ -69,7 +69,7 @@ class Select:
 
     __slots__ = ("_filters", "_frames", "_numbered")
 
-    def __init__(self, filters: Sequence[Filter], frames: Frames, *, numbered: bool = False) -> None:
+    def __init__(self, filters: Sequence[Filter], frames: Placer, *, numbered: bool = False) -> None:
         self._filters = tuple(filters)
         self._frames = frames
         self._numbered = numbered
@@ -154,4 +154,6 @@ class Select:
             name, transform = frame, self._frames.transform(frame, points.frame_id, points.stamp_ns)
         else:
             name, transform, _ = place
-        seen.by_frame[frame] = points if transform is None else points.transform(packed(transform.as_float32()), name)
+        seen.by_frame[frame] = (
+            points if transform is None else points.transform(transform_rows(transform.as_float32()), name)
+        )

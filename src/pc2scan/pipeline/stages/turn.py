@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.quantities import duration_ns
-from pc2scan.core.timing import LEAST_TURN, azimuth_times, median_interval_ns, turned
+from pc2scan.core.timing import LEAST_TURN, azimuth_times, median_interval_ns, turn_by_order
 from pc2scan.errors import DecodeError, ParameterError, UsageError
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ def look(points: Points, log_time_ns: int) -> Look:
     """Return the properties of a cloud."""
     x, y = (points.field(name).astype(np.float64).ravel() for name in "xy")
     angles = np.arctan2(y, x)[np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))]
-    near, turns = turned(angles)
+    near, turns = turn_by_order(angles)
     places = ((angles / (2 * np.pi) + 0.5) * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
     directions = sum(1 << place for place in np.unique(places).tolist())
     return Look(points.stamp_ns, log_time_ns, turns if near >= 0.5 and abs(turns) >= LEAST_TURN else 0.0, directions)

@@ -22,7 +22,7 @@ from support.sqlite3_files import Rows, build, hot_log, recovered, rosbag2_pages
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pc2scan.bags.rosbag2.sqlite3.page_log import PageLog
+    from pc2scan.bags.rosbag2.sqlite3.logs import PageLog
 
 _TABLE = "CREATE TABLE t(id INTEGER PRIMARY KEY, x INTEGER, data BLOB)"
 _SUFFIXES = ("", "-wal", "-journal")

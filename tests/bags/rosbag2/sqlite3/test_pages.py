@@ -12,7 +12,7 @@ import pytest
 
 from fuzz.watch import watched
 from pc2scan.bags.rosbag2.sqlite3.logs import side_logs
-from pc2scan.bags.rosbag2.sqlite3.pages import PageFile, declared_size, rebuilt
+from pc2scan.bags.rosbag2.sqlite3.pages import PageFile, declared_size, rebuild_database
 from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
 from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
 from pc2scan.errors import DamageError, RecordingError
@@ -199,7 +199,7 @@ def test_a_chain_of_pages_that_leads_back_to_itself_ends(rowid: int, tmp_path: P
         assert found.is_message
         assert found.rowid == (rowid if rowid == 1 else -5)
         assert pages.payload(found.page, found.offset) is None
-        database, last_ns = rebuilt(pages)
+        database, last_ns = rebuild_database(pages)
         with closing(database):
             assert list(database.execute("SELECT id, data FROM messages")) == [(found.rowid, None)]
         assert last_ns == 5

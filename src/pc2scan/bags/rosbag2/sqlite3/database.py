@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files.temporary import making_copy, private_folder, sqlite_is_full
+from pc2scan.files.copies import copy_errors, private_folder, sqlite_is_full
 
-from .codes import CORRUPT, ERROR, FULL, IOERR_SHORT_READ, NOTADB, code_of
 from .logs import missing_bytes, side_logs, write_merged
-from .pages import PageFile, declared_size, rebuilt
+from .pages import PageFile, declared_size, rebuild_database
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -27,7 +26,29 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import DamageLog
 
-    from .page_log import PageLog
+    from .logs import PageLog
+
+ERROR = 1
+CORRUPT = 11
+FULL = 13
+NOTADB = 26
+IOERR_SHORT_READ = 522
+
+#: SQLite's messages for errors, which are the same in all of its versions. They are needed for Python 3.10.
+_CODES = {"disk I/O error": 10, "database or disk is full": FULL, "out of memory": 7, "interrupted": 9}
+
+
+def code_of(error: sqlite3.Error) -> int:
+    """Return the extended result code of an error.
+
+    Notes
+    -----
+    Python 3.10 has the text only: there, what is no error of the disk and no lack of memory is an error of the
+    database, and a short read cannot be distinguished from a failing disk.
+    """
+    code = getattr(error, "sqlite_errorcode", None)
+    return _CODES.get(str(error), ERROR) if code is None else int(code)
+
 
 #: Allowed defaults of columns, neither long nor computed: a default is the value of every row that does not store one.
 _SHORT_DEFAULT = re.compile(r"[+-]?\w{1,20}|'[^']{0,40}'|\"[^\"]{0,40}\"")
@@ -127,7 +148,7 @@ class Database:
             self._connection.close()
         self._pages = PageFile(self.path, self._logs)
         try:
-            self._connection, last_ns = rebuilt(self._pages)
+            self._connection, last_ns = rebuild_database(self._pages)
         except sqlite3.Error as error:
             raise self._error(error) from error
         if last_ns is None and not self._connection.execute("SELECT 1 FROM topics").fetchone():
@@ -173,7 +194,7 @@ class Database:
         finally:
             self._connection.set_progress_handler(None, 0)
 
-    def stored(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+    def bounded_rows(self, rows: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
         """Yield rows as they are, up to the size of the file: rows that share pages may have any number of values."""
         left = self._most
         for row in rows:
@@ -241,6 +262,6 @@ class Database:
         """Copy the database with the pages of its logs; the copy is at most as large as both."""
         self._copy = private_folder(self.path)
         target = Path(self._copy.name, "merged.db3")
-        with making_copy(self.path, target.parent):
+        with copy_errors(self.path, target.parent):
             write_merged(self.path, self._logs, target)
         return target

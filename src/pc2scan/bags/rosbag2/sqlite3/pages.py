@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from .page_log import PageLog
+    from .logs import PageLog
 
 _HEADER_SIZE = 100
 _LEAF = 0x0D
@@ -278,7 +278,7 @@ def _value(kind: int, data: bytes) -> Value:
     return kind - 8 if kind in (8, 9) else int.from_bytes(data, "big", signed=True)
 
 
-def rebuilt(pages: PageFile) -> tuple[sqlite3.Connection, int | None]:
+def rebuild_database(pages: PageFile) -> tuple[sqlite3.Connection, int | None]:
     """Make a database of the readable rows, and return the latest time.
 
     It lies in a temporary file that SQLite removes itself, and of the messages it has only the places: their data

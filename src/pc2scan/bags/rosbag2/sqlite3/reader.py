@@ -15,8 +15,7 @@ from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import RawMessage, Summary, declared_counts
 
 from .database import SQLITE_ERRORS, Database
-from .rows import SOUND, message_row, shown_value
-from .tables import read_tables
+from .tables import SOUND, message_row, read_tables, shown_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
@@ -178,7 +177,7 @@ class Sqlite3Reader(Reader):
         while True:
             try:
                 rows = self._rows(list(known), start_ns, stop_ns, after)
-                for topic_id, time_ns, message_id, data in self._database.stored(rows):
+                for topic_id, time_ns, message_id, data in self._database.bounded_rows(rows):
                     # Pages of a damaged tree may form a loop.
                     expected -= 1
                     if expected < 0:
@@ -187,7 +186,7 @@ class Sqlite3Reader(Reader):
                     if isinstance(data, bytes) and topic_id not in self._packed_topics:
                         self._bytes_read += len(data)
                         yield after, RawMessage(known[topic_id], time_ns, data, time_ns)
-                    elif (message := self._unpacked(known[topic_id], time_ns, message_id, data)) is not None:
+                    elif (message := self._decompress(known[topic_id], time_ns, message_id, data)) is not None:
                         yield after, message
             except (*SQLITE_ERRORS, DamageError) as err:
                 # The rest is read from the pages, from the next row on.
@@ -196,7 +195,7 @@ class Sqlite3Reader(Reader):
             else:
                 return
 
-    def _unpacked(self, connection: Connection, time_ns: int, message_id: int, data: object) -> RawMessage | None:
+    def _decompress(self, connection: Connection, time_ns: int, message_id: int, data: object) -> RawMessage | None:
         """Decompress a message; None, with a note, if it cannot be decompressed."""
         try:
             if not isinstance(data, bytes):
@@ -204,7 +203,7 @@ class Sqlite3Reader(Reader):
                 what = "has lost its data" if gone else f"has data {shown_value(data)}, not a blob"
                 raise self._database.damage(f"{message_row(message_id, connection.topic)} {what}", connection.topic)
             self._bytes_read += len(data)
-            unpacked = zstd.unpacked_message(data, self._path, connection.topic)
+            unpacked = zstd.decompress_message(data, self._path, connection.topic)
         except DamageError as err:
             self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
             return None

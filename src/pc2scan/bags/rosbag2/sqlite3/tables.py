@@ -12,12 +12,20 @@ version   what it added
 ========  ====================================================================
 
 Source: rosbag2_storage_sqlite3/sqlite_storage.cpp.
+
+SQLite stores values of any type in any column, whatever the table declares: an INTEGER column keeps 1e300, text and
+blobs as they are. Such values have an order among themselves and with integers. So whatever counts, compares or orders
+messages does so with `SOUND` rows only; each other row is damage of its own.
+
+Facts that a database has twice are compared: small tables with their columns, rows with the index of times. Unlike
+SQLite's own check, which reads the whole file, these checks read no message.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pc2scan.bags.damage import MAX_PLACES
 from pc2scan.bags.qos import latches
 from pc2scan.errors import RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC
@@ -25,15 +33,130 @@ from pc2scan.files.limits import MAX_CONNECTIONS, ConnectionLimit
 from pc2scan.model import Connection, Definition
 from pc2scan.text import counted
 
-from .checks import TIMES_SUM, index_trouble, table_trouble
-from .rows import SOUND, kinds_of, note_kinds, note_unsound, shown_value
-
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pc2scan.bags.damage import DamageLog
 
     from .database import Database
+
+    Query = Callable[[str, Sequence[Any]], Any]
+
+#: The columns that place a message.
+_COLUMNS = ("id", "topic_id", "timestamp")
+
+#: The condition for rows of ``messages`` that have a place in the recording.
+SOUND = " AND ".join(f"typeof({column}) = 'integer'" for column in _COLUMNS)
+
+#: Characters or bytes of a wrong value that are shown.
+_SHOWN = 40
+
+
+def shown_value(value: object) -> str:
+    """Return a value as SQL writes it, shortened.
+
+    >>> shown_value(None), shown_value(1e300), shown_value(b"a"), shown_value("x")
+    ('NULL', '1e+300', "x'61'", "'x'")
+    """
+    if value is None:
+        return "NULL"
+    if isinstance(value, str | bytes):
+        value = value[:_SHOWN]
+    return f"x'{value.hex()}'" if isinstance(value, bytes) else f"{value!r}"
+
+
+def message_row(row_id: object, topic: str | None) -> str:
+    """Name a row of ``messages``."""
+    of_topic = "" if topic is None else f", of topic {topic!r:.80},"
+    return f"row {shown_value(row_id)} of messages{of_topic}"
+
+
+def note_unsound(database: Database, noted: DamageLog, count: int, topics: Mapping[int, str]) -> None:
+    """Note the rows of ``messages`` that are not sound, of which there are ``count``; topics have names by id."""
+    # Not the values themselves, which may be long.
+    short = ", ".join(
+        f"CASE WHEN length(CAST({column} AS BLOB)) > {_SHOWN} THEN substr({column}, 1, {_SHOWN}) ELSE {column} END"
+        for column in _COLUMNS
+    )
+    rows = database.query(f"SELECT {short} FROM messages WHERE NOT ({SOUND}) LIMIT ?", (MAX_PLACES,))  # noqa: S608
+    for number, row in enumerate(rows):
+        row_id, topic_id, time_ns = row
+        wrong = [(name, value) for name, value in zip(_COLUMNS, row, strict=True) if not isinstance(value, int)]
+        values = " and ".join(f"{name} {shown_value(value)}" for name, value in wrong)
+        topic = topics.get(topic_id) if isinstance(topic_id, int) else None
+        allowed = "not an integer" if len(wrong) == 1 else "not integers"
+        time = time_ns if isinstance(time_ns, int) else None
+        noted.note(
+            database.damage(f"{message_row(row_id, topic)} has {values}, {allowed}"),
+            key=("messages", number),
+            messages_lost=1,
+            first_ns=time,
+            last_ns=time,
+        )
+    if (more := count - MAX_PLACES) > 0:
+        error = database.damage(f"{more} further rows of messages have values that are no integers")
+        noted.note(error, key=("messages", "further"), messages_lost=more)
+
+
+def kinds_of(columns: Sequence[str]) -> str:
+    """Return an SQL expression for the columns of text that have something else, and what; empty if all have text.
+
+    NULL, where a column forbids it, is found by `check_table`.
+    """
+    return " || ".join(
+        f"CASE WHEN typeof({column}) IN ('text', 'null') THEN '' ELSE '{column} is ' || typeof({column}) || ', ' END"
+        for column in columns
+    )
+
+
+def note_kinds(database: Database, noted: DamageLog, row: str, kinds: str) -> None:
+    """Note the columns of a row that have no text (see `kinds_of`); they are read as text."""
+    if kinds:
+        noted.note(database.damage(f"in {row} {kinds}not text"), key=row, messages_lost=0)
+
+
+#: A sum over rows that changes if a row has another time or replaces another. It is exact: a sum with one REAL would be
+#: rounded, and neither text nor numbers of 64 bits may end it.
+TIMES_SUM = "coalesce(sum(CAST(timestamp AS INTEGER) % 2147483647 + CAST(id AS INTEGER) % 2147483647), 0)"
+
+
+class TableFault(NamedTuple):
+    """The problem of a table; ``unreachable`` if there may be rows that its tree does not reach."""
+
+    what: str
+    unreachable: bool
+
+
+def check_table(query: Query, table: str) -> TableFault | None:
+    """Return the problem that SQLite finds in a small table: damaged pages, or values that its columns do not allow."""
+    found = [str(text) for (text,) in query(f"PRAGMA quick_check({table})", ())]
+    if found == ["ok"]:
+        return None
+    # The first line only has the name of the database.
+    first = next((line for text in found for line in text.splitlines() if not line.startswith("***")), "no answer")
+    return TableFault(f"table {table} contradicts itself: {first}", any(text.startswith("***") for text in found))
+
+
+def check_index(query: Query, index: str, count: int, times_sum: int) -> str | None:
+    """Describe how the complete index of times differs from the rows; None if it does not.
+
+    Parameters
+    ----------
+    query
+        Executes a statement.
+    index
+        Its name, quoted.
+    count, times_sum
+        Of the rows: how many there are, and their `TIMES_SUM`.
+    """
+    sql = f"SELECT count(*), {TIMES_SUM} FROM messages INDEXED BY {index}"  # noqa: S608
+    indexed, indexed_sum = query(sql, ()).fetchone()
+    if indexed != count:
+        return f"the index of timestamps has {indexed} messages, the table {count}"
+    if indexed_sum != times_sum:
+        return "the index of timestamps has other times than the messages"
+    return None
+
 
 #: Messages among which one in CDR is searched, to detect whether they are compressed one by one.
 _LOOKED_AT = 1000
@@ -78,7 +201,7 @@ def read_tables(database: Database, noted: DamageLog, *, message_compression: st
     with database.ending():
         _check_small_tables(database, noted)
         connections, start_ns, end_ns = _read_connections(database, noted, index)
-    packed = _find_packed(database, connections, declared=message_compression == "zstd")
+    packed = _find_compressed(database, connections, declared=message_compression == "zstd")
     return Tables(connections, start_ns, end_ns, index, packed)
 
 
@@ -106,7 +229,7 @@ def _check_small_tables(database: Database, noted: DamageLog) -> None:
     """Check the tables that describe the messages, unless they are rebuilt from pages."""
     # The first one lists all others; if it is damaged, it may list fewer.
     for table in ("sqlite_master", "topics", "message_definitions") if not database.is_rebuilt else ():
-        if database.columns(table) and (trouble := table_trouble(database.query, table)):
+        if database.columns(table) and (trouble := check_table(database.query, table)):
             error = database.damage(trouble.what)
             if trouble.unreachable:
                 raise error
@@ -140,7 +263,7 @@ def _read_connections(
     total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
     unsound, *_ = counts.pop(None, (0,))
     ConnectionLimit(database.path).add(count=len(counts))
-    if index is not None and (trouble := index_trouble(database.query, index, total, times_sum)):
+    if index is not None and (trouble := check_index(database.query, index, total, times_sum)):
         raise database.damage(trouble)
     if unsound:
         note_unsound(database, noted, unsound, {topic_id: row[0] for topic_id, row in topics.items()})
@@ -173,7 +296,7 @@ def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
     kinds = kinds_of([name for name in names if name in available])
     found: dict[int, list[str]] = {}
     limit = ConnectionLimit(database.path, database.size)
-    for topic_id, kind, *values in database.stored(
+    for topic_id, kind, *values in database.bounded_rows(
         database.query(f"SELECT id, {kinds}, {columns} FROM topics ORDER BY id")  # noqa: S608 - constants
     ):
         if not isinstance(topic_id, int) or topic_id in found:
@@ -207,7 +330,7 @@ def _read_definitions(database: Database, noted: DamageLog) -> dict[tuple[str, s
         f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
         (MAX_CONNECTIONS,),
     )
-    for row_id, kind, msgtype, encoding, data, own_digest in database.stored(rows):
+    for row_id, kind, msgtype, encoding, data, own_digest in database.bounded_rows(rows):
         note_kinds(database, noted, f"row {shown_value(row_id)} of message_definitions", kind)
         # rosbag2 writes "unknown" if it did not find the definition.
         if data and encoding not in {"", "unknown"}:
@@ -217,7 +340,7 @@ def _read_definitions(database: Database, noted: DamageLog) -> dict[tuple[str, s
     return found
 
 
-def _find_packed(database: Database, connections: Sequence[Connection], *, declared: bool) -> frozenset[int]:
+def _find_compressed(database: Database, connections: Sequence[Connection], *, declared: bool) -> frozenset[int]:
     """Return the topics whose messages are compressed one by one.
 
     Without a declaration the first CDR message decides: CDR begins with a zero byte, and never looks like a zstd

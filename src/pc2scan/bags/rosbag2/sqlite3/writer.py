@@ -88,7 +88,7 @@ class Sqlite3Writer:
             path.open("xb").close()
             self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
         except (OSError, sqlite3.Error) as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
         try:
             self._database.execute(f"PRAGMA page_size={_PAGE_BYTES}")
             # A file with errors is removed, so neither a journal nor syncing before the end is needed.
@@ -98,7 +98,7 @@ class Sqlite3Writer:
             self._database.execute("BEGIN")
         except sqlite3.Error as err:
             self.abort()
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
         """Do nothing: there are no chunks with ids."""
@@ -159,7 +159,7 @@ class Sqlite3Writer:
         insert = partial(self._insert_message, handle, log_time_ns)
         if self._compresses:
             # A view would keep the whole chunk in memory.
-            self._ahead.put(partial(_compressed, bytes(data)), insert, len(data))
+            self._ahead.put(partial(_compress, bytes(data)), insert, len(data))
         else:
             insert(data)
 
@@ -194,7 +194,7 @@ class Sqlite3Writer:
             self._database.close()
             sync_file(self._path)
         except (OSError, sqlite3.Error) as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
 
     def abort(self) -> None:
         """Close; the file is not a recording."""
@@ -210,13 +210,13 @@ class Sqlite3Writer:
         try:
             return self._database.execute(sql, values)
         except (sqlite3.Error, OverflowError) as err:
-            raise self._failed(err) from err
+            raise self._write_error(err) from err
 
-    def _failed(self, err: Exception) -> OutputError:
+    def _write_error(self, err: Exception) -> OutputError:
         reason = err.strerror if isinstance(err, OSError) else str(err)
         return OutputError(f"cannot be written: {reason}", path=self._path)
 
 
-def _compressed(data: bytes) -> bytes:
+def _compress(data: bytes) -> bytes:
     # One for each message: a compressor works for one thread at a time.
     return bytes(compress("zstd", data, _ZSTD_LEVEL))

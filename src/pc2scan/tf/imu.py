@@ -1,0 +1,261 @@
+"""Reads the messages of an IMU, and estimates the direction of up from them."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pc2scan.bags.topics import find_topic
+from pc2scan.core.gravity import up_by_gravity, up_in
+from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
+from pc2scan.messages.imu import IMU, decode_imu
+from pc2scan.text import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.bags.reader import Reader
+
+#: The standard acceleration of gravity, m/s^2, and the largest deviation of an accelerometer at rest, as a share.
+GRAVITY = 9.80665
+_GRAVITY_TOLERANCE = 0.15
+
+#: If the median angle between up by orientation and by the accelerometer exceeds this, degrees, one of them is wrong.
+_MAX_DISAGREEMENT = 20.0
+
+#: The largest values of an IMU: radians per second, m/s^2, or thousandths of g.
+_MAX_VALUE = 1e5
+
+_NAN = float("nan")
+_UNKNOWN = (_NAN, _NAN, _NAN)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuRequest:
+    """The IMU that a user gives: its topic, and its frame if the messages' own is wrong or empty."""
+
+    topic: str
+    frame: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> ImuRequest:
+        """Read ``TOPIC`` or ``TOPIC:FRAME``.
+
+        Raises
+        ------
+        UsageError
+            If a side of the colon is empty.
+        """
+        topic, colon, frame = text.partition(":")
+        if not topic or (colon and not frame):
+            raise UsageError(
+                f"`imu` is {text!r}, it must be a topic, or a topic and a frame",
+                hint="write `imu=/imu/data` or `imu=/imu/data:imu_link`",
+            )
+        return cls(topic, frame)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UpEstimate:
+    """The direction of up, by the messages of an IMU.
+
+    Attributes
+    ----------
+    topic, frame
+        Topic and frame of the IMU.
+    stamps_ns
+        (N,) increasing.
+    directions
+        (N, 3) directions of unit length in its frame.
+    notes, warnings
+        Texts for the user.
+    """
+
+    topic: str
+    frame: str
+    stamps_ns: NDArray[np.int64]
+    directions: NDArray[np.float64]
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _ImuSamples:
+    """The values of a topic's messages: times, and three numbers each; NaN where a value is missing."""
+
+    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
+    directions: array[float] = field(default_factory=lambda: array("d"))
+    turning: array[float] = field(default_factory=lambda: array("d"))
+    acceleration: array[float] = field(default_factory=lambda: array("d"))
+    frames: dict[str, None] = field(default_factory=dict)
+    undecoded: int = 0
+    why: str = ""
+
+
+def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = None) -> UpEstimate:
+    """Read all messages of an IMU in recordings, and estimate the direction of up.
+
+    Parameters
+    ----------
+    readers
+        The sources first, then the recordings of ``tf_from``.
+    most
+        How many of the first messages of each recording are read; None: all.
+
+    Raises
+    ------
+    TopicError
+        If there is no such topic, or it has no messages.
+    UsageError
+        If its messages do not show the direction of up.
+    """
+    topic = _imu_topic(readers, request.topic)
+    messages = _read_messages(readers, topic, most)
+    if not messages.stamps_ns:
+        why = f": {messages.undecoded} cannot be decoded: {messages.why}" if messages.undecoded else ""
+        raise TopicError(f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`")
+    stamps, order = np.unique(np.array(messages.stamps_ns, np.int64), return_index=True)
+    if not stamps[-1]:
+        raise UsageError(
+            f"the messages on {topic} have no stamps: all are 0", hint="give another topic to `imu`, or `fixed_frame`"
+        )
+    directions, turning, acceleration = (
+        np.array(values, np.float64).reshape(-1, 3)[order]
+        for values in (messages.directions, messages.turning, messages.acceleration)
+    )
+    warnings = []
+    if messages.undecoded:
+        warnings.append(f"{topic}: {counted(messages.undecoded, 'message')} cannot be decoded: {messages.why}")
+    if repeated := len(messages.stamps_ns) - len(stamps):
+        warnings.append(f"{topic}: {counted(repeated, 'message')} ignored: the stamp of another one")
+    frame = request.frame or _only_frame(topic, messages.frames)
+    known, directions, notes, further = _estimate_up(topic, stamps, directions, turning, acceleration)
+    return UpEstimate(topic, frame, stamps[known], directions, tuple(notes), (*warnings, *further))
+
+
+def _imu_topic(readers: Sequence[Reader], requested: str) -> str:
+    types: dict[str, set[str]] = {}
+    for connection in (connection for reader in readers for connection in reader.connections):
+        kind = connection.ros_type if connection.ros_version is not None else connection.msgtype
+        types.setdefault(connection.topic, set()).add(kind)
+    return find_topic(requested, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
+
+
+def _read_messages(readers: Sequence[Reader], topic: str, most: int | None) -> _ImuSamples:
+    found = _ImuSamples()
+    for reader in readers:
+        connections = [c for c in reader.connections if c.topic == topic and c.ros_type == IMU and c.ros_version]
+        if not connections:
+            continue
+        for message in islice(reader.messages(connections), most):
+            try:
+                imu = decode_imu(message.data, message.connection.serialization)
+            except DecodeError as err:
+                found.undecoded += 1
+                found.why = found.why or err.message
+                continue
+            found.frames[imu.frame_id] = None
+            found.stamps_ns.append(imu.stamp_ns)
+            found.directions.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
+            found.turning.extend(_plausible(imu.angular_velocity))
+            found.acceleration.extend(_plausible(imu.linear_acceleration))
+    return found
+
+
+def _plausible(values: tuple[float, ...] | None) -> tuple[float, ...]:
+    return _UNKNOWN if values is None or max(map(abs, values)) > _MAX_VALUE else values
+
+
+def _only_frame(topic: str, frames: dict[str, None]) -> str:
+    names = {name.removeprefix("/") for name in frames}
+    if len(names) > 1:
+        raise UsageError(
+            f"the messages on {topic} have several frames: {name_list(sorted(names))}",
+            hint=f"choose one: `imu={topic}:{min(names)}`",
+        )
+    (name,) = names
+    if not name:
+        raise UsageError(f"the messages on {topic} have no frame_id", hint=f"give it: `imu={topic}:imu_link`")
+    return name
+
+
+def _estimate_up(
+    topic: str,
+    stamps_ns: NDArray[np.int64],
+    directions: NDArray[np.float64],
+    turning: NDArray[np.float64],
+    acceleration: NDArray[np.float64],
+) -> tuple[NDArray[np.intp], NDArray[np.float64], list[str], list[str]]:
+    """Return which messages show the direction of up, the directions, notes, and warnings."""
+    oriented = ~np.isnan(directions[:, 0])
+    felt = ~np.isnan(turning[:, 0]) & ~np.isnan(acceleration[:, 0])
+    gravity, fault = _gravity(acceleration[felt])
+    if not fault and not turning[felt].any():
+        fault = "the gyroscope always shows 0"
+    known = np.flatnonzero(oriented)
+    never_changes = len(known) > 1 and bool((directions[known] == directions[known[0]]).all())
+    if 2 * len(known) >= len(directions) and not (never_changes and not fault):
+        warnings = _disagreement(topic, directions[oriented & felt], acceleration[oriented & felt], fault)
+        if lost := len(directions) - len(known):
+            warnings.append(f"{topic}: {lost:,} of {counted(len(directions), 'message')} ignored: no valid orientation")
+        return (
+            known,
+            directions[known],
+            [f"{topic}: up is computed from the orientations of {len(known):,} messages"],
+            warnings,
+        )
+    if fault:
+        raise UsageError(
+            f"the messages on {topic} do not show the direction of up: {_why_no_orientation(directions)}, and {fault}",
+            hint="give another topic to `imu`, or level by transforms: `fixed_frame=odom`",
+        )
+    known = np.flatnonzero(felt)
+    warnings = []
+    if lost := len(directions) - len(known):
+        warnings.append(
+            f"{topic}: {lost:,} of {counted(len(directions), 'message')} ignored: no rates or accelerations"
+        )
+    found = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
+    unit = " (in units of g)" if gravity < 2 else ""
+    why = "its orientation never changes" if never_changes else _why_no_orientation(directions)
+    note = f"{topic}: up is estimated from gyroscope and accelerometer{unit} of {len(known):,} messages: {why}"
+    return known, found, [note], warnings
+
+
+def _why_no_orientation(directions: NDArray[np.float64]) -> str:
+    known = int(np.count_nonzero(~np.isnan(directions[:, 0])))
+    return f"{known:,} of {len(directions):,} have a valid orientation" if known else "none has a valid orientation"
+
+
+def _gravity(acceleration: NDArray[np.float64]) -> tuple[float, str]:
+    """Return the length of the acceleration at rest, in its own unit; or why it is not usable."""
+    if not len(acceleration):
+        return 0.0, "none has both an angular velocity and an acceleration"
+    length = float(np.median(np.sqrt(np.square(acceleration).sum(axis=1))))
+    if any(abs(length / expected - 1) < _GRAVITY_TOLERANCE for expected in (GRAVITY, 1.0)):
+        return length, ""
+    return 0.0, f"the median of the accelerometer is {length:.3g} m/s^2, gravity is {GRAVITY:.4g} m/s^2"
+
+
+def _disagreement(
+    topic: str, directions: NDArray[np.float64], acceleration: NDArray[np.float64], fault: str
+) -> list[str]:
+    """Yield a warning if up by orientations differs from up by the accelerometer."""
+    if fault or not len(directions):
+        return []
+    with np.errstate(all="ignore"):
+        cosines = np.einsum("ni,ni->n", directions, acceleration) / np.sqrt(np.square(acceleration).sum(axis=1))
+        angle = float(np.degrees(np.arccos(np.clip(np.nanmedian(cosines), -1.0, 1.0))))
+    if angle < _MAX_DISAGREEMENT:
+        return []
+    text = (
+        f"{topic}: up by its orientations is {angle:.0f} degrees from up by its accelerometer (median): "
+        "orientations must refer to a world whose z is up, and an accelerometer at rest must point up"
+    )
+    return [text]

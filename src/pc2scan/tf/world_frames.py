@@ -1,0 +1,61 @@
+"""Detects target frames that a robot moves in: scans in these are measured from a place that the robot leaves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .buffer import TransformBuffer
+
+#: Usual names of a robot's frame, whose z is up; the first that exists is used.
+BODIES = ("base_link", "base_footprint")
+
+#: Frames that a robot moves in (REP 105); the frames below them move with the robot.
+WORLDS = ("odom", "map", "world", "earth")
+
+#: How far something has to move in a frame with such a name, or with any other name, metres. A lift or an arm that
+#: carries a lidar moves in a robot's frame, by less than this.
+_MOVES = 0.05
+_MOVES_FAR = 2.0
+
+#: Maximum number of frames between the sensor and the frame that it moves in.
+_MOST_LINKS = 100
+
+
+class BodyMotion(NamedTuple):
+    """What moves in a frame: the robot's frame, and how far it moves (the diagonal of the box around its positions)."""
+
+    body: str
+    metres: float
+
+
+def find_body_motion(buffer: TransformBuffer, world: str, source: str) -> BodyMotion | None:
+    """Return what carries ``source`` through ``world``; None if nothing does.
+
+    >>> from pc2scan.tf.builder import TransformBuilder
+    >>> builder = TransformBuilder()
+    >>> builder.add([("base_link", "lidar", 0, 0, 0, 1, 0, 0, 0, 1)], static=True)
+    >>> for stamp_ns, x in (1, 0.0), (2, 3.5):
+    ...     builder.add([("odom", "base_link", stamp_ns, x, 0, 0, 0, 0, 0, 1)], static=False)
+    >>> find_body_motion(builder.build(), "odom", "lidar"), find_body_motion(builder.build(), "base_link", "lidar")
+    (Moving(body='base_link', metres=3.5), None)
+    """
+    world, name = world.removeprefix("/"), source.removeprefix("/")
+    if world in BODIES:
+        return None
+    below: list[str] = []
+    moves: list[tuple[float, str]] = []
+    while name != world:
+        history = buffer.history(name)
+        if history is None or history.sole_parent < 0 or len(below) == _MOST_LINKS:
+            return None
+        below.append(name)
+        if not history.static:
+            moves.append((float(np.linalg.norm(np.ptp(history.translations, axis=0))), name))
+        name = buffer.frames[history.sole_parent]
+    farthest, child = max(moves, default=(0.0, ""))
+    if not farthest > (_MOVES if world in WORLDS else _MOVES_FAR):
+        return None
+    return BodyMotion(next((body for body in BODIES if body in below), child), farthest)
