@@ -15,7 +15,7 @@ from unittest.mock import patch
 
 import pc2scan
 from pc2scan.batch.work import convert_one
-from pc2scan.batch.workers import Began, Ended
+from pc2scan.batch.workers import JobEnd, JobStart
 from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import Finished, run
 
@@ -39,9 +39,9 @@ def _execute(queue: Queue, jobs: list[str], **_: object) -> Generator[Event]:
     while queue.is_open or not inbox.empty():
         if (job := queue.take()) is not None:
             jobs.append(job.key)
-            yield Began(job.key)
+            yield JobStart(job.key)
             if (result := queue.done(convert_one(job))) is not None:
-                yield Ended(result)
+                yield JobEnd(result)
         elif (event := inbox.get(timeout=60)) is not None:
             yield event
 

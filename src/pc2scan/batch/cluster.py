@@ -26,9 +26,9 @@ from pc2scan.remote.urls import is_url
 from pc2scan.version import __version__
 
 from .cutting import is_given_up
-from .staged import jobs_here
-from .work import Result, died
-from .workers import Began, Ended, Information, Progressed, execute
+from .staging import staged_jobs
+from .work import JobResult, death_of
+from .workers import Information, JobEnd, JobProgress, JobStart, execute
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
@@ -52,7 +52,7 @@ class _CancelledError(Exception):
     """The task was cancelled."""
 
 
-class _ConversionDiedError(Exception):
+class _ProcessDeathError(Exception):
     """The process of a conversion died; Dask tries the task again."""
 
 
@@ -61,7 +61,7 @@ class _Answer:
     """What a task returns: a result, or why it did not begin: another version of pc2scan, or paths it does not see."""
 
     host: str
-    result: Result | None = None
+    result: JobResult | None = None
     version: str = __version__
     unseen: tuple[str, ...] = ()
 
@@ -100,7 +100,7 @@ def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: i
     Yields
     ------
     Event
-        `Ended` once for every job.
+        `JobEnd` once for every job.
     """
     if not jobs:
         return
@@ -156,9 +156,9 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                 case "began":
                     attempts[key] += 1
                     running[key] = time.monotonic()
-                    yield Began(key)
+                    yield JobStart(key)
                 case "progress":
-                    yield Progressed(key, *value)
+                    yield JobProgress(key, *value)
                 case "done":
                     job = left.pop(key)
                     seconds = time.monotonic() - running.get(key, time.monotonic())
@@ -171,7 +171,7 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                         # The first attempt, whose worker was lost, has completed the output nevertheless.
                         pending.append(job.retried())
                         continue
-                    yield Ended(replace(result, attempts=max(1, attempts[key])))
+                    yield JobEnd(replace(result, attempts=max(1, attempts[key])))
     finally:
         connected = client.status == "running"
         if left:
@@ -195,7 +195,7 @@ def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, f
                 running.pop(key, None)
 
 
-def _result(job: Job, future: Any, seconds: float) -> Result:
+def _result(job: Job, future: Any, seconds: float) -> JobResult:
     """Return the result of a finished task; raises if the cluster cannot convert anything of this batch."""
     from distributed import KilledWorker  # noqa: PLC0415  # an extra
 
@@ -204,9 +204,9 @@ def _result(job: Job, future: Any, seconds: float) -> Result:
     if future.status == "error":
         err = future.exception()
         if isinstance(err, KilledWorker):
-            return died(job, f"its Dask worker died: {err}", attempts=1, seconds=seconds)
-        if isinstance(err, _ConversionDiedError):
-            return died(job, str(err), attempts=1, seconds=seconds)
+            return death_of(job, f"its Dask worker died: {err}", attempts=1, seconds=seconds)
+        if isinstance(err, _ProcessDeathError):
+            return death_of(job, str(err), attempts=1, seconds=seconds)
         raise Pc2ScanError(
             f"a Dask worker cannot convert: {type(err).__name__}: {err}",
             hint="every worker needs the same version of pc2scan, and the modules of your own filters",
@@ -230,7 +230,7 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
     unseen = tuple(path for path in job.sources if not is_url(Path(path)) and not os.path.lexists(path))
     folder = Path(job.destination).parent
     if job.step is not None and is_given_up(job):
-        return _Answer(host, died(job, "the recording was given up", attempts=1, seconds=0.0))
+        return _Answer(host, death_of(job, "the recording was given up", attempts=1, seconds=0.0))
     if not is_url(folder) and not _is_there(folder):
         return _Answer(host, unseen=(str(folder), *unseen))
     worker = get_worker()
@@ -257,7 +257,7 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
     finally:
         worker.log_event(topic, ("gone", job.key, None))
     if result.outcome == "died":
-        raise _ConversionDiedError((result.error or {}).get("message", ""))
+        raise _ProcessDeathError((result.error or {}).get("message", ""))
     return _Answer(host, result, unseen=unseen)
 
 
@@ -272,16 +272,16 @@ def _is_there(folder: Path) -> bool:
     return folder.is_dir()
 
 
-def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> Result:
+def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> JobResult:
     last = 0.0
     with (
-        jobs_here([job], workers=1) as queue,
+        staged_jobs([job], workers=1) as queue,
         closing(execute(queue, workers=1, cores=threads, retries=0, check=check)) as events,
     ):
         for event in events:
-            if isinstance(event, Ended):
+            if isinstance(event, JobEnd):
                 return event.result
-            if isinstance(event, Progressed) and time.monotonic() - last >= _POLL_SECONDS:
+            if isinstance(event, JobProgress) and time.monotonic() - last >= _POLL_SECONDS:
                 last = time.monotonic()
                 check()
                 tell((event.done, event.total))

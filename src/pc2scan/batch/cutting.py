@@ -22,9 +22,9 @@ from pc2scan.pipeline.pieces import join, joined_report, may_be_cut, read_stretc
 from pc2scan.pipeline.run import run_piece
 
 from .identity import Identity, identity_of
-from .staged import is_remote
-from .work import Job, Result, now, outcome_of
-from .workers import Began, Died, Ended, Progressed
+from .staging import is_remote
+from .work import Job, JobResult, now, outcome_of
+from .workers import JobEnd, JobProgress, JobStart, ProcessDeath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
@@ -42,7 +42,7 @@ _GIVEN_UP = "given-up"
 PIECE_BYTES = 2_000_000_000
 
 
-class _Cut(NamedTuple):
+class _CutSearch(NamedTuple):
     """A step: find where to cut a recording."""
 
     piece_bytes: int
@@ -53,7 +53,7 @@ class _Cut(NamedTuple):
         return stretches_of(_sources(job), job.request.options, cut, piece_bytes=self.piece_bytes)
 
 
-class _Transforms(NamedTuple):
+class _TransformReading(NamedTuple):
     """A step: read the transforms of a stretch."""
 
     sources: tuple[Path, ...]
@@ -66,7 +66,7 @@ class _Transforms(NamedTuple):
         return read_stretch(self.sources, job.request.options, self.file, self.start_ns, self.stop_ns)
 
 
-class _Convert(NamedTuple):
+class _PieceConversion(NamedTuple):
     """A step: convert a piece."""
 
     destination: str
@@ -123,18 +123,18 @@ def in_pieces(executor: Executor, piece_bytes: int | None = None) -> Executor:
             yield from executor(jobs)
             return
         todo: deque[Job] = deque()
-        recordings: dict[str, _Recording] = {}
+        recordings: dict[str, _RecordingInPieces] = {}
         for job in jobs:
             if _cuttable(job, size):
-                step = replace(job, key=_step_key(job, "index"), step=_Cut(size))
-                recordings[step.key] = _Recording(job, todo, recordings)
+                step = replace(job, key=_step_key(job, "index"), step=_CutSearch(size))
+                recordings[step.key] = _RecordingInPieces(job, todo, recordings)
                 todo.append(step)
             else:
                 todo.append(job)
         events = executor(todo)
         try:
             for event in events:
-                key = event.result.key if isinstance(event, Ended) else getattr(event, "key", "")
+                key = event.result.key if isinstance(event, JobEnd) else getattr(event, "key", "")
                 recording = recordings.get(key)
                 if recording is None:
                     yield event
@@ -149,7 +149,7 @@ def in_pieces(executor: Executor, piece_bytes: int | None = None) -> Executor:
 
 
 @dataclass(slots=True, eq=False)
-class _Recording:
+class _RecordingInPieces:
     """A recording that is converted in pieces.
 
     Attributes
@@ -164,7 +164,7 @@ class _Recording:
 
     job: Job
     todo: deque[Job]
-    owners: dict[str, _Recording]
+    owners: dict[str, _RecordingInPieces]
     began: float = field(default_factory=time.monotonic)
     started: str = ""
     stack: ExitStack = field(default_factory=ExitStack)
@@ -182,7 +182,7 @@ class _Recording:
     numbered: int = 0
     shares: dict[str, float] = field(default_factory=dict)
     next: Callable[[], Iterator[Event]] | None = None
-    error: Result | None = None
+    error: JobResult | None = None
     done: bool = False
 
     def take(self, key: str, event: Event) -> Generator[Event]:
@@ -190,17 +190,17 @@ class _Recording:
         if self.done:
             return
         match event:
-            case Began():
+            case JobStart():
                 if not self.started:
                     self.started = now()
                     self.began = time.monotonic()
-                    yield Began(self.job.key)
-            case Progressed(_, done, total) if key in self.shares and self.error is None:
+                    yield JobStart(self.job.key)
+            case JobProgress(_, done, total) if key in self.shares and self.error is None:
                 self.shares[key] = min(1.0, max(self.shares[key], done * len(self.pieces) / max(1, total)))
                 yield self._progressed()
-            case Died(_, why) if self.error is None:
-                yield Died(self.job.key, why)
-            case Ended(result):
+            case ProcessDeath(_, why) if self.error is None:
+                yield ProcessDeath(self.job.key, why)
+            case JobEnd(result):
                 self.attempts = max(self.attempts, result.attempts)
                 self.waiting.discard(key)
                 if result.error is None and self.error is None:
@@ -223,7 +223,7 @@ class _Recording:
             self.done = True
             self._abandon()
 
-    def _give_up(self, result: Result) -> None:
+    def _give_up(self, result: JobResult) -> None:
         """Keep the error of a step, and end the other steps; what they have written is removed after that."""
         self.error = result
         dropped = {job.key for job in self.todo} & self.waiting
@@ -239,11 +239,11 @@ class _Recording:
         error = OutputError("interrupted", path=Path(self.job.destination))
         self.stack.__exit__(type(error), error, None)
 
-    def _progressed(self) -> Progressed:
+    def _progressed(self) -> JobProgress:
         done = sum(self.shares.values()) / max(1, len(self.pieces))
-        return Progressed(self.job.key, round(1000 * done), 1000)
+        return JobProgress(self.job.key, round(1000 * done), 1000)
 
-    def _after(self, key: str, result: Result) -> Generator[Event]:
+    def _after(self, key: str, result: JobResult) -> Generator[Event]:
         """Continue after a step."""
         if key == _step_key(self.job, "index"):
             self._cut(result)
@@ -254,7 +254,7 @@ class _Recording:
         if not self.waiting and self.next is not None:
             yield from self.next()
 
-    def _cut(self, result: Result) -> None:
+    def _cut(self, result: JobResult) -> None:
         """Begin the steps that follow the cutting; a recording that is not cut becomes one job again."""
         self.identity, self.sha256 = result.identity, result.sha256
         cut: Stretches | None = result.made
@@ -281,19 +281,19 @@ class _Recording:
             return
         sources, others = _sources(self.job), self.job.request.options.frames.tf_from
         steps = [
-            _Transforms(sources, self.folder / f"transforms-{number}", each.start_ns, each.stop_ns)
+            _TransformReading(sources, self.folder / f"transforms-{number}", each.start_ns, each.stop_ns)
             for number, each in enumerate(cut.stretches)
         ]
         # Transforms before and after the converted stretch are needed, too.
         steps[0] = steps[0]._replace(start_ns=None)
         steps[-1] = steps[-1]._replace(stop_ns=None)
-        steps += [_Transforms((other,), self.folder / f"others-{n}") for n, other in enumerate(others)]
+        steps += [_TransformReading((other,), self.folder / f"others-{n}") for n, other in enumerate(others)]
         self.transforms = tuple(step.file for step in steps)
         for number, step in enumerate(steps):
             self._add(f"transforms {number + 1}", step, step.file)
         self.next = self._transforms_read
 
-    def _add(self, name: str, step: _Transforms | _Convert, destination: Path) -> str:
+    def _add(self, name: str, step: _TransformReading | _PieceConversion, destination: Path) -> str:
         key = _step_key(self.job, name)
         self.owners[key] = self
         self.waiting.add(key)
@@ -321,7 +321,7 @@ class _Recording:
         """Add jobs that convert pieces."""
         for number in numbers:
             piece = self.pieces[number]
-            self.shares[self._add(piece.folder.name, _Convert(self.job.destination, piece), piece.folder)] = 0.0
+            self.shares[self._add(piece.folder.name, _PieceConversion(self.job.destination, piece), piece.folder)] = 0.0
         self.next = self._converted
 
     def _converted(self) -> Iterator[Event]:
@@ -350,7 +350,7 @@ class _Recording:
             return
         yield self._complete(made)
 
-    def _complete(self, made: list[Made]) -> Ended:
+    def _complete(self, made: list[Made]) -> JobEnd:
         destination = Path(self.job.destination)
         options = self.job.request.options
         report = joined_report(made, self.damage, options)
@@ -362,7 +362,7 @@ class _Recording:
         report.bytes_written = sum(path.stat().st_size for path in files)
         report.seconds = time.monotonic() - self.began
         return self._ended(
-            Result(
+            JobResult(
                 key=self.job.key,
                 outcome=outcome_of(report.exit_status),
                 exit_status=report.exit_status,
@@ -374,16 +374,16 @@ class _Recording:
             )
         )
 
-    def _failed(self, result: Result) -> Ended:
+    def _failed(self, result: JobResult) -> JobEnd:
         """Return the event that the recording failed, with the error of a step."""
         self.done = True
         self._abandon()
         return self._ended(replace(result, sha256=self.sha256, made=None))
 
-    def _ended(self, result: Result) -> Ended:
+    def _ended(self, result: JobResult) -> JobEnd:
         seconds = time.monotonic() - self.began
         started = self.started or now()
-        return Ended(replace(result, key=self.job.key, started=started, seconds=seconds, attempts=self.attempts))
+        return JobEnd(replace(result, key=self.job.key, started=started, seconds=seconds, attempts=self.attempts))
 
 
 def _step_key(job: Job, step: str) -> str:

@@ -22,32 +22,29 @@ from pc2scan.pipeline.scheduler import cores as all_cores
 from pc2scan.remote.names import ShownUrl
 from pc2scan.remote.urls import is_url, shown_path, url_of
 
-from .choices import Choices
 from .dataset_file import DatasetFile, load_dataset_file
-from .estimate import estimated_seconds
-from .executors import count_of, local, on_dask
+from .executors import available_bytes, count_of, estimated_seconds, local, on_dask, workers_for
 from .find import find
-from .folder import begun_noted, check_folder, locked
+from .folder import check_folder, is_numbered, locked, read_unfinished, track_outputs, whole
 from .identity import checksum_of, identity_of
-from .manifest import MANIFEST, Manifest, Record, read_begun, read_lines
-from .plan import History, make_plan
-from .records import recorded, refused, says_the_same
-from .resources import available_bytes, workers_for
-from .results import is_numbered, whole
+from .manifest import MANIFEST, Manifest, ManifestRecord, read_lines
+from .options import BatchCallbacks, ProgressSum
+from .plan import History, have_same_outcome, make_plan, refusal_record, result_record
+from .request import Choices
 from .stores import Stores
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
-from .watch import Progress, Watch
 from .work import Job
-from .workers import Began, Died, Ended, Information, Progressed
+from .workers import Information, JobEnd, JobProgress, JobStart, ProcessDeath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from .find import Found, Known
+    from .find import Known, Recording
     from .identity import Identity
     from .options import BatchOptions
-    from .plan import Choice, Plan, Step
-    from .stores import Output
+    from .plan import BatchPlan, Step
+    from .request import Choice
+    from .stores import StoreFolder
     from .workers import Executor
 
 
@@ -59,7 +56,7 @@ def run_batch(
     *,
     origins: Mapping[str, str] | None = None,
     executor: Callable[..., Executor] | None = None,
-    watch: Watch | None = None,
+    watch: BatchCallbacks | None = None,
 ) -> BatchReport:
     """Convert every recording of a dataset; see `pc2scan.batch`.
 
@@ -81,7 +78,7 @@ def run_batch(
         Callbacks for what happens.
     """
     began = time.monotonic()
-    watch = watch or Watch()
+    watch = watch or BatchCallbacks()
     if not sources:
         raise UsageError("no source given")
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
@@ -128,9 +125,9 @@ class _Batch:
         out: Path,
         options: BatchOptions,
         choices: Choices,
-        watch: Watch,
+        watch: BatchCallbacks,
         stores: Stores,
-        store: Output | None,
+        store: StoreFolder | None,
     ) -> None:
         self._sources = sources
         self._out = out
@@ -140,12 +137,12 @@ class _Batch:
         self._stores = stores
         #: The folder in the store if the destination is a URL; then `_out` has the files of it that are uploaded.
         self._store = store
-        begun = read_begun(out)
+        begun = read_unfinished(out)
         self._history = History.read(read_lines(out / MANIFEST), begun.outputs)
         #: What killed runs have noted, without what is in the manifest.
         self._begun = begun._replace(outputs=self._history.begun)
-        self._records: dict[str, Record] = {}
-        self.made: Plan
+        self._records: dict[str, ManifestRecord] = {}
+        self.made: BatchPlan
         self.report = BatchReport(out, dry_run=options.dry_run)
 
     def open_report(self, stack: ExitStack) -> Callable[[str], None] | None:
@@ -222,7 +219,7 @@ class _Batch:
         left = self._history.left.get(output)
         return parts_beside(self._out / whole(output)) if left is None else [path.with_name(f[0]) for f in left.files]
 
-    def _inputs(self, found: Sequence[Found], choices: Iterable[Choice]) -> Iterator[InputPath]:
+    def _inputs(self, found: Sequence[Recording], choices: Iterable[Choice]) -> Iterator[InputPath]:
         """Yield everything that the batch reads."""
         yield from (InputPath(path) for each in found for path in each.paths)
         if self._options.dataset is not None:
@@ -267,7 +264,7 @@ class _Batch:
         executor = make(workers=wanted, retries=self._options.retries, lock=lock)
         if self._options.dry_run:
             for step in self.made.of("refuse"):
-                self._note(refused(step, self._stores.shown))
+                self._note(refusal_record(step, self._stores.shown))
             with TemporaryDirectory(prefix="pc2scan-") as folder:
                 # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
                 self._run(executor, [self._job(step, Path(folder), flat=True) for step in steps], by_key, self._note)
@@ -277,7 +274,7 @@ class _Batch:
             stack.callback(self._push, at_once=True)
             manifest: Manifest | None = None
 
-            def note(record: Record) -> None:
+            def note(record: ManifestRecord) -> None:
                 nonlocal manifest
                 if manifest is None:
                     manifest = stack.enter_context(Manifest(self._out / MANIFEST))
@@ -286,15 +283,15 @@ class _Batch:
                 self._note(record)
 
             for step in self.made.of("refuse"):
-                record = refused(step, self._stores.shown)
-                if step.record is None or not says_the_same(step.record, record):
+                record = refusal_record(step, self._stores.shown)
+                if step.record is None or not have_same_outcome(step.record, record):
                     note(record)
                 else:
                     self._note(record)
             if self._options.fail_fast and self.made.of("refuse"):
                 jobs = []
             outputs = {step.output for step in steps} if jobs else set()
-            with begun_noted(self._out, outputs, self._begun, self._is_there) as begin:
+            with track_outputs(self._out, outputs, self._begun, self._is_there) as begin:
                 if jobs:
                     self._push(at_once=True)
                     self._run(executor, jobs, by_key, note, begin)
@@ -307,7 +304,7 @@ class _Batch:
     def _is_there(self, output: str) -> bool:
         return os.path.lexists(self._out / output) if self._store is None else self._store.exists(output)
 
-    def _note(self, record: Record) -> None:
+    def _note(self, record: ManifestRecord) -> None:
         self._records[record.key] = record
         self._watch.done(record)
 
@@ -316,27 +313,27 @@ class _Batch:
         executor: Executor,
         jobs: Sequence[Job],
         steps: Mapping[str, Step],
-        note: Callable[[Record], None],
+        note: Callable[[ManifestRecord], None],
         begin: Callable[[str, bool], None] = lambda _output, _begins: None,
     ) -> None:
         """Run jobs, and handle their events in the order in which they come."""
-        progress = Progress({job.key: job.size_bytes for job in jobs}, self._watch)
+        progress = ProgressSum({job.key: job.size_bytes for job in jobs}, self._watch)
         events = executor(jobs)
         try:
             for event in events:
                 match event:
-                    case Began(key):
+                    case JobStart(key):
                         begin(steps[key].output, True)
                         progress.at(key, 0.0)
-                    case Progressed(key, done, total):
+                    case JobProgress(key, done, total):
                         progress.at(key, done / total if total else 0.0)
-                    case Died(key, why):
+                    case ProcessDeath(key, why):
                         progress.at(key, 0.0)
                         self._watch.warn(f"{key}: {why}; it is tried again")
                     case Information(text):
                         self._watch.inform(text)
-                    case Ended(result):
-                        record = recorded(steps[result.key], result, self._stores.shown)
+                    case JobEnd(result):
+                        record = result_record(steps[result.key], result, self._stores.shown)
                         if record.is_written and self._store is None:
                             note_written(self._out / record.output)
                         note(record)
@@ -398,7 +395,7 @@ def _known_recordings(history: History, stores: Stores) -> Known:
     return lambda path, identity: containers.get((stores.shown(path), identity.files), "")
 
 
-def _source_checksum(found: Found) -> str:
+def _source_checksum(found: Recording) -> str:
     try:
         return checksum_of(found.paths)
     except OSError:

@@ -24,9 +24,9 @@ from pc2scan.files.source import on_demand
 from pc2scan.remote.names import Names
 from pc2scan.remote.urls import is_url, shown_url, url_of
 
+from .folder import UNFINISHED, is_numbered, whole
 from .identity import Identity, versions
-from .manifest import BEGUN, MANIFEST
-from .results import is_numbered, whole
+from .manifest import MANIFEST
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -139,7 +139,7 @@ class Stores:
             path.unlink(missing_ok=True)
         self._made.clear()
 
-    def output(self, url: str) -> Output:
+    def output(self, url: str) -> StoreFolder:
         """Return the folder of the results at a URL."""
         from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
@@ -148,7 +148,7 @@ class Stores:
             raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown)
         self._out = self._path_of(place, url)
         self._out.mkdir(parents=True, exist_ok=True)
-        return Output(place, self._out)
+        return StoreFolder(place, self._out)
 
     def folder(self) -> Path:
         """Return a folder for local copies."""
@@ -213,7 +213,7 @@ class Stores:
             raise UsageError(f"`scratch`: {self._scratch or 'the folder'} cannot be written: {err.strerror}") from err
 
 
-class Output:
+class StoreFolder:
     """The folder of the results in a store.
 
     The manifest and the note of outputs that are being written are local files. They are uploaded from time to time
@@ -235,7 +235,7 @@ class Output:
 
     def pull(self) -> None:
         """Fetch the files of the last run."""
-        for name in (MANIFEST, BEGUN):
+        for name in (MANIFEST, UNFINISHED):
             data = self._place.child(name).read()
             if data is not None:
                 self._pushed[name] = data
@@ -269,7 +269,7 @@ class Output:
         began = time.monotonic()
         if began < self._next and not at_once:
             return
-        for name in (BEGUN, MANIFEST):
+        for name in (UNFINISHED, MANIFEST):
             place, path = self._place.child(name), self.folder / name
             data = path.read_bytes() if path.exists() else None
             if data is None and name in self._pushed:

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
 
 
-class Step(Protocol):
+class JobPart(Protocol):
     """A part of a conversion that runs as a job of its own; see `pc2scan.batch.cutting`."""
 
     def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> Any:
-        """Run the step; what it returns becomes `Result.made`."""
+        """Run this part; what it returns becomes `JobResult.made`."""
         ...
 
 
@@ -83,7 +83,7 @@ class Job:
     scratch: str | None = None
     scratch_size: int | None = None
     room: tuple[str, int] | None = None
-    step: Step | None = None
+    step: JobPart | None = None
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
@@ -92,8 +92,8 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
-    """The result of a job: the attributes of a `pc2scan.batch.manifest.Record` that only the conversion knows.
+class JobResult:
+    """The result of a job: the attributes of a `pc2scan.batch.manifest.ManifestRecord` that only the conversion knows.
 
     ``text`` is the report as text if the job requests it; ``made`` is what a step returns.
     """
@@ -123,7 +123,7 @@ def outcome_of(exit_status: int) -> str:
     return _OUTCOMES.get(exit_status, "failed")
 
 
-def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = None) -> Result:
+def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = None) -> JobResult:
     """Convert a recording. Errors do not raise; they are part of the result.
 
     Parameters
@@ -162,7 +162,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         error, status = err.as_dict(), err.exit_status
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
         error, status = _unexpected(err), 1
-    return Result(
+    return JobResult(
         key=job.key,
         outcome=outcome_of(status),
         exit_status=status,
@@ -180,7 +180,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     )
 
 
-def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> Result:
+def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> JobResult:
     """Do a dry run of recordings at URLs, of which only ranges are read. Real conversions get local copies instead."""
     from pc2scan.remote.ranges import nearby  # noqa: PLC0415  # loads fsspec
 
@@ -192,10 +192,10 @@ def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> Resu
             frames = replace(job.request.options.frames, tf_from=tuple(here.paths[len(job.sources) :]))
             request = replace(job.request, options=replace(job.request.options, frames=frames))
             result = convert_one(replace(job, sources=tuple(map(str, paths)), request=request), progress)
-            shown: Result = here.names.of(result)
+            shown: JobResult = here.names.of(result)
             return shown
     except Pc2ScanError as err:
-        return Result(key=job.key, outcome="failed", exit_status=err.exit_status, error=err.as_dict())
+        return JobResult(key=job.key, outcome="failed", exit_status=err.exit_status, error=err.as_dict())
 
 
 def _done(
@@ -241,12 +241,12 @@ def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Ide
     return identity_of(map(Path, files) if files and not destination.is_dir() else [destination])
 
 
-def died(job: Job, why: str, *, attempts: int, seconds: float) -> Result:
+def death_of(job: Job, why: str, *, attempts: int, seconds: float) -> JobResult:
     """Return the result of a job whose process died."""
     error = {"class": "ProcessDied", "message": why, "place": None, "hint": None, "exit_status": 1}
     started = now()
     identity = identity_of(map(Path, job.sources))
-    return Result(
+    return JobResult(
         key=job.key,
         outcome="died",
         exit_status=1,

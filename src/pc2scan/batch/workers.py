@@ -26,8 +26,8 @@ from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.staging import clean_up
 from pc2scan.version import __version__
 
-from .frames import receive, send
-from .work import Job, Result, died
+from .work import Job, JobResult, death_of
+from .worker import receive, send
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -49,13 +49,13 @@ _CHECK_SECONDS = 0.5
 _SAID = 2_000
 
 
-class Began(NamedTuple):
+class JobStart(NamedTuple):
     """A conversion begins."""
 
     key: str
 
 
-class Progressed(NamedTuple):
+class JobProgress(NamedTuple):
     """Bytes of a recording that were read, and bytes in total."""
 
     key: str
@@ -63,17 +63,17 @@ class Progressed(NamedTuple):
     total: int
 
 
-class Died(NamedTuple):
+class ProcessDeath(NamedTuple):
     """The process that converted a recording died; the recording is tried again."""
 
     key: str
     why: str
 
 
-class Ended(NamedTuple):
+class JobEnd(NamedTuple):
     """A job is done."""
 
-    result: Result
+    result: JobResult
 
 
 class Information(NamedTuple):
@@ -82,7 +82,7 @@ class Information(NamedTuple):
     text: str
 
 
-Event = Began | Progressed | Died | Ended | Information
+Event = JobStart | JobProgress | ProcessDeath | JobEnd | Information
 
 
 class Executor(Protocol):
@@ -127,7 +127,7 @@ class Queue:
         """Put a job back."""
         (self._ready.appendleft if first else self._ready.append)(job)
 
-    def done(self, result: Result) -> Result | None:
+    def done(self, result: JobResult) -> JobResult | None:
         """Take the result of a worker, and return it; None if something is left to do with it, such as an upload."""
         return result
 
@@ -260,7 +260,7 @@ def execute(
     Yields
     ------
     Event
-        `Ended` once for every job.
+        `JobEnd` once for every job.
     """
     pending = jobs if isinstance(jobs, Queue) else Queue(jobs)
     attempts: dict[str, int] = {}
@@ -278,7 +278,7 @@ def execute(
             busy = sum(worker.job is not None for worker in pool.workers)
             threads = 1 if tried > 1 else max(1, cores // min(workers, busy + len(pending) + 1))
             idle.popleft().give(replace(job, threads=threads))
-            yield Began(job.key)
+            yield JobStart(job.key)
 
     try:
         while pending.is_open or any(worker.job for worker in pool.workers) or not pool.inbox.empty():
@@ -306,7 +306,7 @@ def execute(
                     if version != __version__:
                         raise Pc2ScanError(f"a worker process has pc2scan {version}, this is {__version__}")
                 case ("progress", key, done, total):
-                    yield Progressed(key, done, total)
+                    yield JobProgress(key, done, total)
                 case ("result", result):
                     worker.job = None
                     idle.append(worker)
@@ -314,7 +314,7 @@ def execute(
                     # Workers get their next jobs before the manifest is written, which waits for the disk.
                     yield from begin()
                     if done is not None:
-                        yield Ended(done)
+                        yield JobEnd(done)
                 case ("unreadable", why):
                     raise _unsendable(why)
     finally:
@@ -341,11 +341,11 @@ def _after_death(
         clean_up(Path(job.destination))
     if attempts[job.key] <= retries:
         pending.again(job.retried())
-        yield Died(job.key, why)
+        yield ProcessDeath(job.key, why)
     else:
         seconds = time.monotonic() - worker.began
-        if (done := pending.done(died(job, why, attempts=attempts[job.key], seconds=seconds))) is not None:
-            yield Ended(done)
+        if (done := pending.done(death_of(job, why, attempts=attempts[job.key], seconds=seconds))) is not None:
+            yield JobEnd(done)
 
 
 def _unsendable(why: object) -> Pc2ScanError:

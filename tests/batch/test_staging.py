@@ -11,9 +11,9 @@ import pytest
 
 from pc2scan.batch.identity import Identity
 from pc2scan.batch.request import request_of
-from pc2scan.batch.staged import jobs_here
-from pc2scan.batch.work import Job, Result
-from pc2scan.batch.workers import Ended
+from pc2scan.batch.staging import staged_jobs
+from pc2scan.batch.work import Job, JobResult
+from pc2scan.batch.workers import JobEnd
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -59,14 +59,14 @@ def until(condition: Callable[[], Any]) -> Any:
     return found
 
 
-def ended(job: Job, error: str = "") -> Result:
+def ended(job: Job, error: str = "") -> JobResult:
     if error:
-        return Result(key=job.key, outcome="failed", exit_status=1, error={"class": error})
-    return Result(key=job.key, outcome="converted", exit_status=0, output_identity=Identity((("x", 1, 1),)))
+        return JobResult(key=job.key, outcome="failed", exit_status=1, error={"class": error})
+    return JobResult(key=job.key, outcome="converted", exit_status=0, output_identity=Identity((("x", 1, 1),)))
 
 
 def test_the_next_one_is_copied_while_one_is_converted(tmp_path: Path) -> None:
-    with jobs_here(jobs(tmp_path, "/out"), workers=1) as queue:
+    with staged_jobs(jobs(tmp_path, "/out"), workers=1) as queue:
         queue.begin(lambda _event: None)
         first = until(queue.take)
         assert Path(first.sources[0]).stat().st_size == SIZE
@@ -82,7 +82,7 @@ def test_the_next_one_is_copied_while_one_is_converted(tmp_path: Path) -> None:
 
 
 def test_recordings_wait_until_there_is_space_for_their_copies(tmp_path: Path) -> None:
-    with jobs_here(jobs(tmp_path, "/out", most=SIZE + SIZE // 2), workers=2) as queue:
+    with staged_jobs(jobs(tmp_path, "/out", most=SIZE + SIZE // 2), workers=2) as queue:
         queue.begin(lambda _event: None)
         for number in range(4):
             job = until(queue.take)
@@ -96,14 +96,14 @@ def test_recordings_wait_until_there_is_space_for_their_copies(tmp_path: Path) -
 
 def test_results_are_uploaded_while_the_next_is_converted(store: Any, tmp_path: Path) -> None:
     events: SimpleQueue[Any] = SimpleQueue()
-    with jobs_here(jobs(tmp_path, "memory://out", most=2 * (2 * SIZE + 1_000_000)), workers=1) as queue:
+    with staged_jobs(jobs(tmp_path, "memory://out", most=2 * (2 * SIZE + 1_000_000)), workers=1) as queue:
         queue.begin(events.put)
         for _ in range(4):
             job = until(queue.take)
             assert job.room[1] == 2 * SIZE + 1_000_000
             Path(job.destination).write_bytes(b"scans")
             assert queue.done(ended(job)) is None
-        found = [event.result for event in (events.get(timeout=60) for _ in range(8)) if isinstance(event, Ended)]
+        found = [event.result for event in (events.get(timeout=60) for _ in range(8)) if isinstance(event, JobEnd)]
     assert [result.output_identity.size_bytes for result in found] == [5] * 4
     assert len(store.find("/out")) == 4
     assert list(tmp_path.iterdir()) == []
@@ -111,7 +111,7 @@ def test_results_are_uploaded_while_the_next_is_converted(store: Any, tmp_path: 
 
 def test_a_result_that_is_too_large_gets_all_the_room(tmp_path: Path) -> None:
     most = 4 * SIZE + 2_000_000
-    with jobs_here(jobs(tmp_path, "memory://out", most=most)[:2], workers=1) as queue:
+    with staged_jobs(jobs(tmp_path, "memory://out", most=most)[:2], workers=1) as queue:
         queue.begin(lambda _event: None)
         job, other = until(queue.take), until(queue.take)
         assert queue.done(ended(job, "ScratchError")) is None

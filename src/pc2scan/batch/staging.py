@@ -25,11 +25,11 @@ from pc2scan.remote.names import Names
 from pc2scan.remote.scratch import Room, ScratchError, scratch_folder
 from pc2scan.remote.urls import is_url
 
+from .folder import first_part
 from .identity import Identity, identity_of, versions
-from .results import first_part
 from .stores import identity_in
-from .work import Result, now
-from .workers import Ended, Queue
+from .work import JobResult, now
+from .workers import JobEnd, Queue
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -52,12 +52,12 @@ _rooms: dict[tuple[Path | None, int | None], Room] = {}
 _rooms_lock = RLock()
 
 
-class _StoppedError(Exception):
+class _ClosedQueueError(Exception):
     """The queue was closed, so the copy is not needed."""
 
 
 @contextmanager
-def jobs_here(jobs: Sequence[Job], workers: int) -> Iterator[Queue]:
+def staged_jobs(jobs: Sequence[Job], workers: int) -> Iterator[Queue]:
     """Yield the queue of jobs. While the context lasts, sources at URLs are copied, and results uploaded.
 
     Parameters
@@ -75,7 +75,7 @@ def jobs_here(jobs: Sequence[Job], workers: int) -> Iterator[Queue]:
         key = folder.parent, most
         with _rooms_lock:
             room = _rooms.setdefault(key, Room(folder, most))
-        queue = _StagedQueue(jobs, workers, folder, room)
+        queue = _StagingQueue(jobs, workers, folder, room)
         try:
             yield queue
         finally:
@@ -101,7 +101,7 @@ class _Copy:
     names: Names = field(default_factory=Names)
 
 
-class _StagedQueue(Queue):
+class _StagingQueue(Queue):
     """Copies the sources of jobs ahead of the workers."""
 
     def __init__(self, jobs: Sequence[Job], workers: int, folder: Path, room: Room) -> None:
@@ -141,7 +141,7 @@ class _StagedQueue(Queue):
         self.look()
         return job
 
-    def done(self, result: Result) -> Result | None:
+    def done(self, result: JobResult) -> JobResult | None:
         """Begin to upload a result, and return None; a result that needs no upload is returned."""
         copy = self._copies[result.key]
         if (result.error or {}).get("class") == ScratchError.__name__ and not copy.alone:
@@ -177,11 +177,11 @@ class _StagedQueue(Queue):
                     needed, result = self._needed(copy.job)
                 except Pc2ScanError as err:
                     self._waiting.popleft()
-                    self._post(Ended(_failed(copy, err, "copied")))
+                    self._post(JobEnd(_failed(copy, err, "copied")))
                     continue
                 if needed > self._room.total:
                     self._waiting.popleft()
-                    self._post(Ended(_failed(copy, self._room.refusal(needed, self._folder.parent), "copied")))
+                    self._post(JobEnd(_failed(copy, self._room.refusal(needed, self._folder.parent), "copied")))
                     continue
                 wanted = self._room.total if copy.alone else min(needed + result, self._room.total)
                 if not self._room.reserve(wanted):
@@ -213,20 +213,20 @@ class _StagedQueue(Queue):
 
     def _check(self) -> None:
         if self._closed:
-            raise _StoppedError
+            raise _ClosedQueueError
 
     def _load(self, copy: _Copy) -> None:
         """Copy the sources of a job. Runs in a thread."""
         try:
             job = self._copied(copy)
             self._check()
-        except _StoppedError:
+        except _ClosedQueueError:
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
             result = self._ended(copy, _failed(copy, err, "copied"))
             with self._lock:
                 self._loading -= 1
-                self._post(Ended(result))
+                self._post(JobEnd(result))
             self.look()
             return
         with self._lock:
@@ -275,7 +275,7 @@ class _StagedQueue(Queue):
             job, sources=tuple(map(str, sources)), destination=destination, owned=owned, request=request, room=most
         )
 
-    def _upload(self, copy: _Copy, result: Result) -> None:
+    def _upload(self, copy: _Copy, result: JobResult) -> None:
         """Upload a result. Runs in a thread."""
         try:
             identity, warnings = self._uploaded(copy)
@@ -283,7 +283,7 @@ class _StagedQueue(Queue):
                 report = {**result.report, "warnings": [*result.report.get("warnings", ()), *warnings]}
                 result = replace(result, report=report)
             result = replace(result, output_identity=identity)
-        except _StoppedError:
+        except _ClosedQueueError:
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
             failed = _failed(copy, err, "uploaded")
@@ -291,7 +291,7 @@ class _StagedQueue(Queue):
         result = self._ended(copy, result)
         with self._lock:
             self._uploading -= 1
-            self._post(Ended(result))
+            self._post(JobEnd(result))
 
     def _uploaded(self, copy: _Copy) -> tuple[Identity, list[str]]:
         """Upload the result, complete or not at all; return its identity, and warnings."""
@@ -362,9 +362,9 @@ class _StagedQueue(Queue):
             folder.child(name).delete()
         return staying(target, found.kept)
 
-    def _ended(self, copy: _Copy, result: Result) -> Result:
+    def _ended(self, copy: _Copy, result: JobResult) -> JobResult:
         """Remove the copies, and replace their paths in the result by URLs."""
-        shown: Result = copy.names.of(replace(result, identity=copy.identity or result.identity))
+        shown: JobResult = copy.names.of(replace(result, identity=copy.identity or result.identity))
         with self._lock:
             self._release(copy)
         self.look()
@@ -380,11 +380,11 @@ class _StagedQueue(Queue):
         copy.reserved = 0
 
 
-def _failed(copy: _Copy, err: Exception, what: str) -> Result:
+def _failed(copy: _Copy, err: Exception, what: str) -> JobResult:
     """Return the result of a job that could not be copied or uploaded."""
     error = err if isinstance(err, Pc2ScanError) else OutputError(f"cannot be {what}: {type(err).__name__}: {err}")
     copy.names.error(error)
-    return Result(
+    return JobResult(
         key=copy.job.key,
         outcome="failed",
         exit_status=error.exit_status,
