@@ -377,7 +377,7 @@ def map(  # noqa: A001  # the command's name
     asked = Options("map", options)
     conversion = first_output(conversion_of(asked, notes.append).options, "drawn", notes.append)
     from .look.map import map_of  # noqa: PLC0415
-    from .look.map_options import MapOptions  # noqa: PLC0415
+    from .look.map_drawing import MapOptions  # noqa: PLC0415
 
     made = map_of(paths_in("sources", sources), conversion, MapOptions.of(asked), progress=asked.progress)
     return replace(made, notes=(*notes, *made.notes))
@@ -541,7 +541,7 @@ def diff(
     first, second = path_of("a", a), None if b is None else path_of("b", b)
     found = compare(first, second, topics=pairs, all_topics=asked.all_topics, rules=rules)
     if asked.view is not None:
-        from .look.compared import compared_view  # noqa: PLC0415
+        from .look.comparison import compared_view  # noqa: PLC0415
 
         compared_view(first, second or first, asked.view, topics=pairs, rules=rules, summary=str(found))
     return found

@@ -53,7 +53,7 @@ def map(  # noqa: A001  # the function of a command has its name
     conversion = first_output(asked.options, "drawn", warn)
 
     from pc2scan.look.map import write_map
-    from pc2scan.look.map_options import MapOptions
+    from pc2scan.look.map_drawing import MapOptions
 
     with progress_bar(enabled=not options.as_json) as progress:
         made = write_map(

@@ -11,7 +11,7 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.errors import TransformError
 from pc2scan.options.table import PARAMETERS
 
-from .packed import described, packed
+from .html import compress, description_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -73,11 +73,11 @@ def clouds_page(
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
         columns = {name: column[::step] for name, column in shot.columns.items()}
-        entry = {**_shot_as_dict(shot, buffer), "data": described(_name(number), columns), "filtered": None}
+        entry = {**_shot_as_dict(shot, buffer), "data": description_of(_name(number), columns), "filtered": None}
         if shot.filtered is not None:
             named = {"filtered": shot.filtered[::step]}
-            entry["filtered"] = described(f"filtered-{number}", named)
-            blobs[f"filtered-{number}"] = packed(named)
+            entry["filtered"] = description_of(f"filtered-{number}", named)
+            blobs[f"filtered-{number}"] = compress(named)
         topics.setdefault(shot.topic, []).append(entry)
     base = ProjectionParams(**PRESETS[preset]) if preset else ProjectionParams()  # type: ignore[arg-type]
     description = {
@@ -144,7 +144,7 @@ def _packed_to_fit(shots: Sequence[Shot]) -> tuple[int, dict[str, bytes]]:
     step = 1
     while True:
         blobs = {
-            _name(number): packed({name: column[::step] for name, column in shot.columns.items()})
+            _name(number): compress({name: column[::step] for name, column in shot.columns.items()})
             for number, shot in enumerate(shots)
         }
         size = sum(map(len, blobs.values()))

@@ -12,8 +12,7 @@ from pc2scan.core.occupancy import FREE, OCCUPIED, Occupancy
 from pc2scan.files.text_output import files_output
 from pc2scan.text import Shown, duration, json_value, listed
 
-from .map_files import image_of, map_paths, yaml_of
-from .map_picture import picture_of
+from .map_files import image_of, map_paths, picture_of, yaml_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -16,7 +16,7 @@ from pc2scan.errors import UsageError, visible
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import file_output
 
-from .opened import opened, title_of
+from .recording import open_with_transforms, title_of
 from .shots import take_shots
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def plot(
     )
     with (
         file_output(destination, beginning=None, overwrite=overwrite) as deliver,
-        opened(sources, options) as recording,
+        open_with_transforms(sources, options) as recording,
     ):
         at_ns = recording.log_times(at)
         taken = take_shots(

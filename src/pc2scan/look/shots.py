@@ -23,7 +23,7 @@ from pc2scan.pipeline.turning import measured_turns
 from pc2scan.text import counted
 from pc2scan.tf.placing import Frames
 
-from .moments import moment, spread
+from .recording import moment_text, spread_messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -137,7 +137,7 @@ def take_shots(
         try:
             shots.append(_shot(message, options, frames, deskew))
         except MessageError as err:
-            failed.append(f"{message.connection.topic} at {moment(message.log_time_ns)}: {err.message}")
+            failed.append(f"{message.connection.topic} at {moment_text(message.log_time_ns)}: {err.message}")
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
@@ -180,7 +180,7 @@ def _messages(
     at_ns: Sequence[int],
 ) -> Iterator[RawMessage]:
     if not at_ns:
-        yield from spread(reader, topics, options, count)
+        yield from spread_messages(reader, topics, options, count)
         return
     seen: set[tuple[str, int]] = set()
     for time_ns in sorted(at_ns):
@@ -215,7 +215,7 @@ def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: 
     place = frames.place(points.frame_id, stamp_ns)
     return Shot(
         connection.topic,
-        moment(stamp_ns or message.log_time_ns),
+        moment_text(stamp_ns or message.log_time_ns),
         stamp_ns,
         options.frames.source_frame or points.frame_id,
         place,

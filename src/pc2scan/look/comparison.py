@@ -18,7 +18,7 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.text import counted
 
 from .html import BEGINNING, check_page_name, html
-from .moments import moment
+from .recording import moment_text
 from .scans import layer
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _page(a: Path, b: Path, topics: Sequence[TopicPair], rules: Rules, summary: 
     blobs: dict[str, bytes] = {}
     moments = [
         {
-            "moment": f"{moment(one.stamp_ns)}, {counted(len(beams), 'beam', 'differ')}",
+            "moment": f"{moment_text(one.stamp_ns)}, {counted(len(beams), 'beam', 'differ')}",
             "layers": [
                 layer(f"A: {a.name}", 0, one, blobs, differing=beams),
                 layer(f"B: {b.name}", 1, other, blobs, differing=beams),
