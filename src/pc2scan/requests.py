@@ -14,7 +14,7 @@ from .options.call import CALL, Options
 from .options.frames import frames_of
 from .options.option import POINTS
 from .options.table import PARAMETERS, options_of
-from .pipeline.combine.asked import Combining
+from .pipeline.combine.options import Combining
 from .pipeline.options import ConvertOptions, destination_and_folder
 from .pipeline.param_sources import ResolvedSources, resolve_sources
 from .pipeline.parameters import Setting, refuse_degrees
@@ -95,7 +95,7 @@ def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None
     except SeveralNodesError as err:
         if options.reverse or options.params_file is None:
             raise
-        from .pipeline.several_nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
+        from .pipeline.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
 
         file = options.params_file
         refuse_topics(options.topics, err.nodes, file)
@@ -105,8 +105,8 @@ def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None
 
 def _several_scans(options: Options, settings: list[Setting], note: Callable[[str], None]) -> Conversion:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
-    from .pipeline.param_assignment import parse_param  # noqa: PLC0415  # few conversions have several outputs
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
+    from .pipeline.yaml_nodes import parse_param  # noqa: PLC0415  # few conversions have several outputs
 
     refuse_beside(options.of_one_output)
     settings = [*settings, *(parse_param(text) for text in reversed(options.param))]
@@ -135,12 +135,12 @@ def _of_node(
             "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
         )
     if typed or resolved.remaps:
-        from .pipeline.remaps import meant_for, remapped  # noqa: PLC0415  # few are given any
+        from .pipeline.nodes import read_remaps, remaps_of_node  # noqa: PLC0415  # few are given any
 
         if one_of_several and node is not None:
-            typed = meant_for(typed, node)
+            typed = remaps_of_node(typed, node)
         typed = [text for text in typed if not text.startswith("__")]
-        moved = remapped((*resolved.remaps, *typed), reverse=resolved.reverse)
+        moved = read_remaps((*resolved.remaps, *typed), reverse=resolved.reverse)
         topics = topics or moved.topics
         if moved.tf_topics and not frames.tf_topics:
             frames = replace(frames, tf_topics=moved.tf_topics)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.pipeline.piece import Made
+    from pc2scan.pipeline.piece import PieceResult
     from pc2scan.pipeline.pieces import Stretch, Stretches
 
     from .workers import Event, Executor
@@ -72,7 +72,7 @@ class _PieceConversion(NamedTuple):
     destination: str
     piece: Piece
 
-    def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> Made:
+    def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> PieceResult:
         _refuse_given_up(job)
         request = job.request
         return run_piece(
@@ -326,7 +326,7 @@ class _RecordingInPieces:
 
     def _converted(self) -> Iterator[Event]:
         """Join the pieces if their files have the numbers that one conversion would give; convert the others again."""
-        made: list[Made] = [self.made[_step_key(self.job, piece.folder.name)] for piece in self.pieces]
+        made: list[PieceResult] = [self.made[_step_key(self.job, piece.folder.name)] for piece in self.pieces]
         self.numbered += 1
         if not made[0].file_count and len(made) > 1:
             # The first piece has no message. The first file of one conversion begins with the first message, so
@@ -350,7 +350,7 @@ class _RecordingInPieces:
             return
         yield self._complete(made)
 
-    def _complete(self, made: list[Made]) -> JobEnd:
+    def _complete(self, made: list[PieceResult]) -> JobEnd:
         destination = Path(self.job.destination)
         options = self.job.request.options
         report = joined_report(made, self.damage, options)

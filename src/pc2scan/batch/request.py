@@ -17,8 +17,8 @@ from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
-from pc2scan.pipeline.concealed import is_about, without_content
 from pc2scan.pipeline.parameters import RIVALS
+from pc2scan.pipeline.redaction import may_quote, redact_file
 from pc2scan.remote.urls import is_url
 from pc2scan.requests import conversion_of, output_of
 from pc2scan.text import json_value
@@ -260,8 +260,8 @@ class Choices:
     def _refuse_to_quote(self, err: UsageError, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
         """Raise another error if one is about a file that the dataset file names, and may quote it."""
         for name in ("params_file", "static_tf_file", "scans"):
-            if name in keywords and name not in self._keywords and is_about(err, keywords[name]):
-                raise without_content(err, keywords[name], origins[name], name) from None
+            if name in keywords and name not in self._keywords and may_quote(err, keywords[name]):
+                raise redact_file(err, keywords[name], origins[name], name) from None
 
     def _add_origin(self, err: UsageError, numbers: tuple[int, ...], origins: Mapping[str, str]) -> None:
         """Add the line of the dataset file that has the wrong option to the message."""

@@ -12,14 +12,14 @@ import numpy as np
 
 from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.pipeline.levelling import Ups
-from pc2scan.pipeline.measure import measure
+from pc2scan.pipeline.levelling import UpSources
+from pc2scan.pipeline.measurements import measure
 from pc2scan.pipeline.plan import make_plan
+from pc2scan.pipeline.point_times import measure_turns
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.deskew import Deskew, PointTime
-from pc2scan.pipeline.stages.select import Select
-from pc2scan.pipeline.turning import measured_turns
+from pc2scan.pipeline.stages.selection import SelectStage
 from pc2scan.text import counted
 from pc2scan.tf.placing import Frames
 
@@ -155,7 +155,7 @@ def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: S
     tolerance_ns = params.tolerance_ns
     up = None
     if spec.level and levelled is not None:
-        up = Ups(levelled, buffer, Report([], "", (spec,))).of(spec, tolerance_ns)
+        up = UpSources(levelled, buffer, Report([], "", (spec,))).of(spec, tolerance_ns)
     return Frames(params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
 
 
@@ -200,7 +200,7 @@ def _deskew(
     asked = options.scan
     where = PointTime.parse(asked.point_time) if asked.point_time else PointTime()
     connections = [each for found in topics.values() for each in found]
-    turns, _ = measured_turns(reader, connections, asked.point_time)
+    turns, _ = measure_turns(reader, connections, asked.point_time)
     return Deskew(frames, asked.fixed_frame, where, asked.stamp, turns)
 
 
@@ -235,7 +235,7 @@ def _filtered(
     shape = points.xyz()[0].shape
     numbers = np.arange(math.prod(shape)).reshape(shape)
     numbered = replace(points, fields={**points.fields, _NUMBER: numbers})
-    kept = Select(options.scan.filters, frames).apply(numbered, place, moving).points.field(_NUMBER)
+    kept = SelectStage(options.scan.filters, frames).apply(numbered, place, moving).points.field(_NUMBER)
     filtered = np.ones(numbers.size, np.uint8)
     filtered[kept.reshape(-1)] = 0
     return filtered

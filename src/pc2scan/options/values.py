@@ -374,7 +374,7 @@ class Duration(Value):
     note = "Also a timedelta."
 
     def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
-        """Return the value as it is: `pc2scan.pipeline.combine.asked.Combining` reads it."""
+        """Return the value as it is: `pc2scan.pipeline.combine.options.Combining` reads it."""
         return value
 
     def admits(self, value: object) -> bool:

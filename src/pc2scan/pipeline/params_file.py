@@ -13,7 +13,6 @@ from pc2scan.files.source import opened_bytes
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 
-from .concealed import is_about, without_content
 from .launch_file import is_launch_xml, launch_node
 from .parameters import (
     ALIASES,
@@ -24,6 +23,7 @@ from .parameters import (
     names_of,
     unknown_parameter,
 )
+from .redaction import may_quote, redact_file
 from .ros_scalars import plain_scalar
 from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scalar_value
 
@@ -44,7 +44,7 @@ MAX_DEPTH = 50
 _EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
 
 
-class Hidden(NamedTuple):
+class HiddenPlace(NamedTuple):
     """A place whose content errors must not show.
 
     Attributes
@@ -93,7 +93,7 @@ class ParamsFile:
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
-    hidden: tuple[Hidden, ...] = ()
+    hidden: tuple[HiddenPlace, ...] = ()
 
 
 def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[str, str] | None = None) -> ParamsFile:
@@ -168,13 +168,13 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
     settings: dict[str, Setting] = {}
     ignored = list(found.ignored)
     files: list[Path] = []
-    hidden: list[Hidden] = []
+    hidden: list[HiddenPlace] = []
     for param in found.params:
         place = f"{path}, line {param.line}"
         if param.kind == "file":
             loaded = _named_file(param, place, found)
             files.append(Path(param.value))
-            hidden.append(Hidden(param.value.shown, named_in=place))
+            hidden.append(HiddenPlace(param.value.shown, named_in=place))
             # Their names are content of the file.
             ignored += [re.sub(r"(, line \d+), .*", r"\1", origin) for origin in loaded.ignored]
             settings |= {setting.name: setting for setting in loaded.settings}
@@ -187,7 +187,7 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
                 called = name if name in PARAMETERS else "<rosparam>"
             origin = f"{place}, {called}"
             if param.value.is_hidden:
-                hidden.append(Hidden(origin, "$(env ...)" if param.kind == "yaml" else param.value.shown.strip()))
+                hidden.append(HiddenPlace(origin, "$(env ...)" if param.kind == "yaml" else param.value.shown.strip()))
             if name in names_of(found.direction):
                 settings[name] = Setting(name, _as_bool(name, value), origin, "file")
             elif written in TOPICS:
@@ -213,8 +213,8 @@ def _named_file(param: LaunchParam, place: str, node: LaunchNode) -> ParamsFile:
         if not is_launch_xml(text):
             return _section_for(node.name, text, shown)
     except ParameterError as err:
-        if is_about(err, shown):
-            raise without_content(err, shown, place) from None
+        if may_quote(err, shown):
+            raise redact_file(err, shown, place) from None
         raise
     raise ParameterError(f"{shown}: is a launch file, where parameters are expected (from {place})")
 

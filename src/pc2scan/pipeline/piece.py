@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from .conclusion import Tally
     from .report import Report
-    from .tally import Tally
 
 
 class Piece(NamedTuple):
@@ -39,7 +39,7 @@ class Piece(NamedTuple):
     transforms: tuple[Path, ...] = ()
 
 
-class Made(NamedTuple):
+class PieceResult(NamedTuple):
     """The result of a piece: its report, not yet concluded, and its files' part of metadata.yaml."""
 
     report: Report

@@ -22,9 +22,9 @@ from pc2scan.bags.zstd import SUFFIXES
 from pc2scan.errors import OutputError
 from pc2scan.tf.stored import store_transforms
 
+from .conclusion import conclude
 from .report import MAX_LISTED
-from .run import opened_plan, span_of
-from .tally import conclude
+from .run import open_plan, span_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.splitting import Cut
 
+    from .conclusion import Tally
     from .options import ConvertOptions
-    from .piece import Made, Piece
+    from .piece import Piece, PieceResult
     from .plan import Plan
     from .report import Report
     from .stream import Span
-    from .tally import Tally
     from .topic_report import TopicReport
 
 #: Maximum number of files that are counted one by one.
@@ -95,7 +95,7 @@ def stretches_of(sources: Sequence[Path], options: ConvertOptions, cut: Cut, *, 
     if any(source.name.lower().endswith(SUFFIXES) for source in sources):
         return None
     with ExitStack() as stack:
-        reader, _, plan = opened_plan(sources, options, stack)
+        reader, _, plan = open_plan(sources, options, stack)
         span = span_of(reader, options)
         end_ns = reader.summary.end_ns
         if reader.damage or plan.combinations or end_ns is None:
@@ -141,7 +141,7 @@ def read_stretch(
         return list(reader.damage)
 
 
-def join(folder: Path, pieces: Sequence[Piece], made: Sequence[Made]) -> None:
+def join(folder: Path, pieces: Sequence[Piece], made: Sequence[PieceResult]) -> None:
     """Move the files of pieces into one directory, and write its metadata.yaml.
 
     Parameters
@@ -173,7 +173,7 @@ def join(folder: Path, pieces: Sequence[Piece], made: Sequence[Made]) -> None:
     write_info(folder, info)
 
 
-def joined_report(made: Sequence[Made], damage: Iterable[Damage], options: ConvertOptions) -> Report:
+def joined_report(made: Sequence[PieceResult], damage: Iterable[Damage], options: ConvertOptions) -> Report:
     """Join the reports of the pieces.
 
     Parameters

@@ -42,7 +42,7 @@ class Combination:
         self.target = target
 
 
-class Task(NamedTuple):
+class RouteTask(NamedTuple):
     """One conversion of a message, and the topics that its result goes to.
 
     ``combination`` are the topics that the message becomes a scan with; None if it becomes a scan by itself.
@@ -70,7 +70,7 @@ class Route(NamedTuple):
     """
 
     connection: Connection
-    tasks: tuple[Task, ...]
+    tasks: tuple[RouteTask, ...]
     passes: bool
 
     @property
@@ -129,12 +129,12 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
 
 def _tasks(
     spec: ScanSpec, topic: str, kind: str, targets: Sequence[str], combinations: Sequence[Combination]
-) -> list[Task]:
+) -> list[RouteTask]:
     """Return the conversions of the messages of a type on a topic."""
     joined = [each for each in combinations if topic in each.sources]
     alone = tuple(target for target in targets if all(target != each.target for each in joined))
-    tasks = [Task(spec, alone)] if alone and kind in spec.source_types else []
-    return tasks + [Task(spec, (each.target,), each) for each in joined if kind in spec.named_types]
+    tasks = [RouteTask(spec, alone)] if alone and kind in spec.source_types else []
+    return tasks + [RouteTask(spec, (each.target,), each) for each in joined if kind in spec.named_types]
 
 
 def _combinations(
@@ -269,7 +269,7 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     return None
 
 
-def _refuse_used(task: Task, routes: Sequence[Route]) -> None:
+def _refuse_used(task: RouteTask, routes: Sequence[Route]) -> None:
     """Raise if `keep_used` cannot be applied."""
     topic = task.spec.keep_used
     if not topic:
@@ -281,7 +281,7 @@ def _refuse_used(task: Task, routes: Sequence[Route]) -> None:
 def _refuse_collisions(routes: Sequence[Route]) -> None:
     """Raise if a scan would share a topic with another scan, or with messages that pass through."""
     passing = {route.connection.topic for route in routes if route.passes}
-    origin: dict[str, tuple[str, Task]] = {}
+    origin: dict[str, tuple[str, RouteTask]] = {}
     made = [
         (route.connection.topic, task, target)
         for route in routes

@@ -38,18 +38,17 @@ from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads
 
-from .acceptance import ghosts
-from .beforehand import Unconnected, idle_cut, refuse_no_messages
+from .checks import Unconnected, doubts, ghost_warnings, idle_cut, refuse_no_messages, refuse_unusable
+from .conclusion import conclude, tally_of
 from .declarations import Declarations
 from .first_clouds import FirstClouds
-from .idle import doubts, refuse_unusable
 from .plan import make_plan
-from .prepare import prepared
+from .preparation import prepare_conversions
 from .report import Failure, Report
 from .routes import (
     bind,
-    carry_extras,
     chunk_rule,
+    copy_extras,
     count_skipped,
     open_routes,
     static_connection,
@@ -58,7 +57,6 @@ from .routes import (
 from .run_files import OutputOptions, RunFiles, report_file
 from .scheduler import cores
 from .stream import Progress, Span, stream
-from .tally import conclude, tally_of
 from .topic_report import TopicReport
 
 if TYPE_CHECKING:
@@ -72,7 +70,7 @@ if TYPE_CHECKING:
 
     from .levelling import LevelFrames
     from .options import ConvertOptions
-    from .piece import Made, Piece
+    from .piece import Piece, PieceResult
     from .plan import Plan
 
 
@@ -104,7 +102,7 @@ def run(
     if output.scratch is not None or output.scratch_size is not None:
         raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
     began = time.monotonic()
-    report = _begun(sources, destination, options)
+    report = _new_report(sources, destination, options)
     with ExitStack() as stack:
         files = RunFiles(sources, destination, options.frames, also_read or {}, output)
         try:
@@ -128,7 +126,7 @@ def run_piece(
     *,
     also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
-) -> Made:
+) -> PieceResult:
     """Convert one of the pieces that a recording is cut into; see `pc2scan.pipeline.pieces`.
 
     Parameters
@@ -138,7 +136,7 @@ def run_piece(
     piece
         The piece, with the folder of its files.
     """
-    report = _begun(sources, destination, options)
+    report = _new_report(sources, destination, options)
     with ExitStack() as stack:
         files = RunFiles(sources, destination, options.frames, also_read or {}, output)
         made = _run(files, options, output, stack, report, progress, None, piece)
@@ -146,14 +144,14 @@ def run_piece(
         return made
 
 
-def _begun(sources: Sequence[Path], destination: Path | None, options: ConvertOptions) -> Report:
+def _new_report(sources: Sequence[Path], destination: Path | None, options: ConvertOptions) -> Report:
     """Return a report without results yet."""
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
     return report
 
 
-def opened_plan(
+def open_plan(
     sources: Sequence[Path], options: ConvertOptions, stack: ExitStack
 ) -> tuple[Reader, Sequence[Reader], Plan]:
     """Open the sources, each and all as one, and plan the conversion.
@@ -235,10 +233,10 @@ def _run(
     progress: Progress | None,
     warn: Callable[[str], None] | None,
     piece: Piece | None = None,
-) -> Made | None:
+) -> PieceResult | None:
     """Convert, without writing the report's file; for a piece, without what depends on the other pieces."""
     _refuse_missing_destination(files.sources, files.destination, output)
-    reader, readers, plan = opened_plan(files.sources, options, stack)
+    reader, readers, plan = open_plan(files.sources, options, stack)
     report.bytes_read = reader.summary.size_bytes
     converted = [route.connection for route in plan.routes if route.targets]
     summaries = [opened.summary for opened in readers]
@@ -285,7 +283,7 @@ def _run(
         is_first = piece is None or piece.is_first
         firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span)) if is_first else None
         transforms = () if piece is None else piece.transforms
-        conversions, others = prepared(reader, plan, options, span, stack, report, firsts, transforms)
+        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts, transforms)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
         begin_ns = span.first_ns
         if piece is not None:
@@ -312,7 +310,7 @@ def _run(
                 levels.handle = handles[levels.handle]
             routes = count_skipped(routes, reader, span.start_ns, span.stop_ns, latched=span.latched)
             if not options.only_scans and is_first:
-                carry_extras(reader, target, writer, report)
+                copy_extras(reader, target, writer, report)
             if added is not None and is_first:
                 earliest_ns, latest_ns = target.times_ns
                 begin_ns = max(earliest_ns, min(begin_ns, latest_ns))
@@ -334,7 +332,7 @@ def _run(
                 firsts.finish()
             for spec in plan.specs:
                 if spec.made_type == LASERSCAN:
-                    report.warnings += (each for each in ghosts(spec.params) if each not in report.warnings)
+                    report.warnings += (each for each in ghost_warnings(spec.params) if each not in report.warnings)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
             tally = tally_of(reader, routes, target.serialization)
@@ -347,10 +345,10 @@ def _run(
         if piece is not None:
             from pc2scan.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415  # loaded by now
 
-            from .piece import Made  # noqa: PLC0415  # most recordings are converted in one piece
+            from .piece import PieceResult  # noqa: PLC0415  # most recordings are converted in one piece
 
             assert isinstance(writer, Rosbag2Writer)
-            return Made(report, tally, writer.info)
+            return PieceResult(report, tally, writer.info)
         report.bytes_written = _size_on_disk(unfinished)
         if cut is not None:
             from .parts import files_in  # noqa: PLC0415  # most recordings are one file
@@ -377,7 +375,7 @@ def _estimate(
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
     report.warnings += idle_cut(reader, options.start, options.end)
     firsts = FirstClouds(report, None, partial(robot_transforms, files.read, options, span))
-    conversions, _ = prepared(reader, plan, options, span, stack, report, firsts)
+    conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
     levels = _level_frames(reader, plan, target, options, Declarations(), report)
     size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report, firsts)
     if levels is not None:

@@ -13,10 +13,10 @@ from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import Texts
 from pc2scan.text import did_you_mean
 
-from .combine.asked import Combining
-from .concealed import is_about, without_content
+from .combine.options import Combining
 from .param_sources import resolve_sources
 from .parameters import ALIASES, Setting, names_of, shown
+from .redaction import may_quote, redact_file
 from .scan_spec import ScanSpec, TopicRequest
 from .stages.filter_options import filters_from
 
@@ -266,8 +266,8 @@ def _naming_place(entry: _Entry, topic: str, chosen: Mapping[str, _Entry], file:
     try:
         yield
     except UsageError as err:
-        if file is not None and is_about(err, file):
-            raise without_content(err, file, f"{entry.place}, {topic}") from None
+        if file is not None and may_quote(err, file):
+            raise redact_file(err, file, f"{entry.place}, {topic}") from None
         # If the error names a key, the line of this key is shown.
         named_keys = ((f"`{key}`", f"'{key}'", found) for key, found in chosen.items())
         named = next((found for *names, found in named_keys if any(name in err.message for name in names)), entry)

@@ -35,7 +35,7 @@ LARGEST_AHEAD = 20 << 20
 _PIECE_BYTES = 1 << 20
 
 
-class Later(NamedTuple):
+class DeferredMessage(NamedTuple):
     """A message that a callback postpones until its turn, because its result takes more memory."""
 
     message: RawMessage
@@ -59,7 +59,7 @@ def cores() -> int:
 
 def schedule(
     units: Iterable[Unit],
-    callback: Callable[[RawMessage], Item | Later],
+    callback: Callable[[RawMessage], Item | DeferredMessage],
     threads: Threads | None,
     *,
     window: int | None = None,
@@ -90,7 +90,7 @@ def schedule(
     items = in_time_order(units, callback, loading=loading, path=path)
     try:
         for item in items:
-            yield item.work(item.message) if isinstance(item, Later) else item
+            yield item.work(item.message) if isinstance(item, DeferredMessage) else item
             # Released here, so that the item is not in memory while the next one is made.
             del item
     finally:

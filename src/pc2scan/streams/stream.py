@@ -14,7 +14,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.bags.units import in_time_order
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list, visible
-from pc2scan.pipeline.beforehand import refuse_no_messages
+from pc2scan.pipeline.checks import refuse_no_messages
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.report import MAX_LISTED, Skipped
 from pc2scan.pipeline.run import span_of
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
     from pc2scan.options.moment import TimeBound
-    from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
-    from pc2scan.pipeline.conversion import Converted
+    from pc2scan.pipeline.combine.combiner import Arrival, CombinedScan, Combiner
+    from pc2scan.pipeline.conversion import EncodedMessage
     from pc2scan.pipeline.stream import Progress
 
 Item = TypeVar("Item")
@@ -133,8 +133,8 @@ class Read(NamedTuple):
     size: int
     items: tuple[object, ...] = ()
     error: MessageError | None = None
-    converted: Converted | None = None
-    arrived: tuple[Arrived, ...] = ()
+    converted: EncodedMessage | None = None
+    arrived: tuple[Arrival, ...] = ()
     is_joint: bool = False
 
 
@@ -192,8 +192,8 @@ class Source(NamedTuple):
     read: Callable[[RawMessage], Read]
     latched: Collection[Connection] = ()
     account: Account | None = None
-    joints: Sequence[Joint] = ()
-    made: Callable[[MadeScan], Read] | None = None
+    joints: Sequence[Combiner] = ()
+    made: Callable[[CombinedScan], Read] | None = None
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -205,9 +205,9 @@ class Source(NamedTuple):
         if self.made is None:
             yield from self._reads()
             return
-        from pc2scan.pipeline.combine.joint import with_scans  # noqa: PLC0415  # few scans are made of several messages
+        from pc2scan.pipeline.combine.combiner import add_scans  # noqa: PLC0415  # few scans are made of several messages
 
-        with closing(with_scans(self._reads(), _arrivals, self.joints, None)) as found:
+        with closing(add_scans(self._reads(), _arrivals, self.joints, None)) as found:
             for each in found:
                 yield each if isinstance(each, Read) else self.made(each)
                 del each
@@ -216,7 +216,7 @@ class Source(NamedTuple):
         reader = self.readers[0]
         parts = [reader.units(self.connections, self.start_ns, self.stop_ns)]
         if self.latched and self.start_ns is not None:
-            from pc2scan.pipeline.latched import latched_at  # noqa: PLC0415  # few streams have them
+            from pc2scan.pipeline.stream import latched_at  # noqa: PLC0415  # few streams have them
 
             parts.insert(0, [latched_at(reader.messages(self.latched, None, self.start_ns), self.start_ns)])
         for units in parts:
@@ -225,7 +225,7 @@ class Source(NamedTuple):
                 yield from found  # type: ignore[misc]
 
 
-def _arrivals(read: Read | MadeScan) -> tuple[int, int, tuple[Arrived, ...]]:
+def _arrivals(read: Read | CombinedScan) -> tuple[int, int, tuple[Arrival, ...]]:
     assert isinstance(read, Read)
     return read.log_time_ns, read.size, read.arrived
 

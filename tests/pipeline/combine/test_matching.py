@@ -17,7 +17,7 @@ from pc2scan.errors import UsageError
 from pc2scan.pipeline.combine import matching
 from pc2scan.pipeline.combine.counts import NO_RUN, SourceCounts
 from pc2scan.pipeline.combine.matching import Grouper
-from pc2scan.pipeline.combine.rules import Entry, Interval, Nearest, Recent
+from pc2scan.pipeline.combine.rules import Interval, Nearest, Recent, SourceMessage
 from support import sampled
 from support.tables import rows
 
@@ -249,7 +249,7 @@ def test_a_scan_is_made_as_soon_as_it_is_certain(rule: Rule, topics: Any, expect
 
 @pytest.mark.parametrize("rule", [Interval(100), Recent(100, span_ns=1), Recent(100, count=1)])
 def test_an_interval_is_certain_when_its_end_may_come(rule: Rule) -> None:
-    lead: Entry[str] = Entry(0, (30, 0), 0, 100, "lead", end_ns=100)
+    lead: SourceMessage[str] = SourceMessage(0, (30, 0), 0, 100, "lead", end_ns=100)
     assert rule.members([lead], [[lead]], [(100, 0)]) == [lead]
     assert rule.members([lead], [[lead]], [(99, 1)]) is None
 

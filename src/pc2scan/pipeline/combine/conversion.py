@@ -25,7 +25,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.messages.outputs import OF_CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.pipeline.conversion import Conversion, Result
+from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
 from pc2scan.pipeline.motion import Motion
 from pc2scan.tf.placing import Placement
 
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
     from pc2scan.files.borrowed import Kept
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
-    from pc2scan.pipeline.conversion import Converted, Measured, Step
-    from pc2scan.pipeline.first_clouds import Sampled, TopicClouds
+    from pc2scan.pipeline.conversion import EncodedMessage, Measurements, Step
+    from pc2scan.pipeline.first_clouds import SharedSample, TopicClouds
     from pc2scan.pipeline.scan_spec import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
-    from pc2scan.pipeline.stages.select import Select
+    from pc2scan.pipeline.stages.selection import SelectStage
     from pc2scan.tf.placing import Frames, Level
 
     from .matching import Grouper
-    from .rebinned import Rebinned
+    from .rebinning import Rebinning
 
 #: Bytes that a message takes besides its arrays.
 _OVERHEAD = 2_000
@@ -66,7 +66,7 @@ _NO_POINTS = Points(0, 0, "", {})
 _NOWHERE = Rigid.identity()
 
 
-class Prepared(NamedTuple):
+class Contribution(NamedTuple):
     """A message on its way to a scan that may have others in it.
 
     Attributes
@@ -126,12 +126,12 @@ class Prepared(NamedTuple):
     nearest: ProjectedScan | None = None
     motion: Motion | None = None
     assumed: tuple[int, str] | None = None
-    sample: Sampled | None = None
+    sample: SharedSample | None = None
     size: int = 0
     memory: object = None
 
 
-class CombineToScan(Conversion):
+class MessagesToScan(Conversion):
     """Converts several messages to one scan.
 
     Parameters
@@ -157,8 +157,8 @@ class CombineToScan(Conversion):
         spec: ScanSpec,
         topics: Sequence[str],
         frames: Frames,
-        measured: Measured,
-        grouper: Callable[[], Grouper[Prepared]] | None,
+        measured: Measurements,
+        grouper: Callable[[], Grouper[Contribution]] | None,
         deskew: Deskew | None = None,
         first_clouds: Callable[[str], TopicClouds] | None = None,
     ) -> None:
@@ -182,25 +182,25 @@ class CombineToScan(Conversion):
         self._once = not spec.combining.accumulates
         #: The messages of the leading topic that were prepared last, in any order. The list is replaced, never changed,
         #: because threads share it.
-        self._leads: list[Prepared] = []
-        self._early: Select | None = None
-        self._late: Select | None = None
+        self._leads: list[Contribution] = []
+        self._early: SelectStage | None = None
+        self._late: SelectStage | None = None
         late: Sequence[Filter] = ()
         if spec.filters:
             from pc2scan.pipeline.stages.filters import Frame  # noqa: PLC0415  # most points are not filtered
-            from pc2scan.pipeline.stages.select import Select  # noqa: PLC0415
+            from pc2scan.pipeline.stages.selection import SelectStage  # noqa: PLC0415
 
             late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
             early = tuple(each for each in spec.filters if each not in late)
-            self._early = Select(early, frames) if early else None
-            self._late = Select(late, frames) if late else None
+            self._early = SelectStage(early, frames) if early else None
+            self._late = SelectStage(late, frames) if late else None
         self._keeps_used = bool(spec.keep_used)
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
-        self._remove: Callable[[Result], Result] | None = None
+        self._remove: Callable[[ConvertedMessage], ConvertedMessage] | None = None
         if spec.remove:
-            from pc2scan.pipeline.remove import Remove  # noqa: PLC0415  # few scans are filtered
+            from pc2scan.pipeline.beam_removal import RemoveStage  # noqa: PLC0415  # few scans are filtered
 
-            self._remove = Remove(spec.remove, params.empty_range)
+            self._remove = RemoveStage(spec.remove, params.empty_range)
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
         #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
         self._any_height = params.min_height == _DEFAULTS.min_height
@@ -217,7 +217,7 @@ class CombineToScan(Conversion):
         number = self.topics.index(topic)
         deskew = None if self._deskew is None else self._deskew.of(topic)
 
-        def prepare(message: Points | LaserScan) -> Prepared:
+        def prepare(message: Points | LaserScan) -> Contribution:
             return self._prepared(number, firsts, deskew, message)
 
         return (prepare,) if self.grouper is not None else (prepare, self.alone)
@@ -226,17 +226,17 @@ class CombineToScan(Conversion):
         """Return the encoder of scans; messages that are grouped first are not encoded here."""
         return super().encoder(target) if self.grouper is None else _as_it_is
 
-    def encoded(self, lead: Prepared, members: Sequence[Prepared], target: str) -> Converted:
+    def encoded(self, lead: Contribution, members: Sequence[Contribution], target: str) -> EncodedMessage:
         """Make the scan of a group of messages, and serialise it as ``ros1`` or ``cdr``."""
         return super().encoder(target)(self.scan(lead, members))
 
-    def alone(self, prepared: Prepared) -> Result:
+    def alone(self, prepared: Contribution) -> ConvertedMessage:
         """Make the scan of one message."""
         return self.scan(prepared, (prepared,))
 
     def _prepared(
         self, number: int, firsts: TopicClouds | None, deskew: Deskew | None, message: Points | LaserScan
-    ) -> Prepared:
+    ) -> Contribution:
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
@@ -270,7 +270,7 @@ class CombineToScan(Conversion):
             selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
             points, rejected = selected.points, rejected | selected.rejected
             mount = selected.target_from_source if self._rigid else mount
-        prepared = Prepared(
+        prepared = Contribution(
             number,
             stamp_ns,
             reference_ns,
@@ -294,14 +294,14 @@ class CombineToScan(Conversion):
             return self._projected(prepared)
         return self._assumed(prepared) if self._once else self._held(prepared)
 
-    def _projected(self, prepared: Prepared) -> Prepared:
+    def _projected(self, prepared: Contribution) -> Contribution:
         """Return a message with the ranges of the beams instead of its points."""
         nearest, motion = self._nearest(prepared, prepared)
         points = Points(prepared.points.sequence, prepared.stamp_ns, prepared.points.frame_id, {})
         size = _OVERHEAD + nearest.ranges.nbytes
         return prepared._replace(points=points, nearest=nearest, motion=motion, size=size)
 
-    def _assumed(self, prepared: Prepared) -> Prepared:
+    def _assumed(self, prepared: Contribution) -> Contribution:
         """Return a message projected for the scan that it probably belongs to, with its points for any other scan.
 
         The points are in the processor's cache now; projecting them later takes twice as long.
@@ -320,7 +320,7 @@ class CombineToScan(Conversion):
             return held
         return held._replace(nearest=nearest, motion=motion, assumed=(lead.reference_ns, lead.frame_id))
 
-    def _nearest(self, lead: Prepared, member: Prepared) -> tuple[ProjectedScan, Motion | None]:
+    def _nearest(self, lead: Contribution, member: Contribution) -> tuple[ProjectedScan, Motion | None]:
         """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
         points, transform, rejected, motion = self._placed(lead, member)
         nearest = self._projector.nearest(Part(*points.xyz(), _rounded(transform)))
@@ -328,7 +328,7 @@ class CombineToScan(Conversion):
             nearest.counts += PointCounts(sum(rejected.values()), **rejected)
         return nearest, motion
 
-    def _held(self, prepared: Prepared) -> Prepared:
+    def _held(self, prepared: Contribution) -> Contribution:
         """Return a message whose points may be used after the buffer that they were decoded in is free again."""
         track, points = prepared.track, prepared.points
         if not prepared.flat and self._intensity:
@@ -350,11 +350,11 @@ class CombineToScan(Conversion):
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
         return prepared._replace(points=held, size=size, memory=memory)
 
-    def is_projected(self, lead: Prepared, members: Iterable[Prepared]) -> bool:
+    def is_projected(self, lead: Contribution, members: Iterable[Contribution]) -> bool:
         """Whether the points of all members are projected already, as this scan needs them."""
         return all(_fits(member, lead) for member in members)
 
-    def scan(self, lead: Prepared, members: Sequence[Prepared]) -> Result:
+    def scan(self, lead: Contribution, members: Sequence[Contribution]) -> ConvertedMessage:
         """Make the scan of a group of messages.
 
         Parameters
@@ -417,11 +417,11 @@ class CombineToScan(Conversion):
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
         used = self._used(message, parts, sources) if self._keeps_used else None
         counts = sum(others, scan.counts)
-        result = Result(message, counts, empty, largest, lead.sample, level, shared, used, scan.removed)
+        result = ConvertedMessage(message, counts, empty, largest, lead.sample, level, shared, used, scan.removed)
         return result if self._remove is None else self._remove(result)
 
     def _placed(
-        self, lead: Prepared, member: Prepared
+        self, lead: Contribution, member: Contribution
     ) -> tuple[Points, Rigid | MovingTransform | None, Mapping[str, int], Motion | None]:
         """Return a member's points, the transform still to apply, the rejection counts, and the sensor's motion."""
         mount = member.mount
@@ -458,8 +458,8 @@ class CombineToScan(Conversion):
         read = self._projector.read_together(parts)
         return gathered(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
-    def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinned:
-        from .rebinned import rebinned  # noqa: PLC0415  # most sources are clouds
+    def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinning:
+        from .rebinning import count_rebinning  # noqa: PLC0415  # most sources are clouds
 
         found = []
         for part, numbers in beams:
@@ -468,15 +468,15 @@ class CombineToScan(Conversion):
         layout = self._params.layout
         # Upstream's layout does not join the two ends of a circle, but neighbouring points lie on both sides of them.
         around = layout.full_circle or layout.angle_max - layout.angle_min > TURN - 2 * layout.angle_increment
-        return rebinned(found, layout.count, full_circle=around)
+        return count_rebinning(found, layout.count, full_circle=around)
 
 
-def _fits(member: Prepared, lead: Prepared) -> bool:
+def _fits(member: Contribution, lead: Contribution) -> bool:
     """Whether a member is projected as the scan needs it."""
     return member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}
 
 
-def _as_it_is(prepared: Prepared) -> Prepared:
+def _as_it_is(prepared: Contribution) -> Contribution:
     return prepared
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from pc2scan.errors import UsageError, stamp_text
 
 from .counts import SourceCounts
-from .series import Group, Moment, Series, drift_ns, follows
+from .series import Group, MessageTime, Series, drift_ns, follows
 
 if TYPE_CHECKING:
     from .rules import Rule
@@ -57,7 +57,7 @@ class Grouper(Generic[Item]):
         self._open: list[Series[Item]] = []
         #: Of each topic, the series of the last message, and its times.
         self._series: list[Series[Item] | None] = [None] * sources
-        self._last: list[Moment | None] = [None] * sources
+        self._last: list[MessageTime | None] = [None] * sources
 
     def add(self, source: int, stamp_ns: int, log_time_ns: int, size: int, item: Item) -> list[Group[Item]]:
         """Take the next message, and return the groups that are complete now.
@@ -68,7 +68,7 @@ class Grouper(Generic[Item]):
             If the messages of one scan take more than `MAX_HELD_BYTES`.
         """
         self.counts[source].messages += 1
-        moment = Moment(stamp_ns, log_time_ns)
+        moment = MessageTime(stamp_ns, log_time_ns)
         series = self._continued(source, moment)
         series.add(source, moment, size, item)
         if len(self._open) == 1:
@@ -88,7 +88,7 @@ class Grouper(Generic[Item]):
         self._open.clear()
         return groups
 
-    def _continued(self, source: int, moment: Moment) -> Series[Item]:
+    def _continued(self, source: int, moment: MessageTime) -> Series[Item]:
         """Return the series that a message belongs to; count a jump if its topic's stamps do not go on."""
         before, last = self._series[source], self._last[source]
         found, least = None, None

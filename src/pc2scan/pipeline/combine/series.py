@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from .counts import NO_RUN
-from .rules import KEY, Entry
+from .rules import KEY, SourceMessage
 
 if TYPE_CHECKING:
     from .counts import SourceCounts
@@ -39,7 +39,7 @@ _BEFORE_ALL: Key = (-1 << 80, 0)
 _AFTER_ALL: Key = (1 << 80, 0)
 
 
-class Moment(NamedTuple):
+class MessageTime(NamedTuple):
     """The stamp and the log time of a message, nanoseconds."""
 
     stamp_ns: int
@@ -50,16 +50,16 @@ class Moment(NamedTuple):
 class Group(Generic[Item]):
     """The messages of one scan: the one whose time the scan has, and all of them, sorted by source and stamp."""
 
-    lead: Entry[Item]
-    members: tuple[Entry[Item], ...]
+    lead: SourceMessage[Item]
+    members: tuple[SourceMessage[Item], ...]
 
 
-def drift_ns(one: Moment, other: Moment) -> int:
+def drift_ns(one: MessageTime, other: MessageTime) -> int:
     """Return how much further stamps went than log times, from another message to one; negative: back."""
     return one.stamp_ns - other.stamp_ns - one.log_time_ns + other.log_time_ns
 
 
-def follows(one: Moment, other: Moment, back_ns: int = _BACK_NS, apart_ns: int = _APART_NS) -> bool:
+def follows(one: MessageTime, other: MessageTime, back_ns: int = _BACK_NS, apart_ns: int = _APART_NS) -> bool:
     """Whether a message continues another one: its stamp is not much further on than the log times are, nor before it.
 
     Parameters
@@ -95,7 +95,7 @@ class Series(Generic[Item]):
         The times of the message that was logged last.
     """
 
-    def __init__(self, rule: Rule, counts: list[SourceCounts], apart_ns: int, first: Moment) -> None:
+    def __init__(self, rule: Rule, counts: list[SourceCounts], apart_ns: int, first: MessageTime) -> None:
         self.size = 0
         self.newest = first
         self._rule = rule
@@ -104,10 +104,10 @@ class Series(Generic[Item]):
         self._patience_ns = PATIENCE_NS + apart_ns
         #: How long a scan waits if stamps do not go on.
         self._longest_ns = self._patience_ns + rule.reach_ns
-        self._held: list[list[Entry[Item]]] = [[] for _ in counts]
+        self._held: list[list[SourceMessage[Item]]] = [[] for _ in counts]
         #: The leading messages of the scans that are not made yet, sorted.
-        self._leads: list[Entry[Item]] = []
-        self._last: list[Moment | None] = [None] * len(counts)
+        self._leads: list[SourceMessage[Item]] = []
+        self._last: list[MessageTime | None] = [None] * len(counts)
         #: The first place of each topic that a message may still come for.
         self._coming: list[Key] = [_BEFORE_ALL] * len(counts)
         #: The highest stamps of the last second of log time, both times rising; and the highest of all.
@@ -120,7 +120,7 @@ class Series(Generic[Item]):
         #: The end of the last interval whose scan is made.
         self._over: Key = _BEFORE_ALL
 
-    def strays_ns(self, source: int, moment: Moment) -> int | None:
+    def strays_ns(self, source: int, moment: MessageTime) -> int | None:
         """Return how far a message is off this series: 0 for one of its clock, None for one that does not continue it.
 
         It continues the series if it follows the last message of its topic, or that of any topic.
@@ -135,7 +135,7 @@ class Series(Generic[Item]):
         off = [abs(drift_ns(moment, each)) for each in known if follows(moment, each, apart_ns, apart_ns)]
         return max(0, min(off) - apart_ns) if off else None
 
-    def add(self, source: int, moment: Moment, size: int, item: Item) -> None:
+    def add(self, source: int, moment: MessageTime, size: int, item: Item) -> None:
         """Take a message, which was logged after those before."""
         stamp_ns, log_time_ns = moment
         held = self._held[source]
@@ -143,7 +143,7 @@ class Series(Generic[Item]):
         end = bisect_left(held, (stamp_ns + 1, 0), key=KEY) if held and held[-1].key[0] > stamp_ns else len(held)
         number = held[end - 1].key[1] + 1 if end and held[end - 1].key[0] == stamp_ns else 0
         key = (stamp_ns, number)
-        entry = Entry(source, key, log_time_ns, size, item)
+        entry = SourceMessage(source, key, log_time_ns, size, item)
         held.insert(end, entry)
         self.size += size
         if self._coming[source] <= key:
@@ -157,7 +157,7 @@ class Series(Generic[Item]):
 
     def closed(self, log_time_ns: int) -> list[Group[Item]]:
         """Return the scans that are certain by now, and forget what no other scan needs."""
-        past: Moment | None = None
+        past: MessageTime | None = None
         while self._recent and log_time_ns - self._recent[0].log_time_ns > self._patience_ns:
             past = self._recent.popleft()
         if past is not None:
@@ -200,7 +200,7 @@ class Series(Generic[Item]):
         """How many messages are held."""
         return sum(map(len, self._held))
 
-    def _lead(self, entry: Entry[Any]) -> None:
+    def _lead(self, entry: SourceMessage[Any]) -> None:
         """Take a message of the leading topic: it leads a scan, or one with the others of its interval."""
         if self._begin_ns is None:
             self._begin_ns = self._rule.begin_ns(entry.stamp_ns)
@@ -227,7 +227,7 @@ class Series(Generic[Item]):
         assert members is not None  # nothing comes after all
         return self._close(members)
 
-    def _close(self, members: list[Entry[Item]]) -> Group[Item]:
+    def _close(self, members: list[SourceMessage[Item]]) -> Group[Item]:
         """Make the group of the first leading message."""
         lead = self._leads.pop(0)
         if self._rule.every_ns:
@@ -265,7 +265,7 @@ class Series(Generic[Item]):
             self._let_go(entry)
         del held[:count]
 
-    def _let_go(self, entry: Entry[Item]) -> None:
+    def _let_go(self, entry: SourceMessage[Item]) -> None:
         """Count a message that is not held any more."""
         source = entry.source
         self.size -= entry.size

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class Rebinned(NamedTuple):
+class Rebinning(NamedTuple):
     """The beams of scans in the beams of a new scan.
 
     Attributes
@@ -31,9 +31,9 @@ class Rebinned(NamedTuple):
     between: int
 
 
-def rebinned(
+def count_rebinning(
     sources: Iterable[tuple[NDArray[np.int32], NDArray[np.int32]]], length: int, *, full_circle: bool
-) -> Rebinned:
+) -> Rebinning:
     """Count how the beams of scans became the beams of a new scan.
 
     Parameters
@@ -65,4 +65,4 @@ def rebinned(
         np.add.at(edges, first[around], -1)
         np.add.at(edges, last[around] + 1, 1)
     between = (np.cumsum(edges) > 0) & ~filled
-    return Rebinned(total, total - int(np.count_nonzero(filled)), int(np.count_nonzero(between[:length])))
+    return Rebinning(total, total - int(np.count_nonzero(filled)), int(np.count_nonzero(between[:length])))

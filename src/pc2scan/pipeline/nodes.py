@@ -1,8 +1,8 @@
-"""Reads ROS's remappings, ``cloud_in:=/points``, as the topics of a conversion."""
+"""ROS's nodes: reads their remappings, ``cloud_in:=/points``, and makes one conversion from several nodes of a file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import UsageError
@@ -11,7 +11,11 @@ from pc2scan.text import did_you_mean
 from .scan_spec import TopicRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    from .options import ConvertOptions
+    from .scan_spec import ScanSpec
 
 #: The nodes' names for the topic that they read and the topic that they write, by whether scans become clouds.
 _NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
@@ -21,14 +25,14 @@ _TF = ("tf", "tf_static")
 
 
 @dataclass(frozen=True, slots=True)
-class Remapped:
+class Remappings:
     """The result of remappings: topics to convert, and the topics of the transforms."""
 
     topics: tuple[str, ...] = ()
     tf_topics: tuple[str, ...] = ()
 
 
-def meant_for(texts: Iterable[str], node: str) -> list[str]:
+def remaps_of_node(texts: Iterable[str], node: str) -> list[str]:
     """Return the remappings that apply to a node: those without a node's name in front, or with this one's.
 
     >>> meant_for(["front:scan:=/a", "/rear:scan:=/b", "cloud_in:=/points"], "/robot/front")
@@ -42,7 +46,7 @@ def meant_for(texts: Iterable[str], node: str) -> list[str]:
     return found
 
 
-def remapped(texts: Iterable[str], *, reverse: bool = False) -> Remapped:
+def read_remaps(texts: Iterable[str], *, reverse: bool = False) -> Remappings:
     """Read remappings of the nodes' topics.
 
     Parameters
@@ -89,4 +93,57 @@ def remapped(texts: Iterable[str], *, reverse: bool = False) -> Remapped:
     # If only one of the two topics is remapped, the other one keeps its name.
     moved = [found[name] for name in _TF if name in found]
     tf_topics = tuple(found.get(name, f"/{name}") for name in _TF) if len(moved) == 1 else tuple(moved)
-    return Remapped(topics, tf_topics)
+    return Remappings(topics, tf_topics)
+
+
+def refuse_topics(topics: object, nodes: Sequence[str], file: Path) -> None:
+    """Raise if topics are given, because it is not clear which node they are for.
+
+    Raises
+    ------
+    UsageError
+        If topics are given.
+    """
+    if topics:
+        raise UsageError(
+            f"`topics` does not name a node, and there are several: {', '.join(nodes)}",
+            path=file,
+            hint=f"choose a node, `node={nodes[0]}`, or name the topics of each: "
+            f"`remap={nodes[0].lstrip('/')}:cloud_in:=/points`",
+        )
+
+
+def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], file: Path) -> ConvertOptions:
+    """Return the options of one conversion with the outputs of all nodes.
+
+    Parameters
+    ----------
+    nodes
+        Fully qualified names of the nodes.
+    options
+        The options of each node on its own.
+
+    Returns
+    -------
+    ConvertOptions
+        A node without a topic for its scans publishes ``scan`` in its namespace; if several nodes would do this, below
+        its own name. A node without a source reads the only topic with clouds.
+    """
+    requests = [next(iter(each.scan.topics), TopicRequest("*")) for each in options]
+    usual = [f"{node.rpartition('/')[0]}/scan" for node in nodes]
+    targets = [
+        request.target or (own if usual.count(own) == 1 else f"{node}/scan")
+        for node, request, own in zip(nodes, requests, usual, strict=True)
+    ]
+    specs = [
+        _renamed(each.scan, target, f"{file}, {node}", request.source)
+        for node, each, target, request in zip(nodes, options, targets, requests, strict=True)
+    ]
+    moved = dict.fromkeys(topic for each in options for topic in each.frames.tf_topics)
+    frames = replace(options[0].frames, tf_topics=tuple(moved))
+    return replace(options[0], scans=tuple(specs), frames=frames)
+
+
+def _renamed(spec: ScanSpec, target: str, place: str, source: str) -> ScanSpec:
+    topics = () if source == "*" else (TopicRequest(source, target),)
+    return replace(spec, name=target, place=place, topics=topics)

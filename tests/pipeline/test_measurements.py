@@ -11,8 +11,8 @@ import pytest
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
-from pc2scan.pipeline import measure as measure_module
-from pc2scan.pipeline.measure import measure
+from pc2scan.pipeline import measurements as measure_module
+from pc2scan.pipeline.measurements import measure
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Frames
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pc2scan.pipeline.conversion import Measured
+    from pc2scan.pipeline.conversion import Measurements
 
 TURN = 2 * math.pi
 NAMES = ("x", "y", "z", "time")
@@ -47,7 +47,7 @@ def recorded(stream: Stream, stamps: Sequence[int], points: NDArray[np.float32],
 
 def measured(
     folder: Path, items: list[Item], params: ProjectionParams, frames: Frames | None = None, **cut: Any
-) -> tuple[dict[str, Measured], list[str]]:
+) -> tuple[dict[str, Measurements], list[str]]:
     streams = tuple(dict.fromkeys(entry.stream for entry in items))
     items = sorted(items, key=lambda entry: entry.log_time_ns)
     reader = open_recording(write_mcap(folder / "drive.mcap", Recording(streams, tuple(items))))

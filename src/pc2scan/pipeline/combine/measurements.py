@@ -15,7 +15,7 @@ from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.clocks import are_doubtful, logged_early
-from pc2scan.pipeline.conversion import Measured
+from pc2scan.pipeline.conversion import Measurements
 
 from .matching import Grouper
 from .rules import Interval, Nearest, Recent
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.plan import Combination
     from pc2scan.tf.placing import Frames
 
-    from .asked import Combining
-    from .conversion import Prepared
+    from .conversion import Contribution
+    from .options import Combining
     from .rules import Rule
 
 #: How many messages of a topic are read to measure its period, and how many are needed at least.
@@ -57,7 +57,7 @@ _MOST_MESSAGES = 300
 _BEAM_FIELDS = ("x", "y", "z", "intensity", "index")
 
 
-class _Firsts(NamedTuple):
+class _TopicStart(NamedTuple):
     """The first messages of a topic: stamps, delays from stamp to log time, and angle increments of LaserScans."""
 
     stamps: list[int]
@@ -70,7 +70,7 @@ class _Firsts(NamedTuple):
         return median_interval_ns(self.stamps)
 
 
-class _Times(NamedTuple):
+class _MessageTimes(NamedTuple):
     """The times of a message, and the angle increment of a LaserScan; no stamp if the message cannot be decoded."""
 
     topic: str
@@ -80,14 +80,14 @@ class _Times(NamedTuple):
     size: int = 0
 
 
-def measured(
+def measure_sources(
     reader: Reader,
     combination: Combination,
     connections: Sequence[Connection],
     frames: Frames,
     start_ns: int | None,
     stop_ns: int | None,
-) -> tuple[Measured, Callable[[], Grouper[Prepared]] | None, list[str], list[str]]:
+) -> tuple[Measurements, Callable[[], Grouper[Contribution]] | None, list[str], list[str]]:
     """Measure what scans of several messages need.
 
     Parameters
@@ -118,9 +118,9 @@ def measured(
     notes: list[str] = []
     own = {topic: [each for each in connections if each.topic == topic] for topic in topics}
     clouds = {topic: [each for each in found if each.ros_type != LASERSCAN] for topic, found in own.items()}
-    timing: Mapping[str, Measured] = {}
+    timing: Mapping[str, Measurements] = {}
     if spec.needs_measuring:
-        from pc2scan.pipeline.measure import measure  # noqa: PLC0415  # only if something is to be measured
+        from pc2scan.pipeline.measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
         others = [each for found in clouds.values() for each in found]
         timing, notes = measure(reader, others, spec, frames, start_ns, stop_ns)
@@ -139,10 +139,10 @@ def measured(
     lead = firsts.get(topics[0])
     found = timing.get(topics[0]) or _of_scans(combination, lead, notes)
     if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
-        found = Measured(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
+        found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
     warnings = _doubtful(asked, reader, topics, firsts)
     later = partial(_later_delays, reader, own, start_ns, stop_ns)
-    grouper: Callable[[], Grouper[Prepared]]
+    grouper: Callable[[], Grouper[Contribution]]
     if asked.accumulates:
         # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
         half_ns = 0 if lead is None else (lead.period_ns or 0) // 2
@@ -163,7 +163,7 @@ def measured(
     return found, grouper, notes, warnings
 
 
-def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: Mapping[str, _Firsts]) -> list[str]:
+def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: Mapping[str, _TopicStart]) -> list[str]:
     """Return warnings of times that were probably meant in milliseconds."""
     start_ns, end_ns = reader.summary.start_ns, reader.summary.end_ns
     length_ns = 0 if start_ns is None or end_ns is None else end_ns - start_ns
@@ -189,14 +189,14 @@ def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: M
 
 def _first_messages(
     reader: Reader, own: Mapping[str, Sequence[Connection]], start_ns: int | None, stop_ns: int | None
-) -> dict[str, _Firsts]:
+) -> dict[str, _TopicStart]:
     """Read the first messages of all topics together, then those of topics that begin later."""
-    found = {topic: _Firsts([], [], []) for topic in own}
+    found = {topic: _TopicStart([], [], []) for topic in own}
     everything = [connection for connections in own.values() for connection in connections]
     _look(reader, everything, found, start_ns, stop_ns, _LOOKED_AT * len(own))
     for topic, connections in own.items():
         if len(found[topic].stamps) < _FEWEST:
-            found[topic] = _Firsts([], [], [])
+            found[topic] = _TopicStart([], [], [])
             _look(reader, connections, found, start_ns, stop_ns, _LOOKED_AT)
     return found
 
@@ -204,7 +204,7 @@ def _first_messages(
 def _look(
     reader: Reader,
     connections: Sequence[Connection],
-    found: Mapping[str, _Firsts],
+    found: Mapping[str, _TopicStart],
     start_ns: int | None,
     stop_ns: int | None,
     most: int,
@@ -217,21 +217,21 @@ def _look(
         for each in connections
     }
 
-    def times(message: RawMessage) -> _Times:
+    def times(message: RawMessage) -> _MessageTimes:
         topic, log_time_ns = message.connection.topic, message.log_time_ns
         try:
             decoded = decoders[message.connection.id](message.data)
         except MessageError:
             # An error of decoding is reported when this message is converted.
-            return _Times(topic, log_time_ns, None, None)
+            return _MessageTimes(topic, log_time_ns, None, None)
         increment = abs(decoded.angle_increment) if isinstance(decoded, LaserScan) else None
-        return _Times(topic, log_time_ns, decoded.stamp_ns, increment)
+        return _MessageTimes(topic, log_time_ns, decoded.stamp_ns, increment)
 
     # The callback returns only the times, so that no cloud is copied.
     units = reader.units(connections, start_ns, stop_ns)
     with closing(in_time_order(units, times, path=reader.path)) as seen:
         for each in islice(seen, most):
-            assert isinstance(each, _Times)
+            assert isinstance(each, _MessageTimes)
             if each.stamp_ns is None:
                 continue
             own = found[each.topic]
@@ -241,7 +241,7 @@ def _look(
                 own.increments.append(each.increment)
 
 
-def _windows(firsts: Mapping[str, _Firsts], topics: Sequence[str], window_ns: int | None) -> list[int]:
+def _windows(firsts: Mapping[str, _TopicStart], topics: Sequence[str], window_ns: int | None) -> list[int]:
     """Return the window of each topic: half its own period or half the leading topic's, whichever is longer."""
     if window_ns is not None:
         return [window_ns] * len(topics)
@@ -263,7 +263,7 @@ def _later_delays(
     first_ns = first_ns if start_ns is None else max(first_ns, start_ns)
     last_ns = last_ns if stop_ns is None else min(last_ns, stop_ns)
     for quarter in range(1, _QUARTERS):
-        found = {topic: _Firsts([], [], []) for topic in topics}
+        found = {topic: _TopicStart([], [], []) for topic in topics}
         for topic in topics:
             begin_ns = first_ns + (last_ns - first_ns) * quarter // _QUARTERS
             _look(reader, own[topic], found, begin_ns, stop_ns, _LOOKED_AT)
@@ -272,7 +272,7 @@ def _later_delays(
 
 
 def _clocks(
-    firsts: Mapping[str, _Firsts],
+    firsts: Mapping[str, _TopicStart],
     topics: Sequence[str],
     windows: Sequence[int] | None,
     later: Callable[[Sequence[str]], Iterable[Sequence[int]]],
@@ -314,7 +314,7 @@ def _clocks(
     return warnings
 
 
-def _of_scans(combination: Combination, lead: _Firsts | None, notes: list[str]) -> Measured:
+def _of_scans(combination: Combination, lead: _TopicStart | None, notes: list[str]) -> Measurements:
     """Return the measurements of a leading topic that has LaserScans, or no messages."""
     params, topic = combination.spec.params, combination.sources[0]
     scan_time, step = params.scan_time, 0.0
@@ -333,7 +333,7 @@ def _of_scans(combination: Combination, lead: _Firsts | None, notes: list[str]) 
         step = median_low(known)
         count = params.at_resolution(step).layout.count
         notes.append(f"{topic}: beams is {count:,}: the scans have one every {math.degrees(step):.4g} deg")
-    return Measured(scan_time, 0.0, 0, step)
+    return Measurements(scan_time, 0.0, 0, step)
 
 
 def _require_fields(flat: Sequence[str], combination: Combination) -> None:

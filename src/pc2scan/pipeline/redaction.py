@@ -1,4 +1,4 @@
-"""Errors about what the user has not named: files that another file names, and environment variables.
+"""Removes content from errors about files that another file names, and about environment variables.
 
 A launch file, a scans file or a dataset file may come from somebody else, and can name any file and any variable. So
 errors about them have the path or the variable, and the place, but not the content.
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 _PLACE = r"(?:, |: )((?:line|entry) \d+(?:, column \d+)?)"
 
 
-def is_about(err: UsageError, place: str | PathLike[str]) -> bool:
+def may_quote(err: UsageError, place: str | PathLike[str]) -> bool:
     """Return whether an error has a file, or a place in one, in its text, and may quote what is there."""
     # If the file cannot be read, there is nothing to quote.
     return str(place) in f"{err.where}: {err.message}" and not isinstance(err.__cause__, OSError)
 
 
-def without_content(
+def redact_file(
     err: UsageError, file: str | PathLike[str], named_in: str, option: str = "params_file"
 ) -> ParameterError:
     """Return an error about a file that another file names, with the line and column, but nothing of the content.
@@ -53,7 +53,7 @@ def without_content(
     )
 
 
-def without_value(err: UsageError, place: str, written: str) -> ParameterError:
+def redact_value(err: UsageError, place: str, written: str) -> ParameterError:
     """Return an error about a value in which an environment variable is, with the text that names the variable."""
     name = _known_name(err)
     return ParameterError(f"{_fault(err, name)}, got {written!r} (from {place})", name=name)

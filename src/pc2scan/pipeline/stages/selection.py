@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
     from pc2scan.tf.placing import Frames, Placement
 
-    from .deskew import Moving
+    from .deskew import MovingCloud
     from .filters import Filter
-    from .place import Placed
+    from .placement import PlacedCloud
 
 
-class Selected(NamedTuple):
+class SelectedPoints(NamedTuple):
     """The selected points, the transform that is still to be applied, and how many points each filter rejected.
 
     ``motion`` is this transform if points are placed at their own times.
@@ -41,7 +41,7 @@ class Selected(NamedTuple):
     motion: MovingTransform | None = None
 
 
-class _KeptPoints:
+class _RemainingPoints:
     """The points that are kept so far, in each frame that a filter needed."""
 
     def __init__(self, points: Points) -> None:
@@ -52,7 +52,7 @@ class _KeptPoints:
         self.by_frame = {frame: points.select(kept) for frame, points in self.by_frame.items()}
 
 
-class Select:
+class SelectStage:
     """Applies filters one after the other. Each sees the points that those before it have kept.
 
     Instances with equal filters are equal.
@@ -75,14 +75,14 @@ class Select:
         self._numbered = numbered
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Select):
+        if not isinstance(other, SelectStage):
             return NotImplemented
         return (self._filters, self._frames, self._numbered) == (other._filters, other._frames, other._numbered)
 
     def __hash__(self) -> int:
         return hash(tuple(chosen.name for chosen in self._filters))
 
-    def __call__(self, placed: Placed) -> Placed:
+    def __call__(self, placed: PlacedCloud) -> PlacedCloud:
         """Select points of a placed cloud; see `apply`."""
         points = placed.points
         if self._numbered:
@@ -91,7 +91,7 @@ class Select:
         points, transform, rejected, motion = self.apply(points, placed.place, placed.moving)
         return replace(placed, points=points, target_from_source=transform, rejected=rejected, motion=motion)
 
-    def apply(self, points: Points, place: Placement, moving: Moving | None = None) -> Selected:
+    def apply(self, points: Points, place: Placement, moving: MovingCloud | None = None) -> SelectedPoints:
         """Select points of a cloud.
 
         Parameters
@@ -111,7 +111,7 @@ class Select:
             If there is no transform to a filter's frame at the cloud's stamp.
         """
         rejected = {chosen.name: 0 for chosen in self._filters}
-        seen = _KeptPoints(points)
+        seen = _RemainingPoints(points)
         steps = [(chosen.frame, chosen) for chosen in self._filters]
         if moving is not None:
             steps.sort(key=lambda step: step[0] is Frame.TARGET)
@@ -133,14 +133,19 @@ class Select:
                 rejected[chosen.name] += count
                 seen.keep(mask)
         if Frame.TARGET in seen.by_frame:
-            return Selected(seen.by_frame[Frame.TARGET], None, rejected)
+            return SelectedPoints(seen.by_frame[Frame.TARGET], None, rejected)
         kept = seen.by_frame[Frame.SOURCE]
         if moving is not None:
-            return Selected(kept, None, rejected, moving.transform_of(kept))
-        return Selected(kept, place.target_from_source, rejected)
+            return SelectedPoints(kept, None, rejected, moving.transform_of(kept))
+        return SelectedPoints(kept, place.target_from_source, rejected)
 
     def _place(
-        self, seen: _KeptPoints, frame: Frame | str, place: Placement, moving: Moving | None, rejected: dict[str, int]
+        self,
+        seen: _RemainingPoints,
+        frame: Frame | str,
+        place: Placement,
+        moving: MovingCloud | None,
+        rejected: dict[str, int],
     ) -> None:
         """Return the points in another frame."""
         points = seen.by_frame[Frame.SOURCE]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
     from pc2scan.tf.placing import Frames, Placement
 
-    from .deskew import Deskew, Moving
+    from .deskew import Deskew, MovingCloud
 
 _NOTHING: Mapping[str, int] = {}
 
@@ -21,7 +21,7 @@ _NOTHING: Mapping[str, int] = {}
 # Instances are never changed. They are neither frozen nor named tuples, because creating those takes two to three times
 # as long, for every message.
 @dataclass(slots=True, eq=False)
-class Placed:
+class PlacedCloud:
     """A cloud between its decoder and the projection.
 
     Attributes
@@ -47,14 +47,14 @@ class Placed:
     points: Points
     stamp_ns: int
     place: Placement
-    moving: Moving | None
+    moving: MovingCloud | None
     target_from_source: Rigid | None
     rejected: Mapping[str, int]
     whole: Points
     motion: MovingTransform | None = None
 
 
-class Place:
+class PlaceStage:
     """Places clouds: looks up the frame and the transform of each. Instances with equal arguments are equal.
 
     Parameters
@@ -71,11 +71,11 @@ class Place:
         self.frames = frames
         self.deskew = deskew
 
-    def of(self, topic: str) -> Place:
+    def of(self, topic: str) -> PlaceStage:
         """Return the stage for the clouds of one topic."""
-        return self if self.deskew is None else Place(self.frames, self.deskew.of(topic))
+        return self if self.deskew is None else PlaceStage(self.frames, self.deskew.of(topic))
 
-    def __call__(self, points: Points) -> Placed:
+    def __call__(self, points: Points) -> PlacedCloud:
         """Place a cloud.
 
         Raises
@@ -88,10 +88,10 @@ class Place:
         moving = None if self.deskew is None else self.deskew(points)
         seen, stamp_ns = (points, points.stamp_ns) if moving is None else (moving.points, moving.stamp_ns)
         place = self.frames.place(points.frame_id, stamp_ns)
-        return Placed(seen, stamp_ns, place, moving, place.target_from_source, _NOTHING, points)
+        return PlacedCloud(seen, stamp_ns, place, moving, place.target_from_source, _NOTHING, points)
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Place):
+        if not isinstance(other, PlaceStage):
             return NotImplemented
         return self.frames == other.frames and self.deskew == other.deskew
 

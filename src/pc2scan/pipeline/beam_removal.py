@@ -12,11 +12,11 @@ from pc2scan.core.layout import TURN
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from .conversion import Result
+    from .conversion import ConvertedMessage
     from .stages.beams import BeamFilter
 
 
-class Remove:
+class RemoveStage:
     """Removes beams of scans: a removed beam has no return. Instances with equal filters are equal.
 
     Parameters
@@ -34,14 +34,14 @@ class Remove:
         self._empty = np.float32(empty_range)
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Remove):
+        if not isinstance(other, RemoveStage):
             return NotImplemented
         return self._filters == other._filters and self._empty.tobytes() == other._empty.tobytes()
 
     def __hash__(self) -> int:
         return hash(self._filters)
 
-    def __call__(self, result: Result) -> Result:
+    def __call__(self, result: ConvertedMessage) -> ConvertedMessage:
         """Remove beams of a scan."""
         scan = result.message
         seen = np.array(scan.ranges)

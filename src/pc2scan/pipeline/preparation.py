@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.options import FrameOptions
 
-    from .conversion import Conversion, Measured
+    from .conversion import Conversion, Measurements
     from .first_clouds import FirstClouds
     from .options import ConvertOptions
     from .plan import Combination, Plan
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .stream import Span
 
 
-def prepared(
+def prepare_conversions(
     reader: Reader,
     plan: Plan,
     options: ConvertOptions,
@@ -63,15 +63,15 @@ def prepared(
         if firsts is not None:
             firsts.buffer, firsts.static = buffer, asked.static
     if asked.static or asked.source_frame:
-        from .given_frames import check_given_frames  # noqa: PLC0415  # few conversions add frames
+        from .frame_checks import check_given_frames  # noqa: PLC0415  # few conversions add frames
 
         transforms_of = None if firsts is None else firsts.transforms
         report.warnings += check_given_frames(reader, plan, asked, buffer, transforms_of, span)
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
-        from .levelling import Ups  # noqa: PLC0415  # only where scans are level
+        from .levelling import UpSources  # noqa: PLC0415  # only where scans are level
 
-        ups = Ups([reader, *others], buffer, report)
+        ups = UpSources([reader, *others], buffer, report)
     conversions: dict[ScanSpec | Combination, Conversion] = {}
     for spec in plan.specs:
         frames = Frames(source_frame=asked.source_frame)
@@ -91,7 +91,7 @@ def prepared(
             differ = doubtful_clocks(reader, own, _where_the_robot_was(reader, spec, asked), span)
             report.warnings += (each for each in differ if each not in report.warnings)
         if spec.fixed_frame and buffer is not None:
-            from .fixed_frames import check_fixed_frame  # noqa: PLC0415  # few conversions have one
+            from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
 
             with _naming_output(spec):
                 doubts = check_fixed_frame(reader, own, spec, asked.source_frame, buffer, span)
@@ -133,10 +133,10 @@ def _deskew(
 
         report.warnings += (spec.label + doubt for doubt in doubtful_times(reader, sources, where, span))
     else:
-        from .turning import measured_turns  # noqa: PLC0415  # few points have no times
+        from .point_times import measure_turns  # noqa: PLC0415  # few points have no times
 
         with _naming_output(spec):
-            turns, notes = measured_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
+            turns, notes = measure_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
         report.notes += (spec.label + note for note in notes)
     return Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
 
@@ -144,7 +144,7 @@ def _deskew(
 def _to_scans(
     spec: ScanSpec,
     frames: Frames,
-    timings: Mapping[str, Measured] | None,
+    timings: Mapping[str, Measurements] | None,
     deskew: Deskew | None,
     firsts: FirstClouds | None,
 ) -> Conversion:
@@ -173,26 +173,28 @@ def _combined(
     report: Report,
     firsts: FirstClouds | None,
 ) -> Conversion:
-    from .combine.conversion import CombineToScan  # noqa: PLC0415  # few scans are made of several messages
-    from .combine.measure import measured  # noqa: PLC0415
+    from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
+    from .combine.measurements import measure_sources  # noqa: PLC0415
 
     spec = combination.spec
     sources = [
         route.connection for route in plan.routes if any(task.combination is combination for task in route.tasks)
     ]
     with _naming_output(spec):
-        timing, grouper, notes, warnings = measured(reader, combination, sources, frames, span.start_ns, span.stop_ns)
+        timing, grouper, notes, warnings = measure_sources(
+            reader, combination, sources, frames, span.start_ns, span.stop_ns
+        )
     report.notes += (spec.label + note for note in notes)
     report.warnings += (spec.label + warning for warning in warnings)
     judges = None if firsts is None else partial(firsts.of, spec)
     deskew = _deskew(reader, sources, spec, frames, span, report)
-    return CombineToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
+    return MessagesToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
 
 
 def _measured(
     reader: Reader, converted: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
-) -> Mapping[str, Measured]:
-    from .measure import measure  # noqa: PLC0415  # only if something is to be measured
+) -> Mapping[str, Measurements]:
+    from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
     with _naming_output(spec):
         timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)

@@ -10,7 +10,7 @@ from weakref import ref
 
 import pytest
 
-from pc2scan.pipeline.combine.joint import Arrived, with_scans
+from pc2scan.pipeline.combine.combiner import Arrival, add_scans
 from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ class EachItsOwn:
         self.threads: set[Thread] = set()
         self.groups: list[ref[Group]] = []
 
-    def add(self, arrived: Arrived, log_time_ns: int) -> list[Group]:  # noqa: ARG002  # as `Joint` has them
+    def add(self, arrived: Arrival, log_time_ns: int) -> list[Group]:  # noqa: ARG002  # as `Combiner` has them
         group = Group()
         self.groups.append(ref(group))
         return [group]
@@ -68,11 +68,11 @@ def test_points_are_freed_before_the_next_message_is_read(jobs: int, *, quick: b
             # This message's scan was made: the next one is read into the same buffer.
             freed.append(joint.hold_nothing())
 
-    def arrivals(number: Any) -> tuple[int, int, list[Arrived]]:
-        return number, 0, [Arrived(joint, None, None, number)]  # type: ignore[arg-type]  # nothing looks at it
+    def arrivals(number: Any) -> tuple[int, int, list[Arrival]]:
+        return number, 0, [Arrival(joint, None, None, number)]  # type: ignore[arg-type]  # nothing looks at it
 
     with Threads(jobs) if jobs > 1 else nullcontext() as threads:
-        written = list(with_scans(outcomes(), arrivals, [joint], threads))
+        written = list(add_scans(outcomes(), arrivals, [joint], threads))
     assert written == [0, "scan 0", 1, "scan 1", 2, "scan 2"]
     assert freed == [True] * 3
     if quick:

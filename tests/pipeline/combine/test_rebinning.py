@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.pipeline.combine.rebinned import Rebinned, rebinned
+from pc2scan.pipeline.combine.rebinning import Rebinning, count_rebinning
 
 
-def one_by_one(sources: list[list[tuple[int, int]]], length: int, *, full_circle: bool) -> Rebinned:
+def one_by_one(sources: list[list[tuple[int, int]]], length: int, *, full_circle: bool) -> Rebinning:
     """The same in loops."""
     filled = {place for source in sources for place, _ in source}
     between: set[int] = set()
@@ -26,7 +26,7 @@ def one_by_one(sources: list[list[tuple[int, int]]], length: int, *, full_circle
                 inside = set(range(high + 1, length)) | set(range(low))
             between |= inside
     total = sum(map(len, sources))
-    return Rebinned(total, total - len(filled), len(between - filled))
+    return Rebinning(total, total - len(filled), len(between - filled))
 
 
 @given(
@@ -41,10 +41,10 @@ def test_counts_are_those_of_a_loop(drawn: list[list[tuple[int, int]]], full_cir
     arrays = [
         (np.array([p for p, _ in source], np.int32), np.array([n for _, n in source], np.int32)) for source in sources
     ]
-    assert rebinned(arrays, 20, full_circle=full_circle) == one_by_one(sources, 20, full_circle=full_circle)
+    assert count_rebinning(arrays, 20, full_circle=full_circle) == one_by_one(sources, 20, full_circle=full_circle)
 
 
 @pytest.mark.parametrize(("full_circle", "between"), [(True, 2), (False, 6)])
 def test_the_shorter_way_around_a_circle(full_circle: bool, between: int) -> None:
     bins, numbers = np.array([1, 8], np.int32), np.array([0, 1], np.int32)
-    assert rebinned([(bins, numbers)], 10, full_circle=full_circle) == Rebinned(2, 0, between)
+    assert count_rebinning([(bins, numbers)], 10, full_circle=full_circle) == Rebinning(2, 0, between)

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from pc2scan.errors import UsageError
-from pc2scan.pipeline.combine.asked import Combining
+from pc2scan.pipeline.combine.options import Combining
 from support.tables import rows
 
 
-@pytest.mark.parametrize(("asked", "read"), rows(Path(__file__).with_name("asked.txt"), "times and numbers"))
+@pytest.mark.parametrize(("asked", "read"), rows(Path(__file__).with_name("combining.txt"), "times and numbers"))
 def test_times_and_numbers_of_clouds(asked: dict[str, Any], read: dict[str, Any]) -> None:
     assert Combining.of(**asked) == Combining(**read)
 

@@ -19,7 +19,7 @@ from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.text import did_you_mean
 
-from .conversion import Measured
+from .conversion import Measurements
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -48,7 +48,7 @@ def measure(
     frames: Frames,
     start_ns: int | None = None,
     stop_ns: int | None = None,
-) -> tuple[dict[str, Measured], list[str]]:
+) -> tuple[dict[str, Measurements], list[str]]:
     """Measure the first clouds of each topic.
 
     Parameters
@@ -75,13 +75,13 @@ def measure(
         needs; or if ``beams`` is auto, and the points are not in regular rings.
     """
     params = spec.params
-    timings: dict[str, Measured] = {}
+    timings: dict[str, Measurements] = {}
     notes: list[str] = []
     topics: dict[str, list[Connection]] = {}
     for connection in connections:
         topics.setdefault(connection.topic, []).append(connection)
     for topic, sources in topics.items():
-        first = _FirstClouds(params, frames)
+        first = _TopicMeasurements(params, frames)
         decoders = {c.id: CLOUDS[c.ros_type](c.serialization) for c in sources}
         swept = "auto" in {params.time_increment, params.beams}
         wanted = FIRST_CLOUDS if params.scan_time == "auto" else SWEEPS if swept else 1
@@ -103,7 +103,7 @@ def measure(
     return timings, notes
 
 
-class _FirstClouds:
+class _TopicMeasurements:
     """The measurements in the first clouds of a topic."""
 
     def __init__(self, params: ProjectionParams, frames: Frames) -> None:
@@ -190,7 +190,7 @@ class _FirstClouds:
                 f"`point_time=azimuth:0.1`, or `point_time=azimuth` to measure it; {there}",
             )
 
-    def timing(self, topic: str, notes: list[str]) -> Measured:
+    def timing(self, topic: str, notes: list[str]) -> Measurements:
         """Return the times to write into the scans."""
         step = self._resolution(topic, notes) if self._params.beams == "auto" and self._stamps else 0.0
         layout = (self._params.at_resolution(step) if step else self._params).layout
@@ -207,7 +207,7 @@ class _FirstClouds:
         if time_increment == "auto":
             time_increment, first_beam_ns, found = self._beams(layout)
             notes.append(f"{topic}: {found}")
-        return Measured(scan_time, time_increment, first_beam_ns, step)
+        return Measurements(scan_time, time_increment, first_beam_ns, step)
 
     def _resolution(self, topic: str, notes: list[str]) -> float:
         """Return how finely the lidar samples azimuth, radians."""

@@ -17,12 +17,12 @@ from pc2scan.threads import InOrder
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable
 
-    from pc2scan.pipeline.conversion import Converted
+    from pc2scan.pipeline.conversion import EncodedMessage
     from pc2scan.pipeline.topic_report import TopicReport
     from pc2scan.threads import Threads
 
-    from .conversion import CombineToScan, Prepared
-    from .rules import Entry
+    from .conversion import Contribution, MessagesToScan
+    from .rules import SourceMessage
     from .series import Group
 
 Outcome = TypeVar("Outcome")
@@ -31,26 +31,26 @@ Outcome = TypeVar("Outcome")
 _AHEAD_BYTES = 6 << 20
 
 
-class Arrived(NamedTuple):
+class Arrival(NamedTuple):
     """A prepared message, the output of the scan if this message leads it, and the sequence number."""
 
-    joint: Joint
+    joint: Combiner
     output: Any
-    prepared: Prepared
+    prepared: Contribution
     sequence: int
 
 
-class MadeScan(NamedTuple):
+class CombinedScan(NamedTuple):
     """A scan to be written, or the error in its place; ``output`` is that of the leading message."""
 
     output: Any
     log_time_ns: int
     stamp_ns: int
     sequence: int
-    made: Converted | MessageError
+    made: EncodedMessage | MessageError
 
 
-class Joint:
+class Combiner:
     """Topics whose messages become scans together.
 
     Parameters
@@ -66,7 +66,7 @@ class Joint:
         The report's entry of each topic, by the topic's number. All publishers of a topic share one.
     """
 
-    def __init__(self, conversion: CombineToScan, serialization: str) -> None:
+    def __init__(self, conversion: MessagesToScan, serialization: str) -> None:
         if conversion.grouper is None:
             raise ValueError("each message is a scan by itself")
         self.reports: dict[int, TopicReport] = {}
@@ -74,7 +74,7 @@ class Joint:
         self._serialization = serialization
         self._grouper = conversion.grouper()
 
-    def add(self, arrived: Arrived, log_time_ns: int) -> list[Group[Any]]:
+    def add(self, arrived: Arrival, log_time_ns: int) -> list[Group[Any]]:
         """Take a message, and return the groups that are complete now."""
         prepared = arrived.prepared
         return self._grouper.add(prepared.source, prepared.stamp_ns, log_time_ns, prepared.size, arrived)  # type: ignore[arg-type]
@@ -88,33 +88,33 @@ class Joint:
                 entry.messages_out = entry.joined.used
         return groups
 
-    def make(self, group: Group[Arrived], log_time_ns: int) -> MadeScan:
+    def make(self, group: Group[Arrival], log_time_ns: int) -> CombinedScan:
         """Make the scan of a group; runs on any thread."""
-        lead: Entry[Arrived] = group.lead
+        lead: SourceMessage[Arrival] = group.lead
         output, prepared, sequence = lead.item.output, lead.item.prepared, lead.item.sequence
-        made: Converted | MessageError
+        made: EncodedMessage | MessageError
         try:
             members = [member.item.prepared for member in group.members]
             made = self._conversion.encoded(prepared, members, self._serialization)
         except MessageError as err:
             made = err
-        return MadeScan(output, log_time_ns, prepared.stamp_ns, sequence, made)
+        return CombinedScan(output, log_time_ns, prepared.stamp_ns, sequence, made)
 
-    def is_quick(self, group: Group[Arrived]) -> bool:
+    def is_quick(self, group: Group[Arrival]) -> bool:
         """Whether making a scan takes less time than handing it to another thread."""
         return self._conversion.is_projected(group.lead.item.prepared, [each.item.prepared for each in group.members])
 
-    def alone(self, prepared: Prepared) -> Converted:
+    def alone(self, prepared: Contribution) -> EncodedMessage:
         """Make the scan of one message alone, for forecasts."""
         return self._conversion.encoded(prepared, (prepared,), self._serialization)
 
 
-def with_scans(
+def add_scans(
     outcomes: Generator[Outcome],
-    arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrived]]],
-    joints: Iterable[Joint],
+    arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrival]]],
+    joints: Iterable[Combiner],
     threads: Threads | None,
-) -> Generator[Outcome | MadeScan]:
+) -> Generator[Outcome | CombinedScan]:
     """Add the scans of several messages to the results of single messages.
 
     Parameters
@@ -162,9 +162,9 @@ def with_scans(
 
 def _work(
     outcomes: Iterable[Outcome],
-    arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrived]]],
-    joints: Iterable[Joint],
-) -> Generator[tuple[Callable[[], Outcome | MadeScan], int, bool]]:
+    arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrival]]],
+    joints: Iterable[Combiner],
+) -> Generator[tuple[Callable[[], Outcome | CombinedScan], int, bool]]:
     """Yield the work in order, its size in bytes, and whether another thread should do it."""
     latest_ns = 0
     for outcome in outcomes:
@@ -187,5 +187,5 @@ def _same(outcome: Outcome) -> Outcome:
     return outcome
 
 
-def _size(group: Group[Arrived]) -> int:
+def _size(group: Group[Arrival]) -> int:
     return sum(member.size for member in group.members)
