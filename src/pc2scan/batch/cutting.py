@@ -100,33 +100,31 @@ def _sources(job: Job) -> tuple[Path, ...]:
     return tuple(map(Path, job.sources))
 
 
-def _cuttable(job: Job, piece_bytes: int) -> bool:
+def _cuttable(job: Job) -> bool:
     request = job.request
     # Only directories: pieces are written into the directory that becomes the output, and numbered files have none.
     plain = request.export is None and request.output.to == "rosbag2" and not job.dry_run and not is_remote(job)
-    return plain and may_be_cut(request.output.cut) and job.size_bytes >= 2 * piece_bytes
+    return plain and may_be_cut(request.output.cut) and job.size_bytes >= 2 * PIECE_BYTES
 
 
-def count_of(jobs: Sequence[Job], piece_bytes: int | None = None) -> int:
+def count_of(jobs: Sequence[Job]) -> int:
     """Return about how many processes could work on these jobs at a time."""
-    size = PIECE_BYTES if piece_bytes is None else piece_bytes
-    return sum(job.size_bytes // size if _cuttable(job, size) else 1 for job in jobs)
+    return sum(job.size_bytes // PIECE_BYTES if _cuttable(job) else 1 for job in jobs)
 
 
-def in_pieces(executor: Executor, piece_bytes: int | None = None) -> Executor:
+def in_pieces(executor: Executor) -> Executor:
     """Return an executor that cuts long recordings. ``executor`` must accept a deque to which jobs are appended."""
-    size = PIECE_BYTES if piece_bytes is None else piece_bytes
 
     def execute(jobs: Sequence[Job]) -> Generator[Event]:
         # Recordings at URLs are copied as a whole, so they are not cut.
-        if not any(_cuttable(job, size) for job in jobs) or any(map(is_remote, jobs)):
+        if not any(_cuttable(job) for job in jobs) or any(map(is_remote, jobs)):
             yield from executor(jobs)
             return
         todo: deque[Job] = deque()
         recordings: dict[str, _RecordingInPieces] = {}
         for job in jobs:
-            if _cuttable(job, size):
-                step = replace(job, key=_step_key(job, "index"), step=_CutSearch(size))
+            if _cuttable(job):
+                step = replace(job, key=_step_key(job, "index"), step=_CutSearch(PIECE_BYTES))
                 recordings[step.key] = _RecordingInPieces(job, todo, recordings)
                 todo.append(step)
             else:

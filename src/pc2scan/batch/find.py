@@ -182,7 +182,7 @@ def _candidates_at(paths: Sequence[Path], out: Path, stores: Stores, searching: 
         yield from _candidates_below([path for path in paths if stores.is_remote(path) == remote], out, searching)
 
 
-def _candidates_below(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[list[_Candidate]]:
+def _candidates_below(paths: Sequence[Path], out: Path, searching: str) -> Iterator[list[_Candidate]]:
     """Yield candidates for paths that were named one by one; keys are relative to the folder that contains them all."""
     if not paths:
         return

@@ -42,7 +42,6 @@ def compared_view(
     topics: Sequence[TopicPair],
     rules: Rules,
     summary: str,
-    overwrite: bool = False,
 ) -> None:
     """Write a page of the scans that differ most, with the differing beams marked.
 
@@ -58,8 +57,6 @@ def compared_view(
         Which differences are allowed.
     summary
         The result of the comparison, as text.
-    overwrite
-        Whether any other file may be replaced, too.
 
     Raises
     ------
@@ -72,7 +69,7 @@ def compared_view(
     """
     check_page_name(destination)
     refuse_overlap([InputPath(a), InputPath(b)], [OutputPath(destination)])
-    with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
+    with text_output(destination, beginning=BEGINNING, overwrite=False) as deliver:
         deliver(_page(a, b, topics, rules, summary))
 
 

@@ -42,7 +42,7 @@ class ResolvedSources(NamedTuple):
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """The topics that a launch file remaps, in the notation of `pc2scan.pipeline.options.TopicRequest`."""
+        """The topics that a launch file remaps, in the notation of `pc2scan.pipeline.scan_spec.TopicRequest`."""
         if not self.remaps:
             return ()
         from .nodes import read_remaps  # noqa: PLC0415  # only where a launch file is given
