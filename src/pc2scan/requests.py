@@ -37,7 +37,7 @@ _OF_A_SCAN = ScanSpec.__dataclass_fields__.keys() - {"topics", "params", "channe
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}
 
 
-class Conversion(NamedTuple):
+class ConversionRequest(NamedTuple):
     """The options of a conversion, read and checked.
 
     Attributes
@@ -64,7 +64,7 @@ def first_output(options: ConvertOptions, verb: str, note: Callable[[str], None]
     return options.with_scan()
 
 
-def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None) -> Conversion:
+def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None) -> ConversionRequest:
     """Read the options of a conversion.
 
     Parameters
@@ -100,10 +100,10 @@ def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None
         file = options.params_file
         refuse_topics(options.topics, err.nodes, file)
         each = [_of_node(options, settings, node, filters, note_once, one_of_several=True) for node in err.nodes]
-        return Conversion(options_of_nodes(err.nodes, [found.options for found in each], file), each[0].files)
+        return ConversionRequest(options_of_nodes(err.nodes, [found.options for found in each], file), each[0].files)
 
 
-def _several_scans(options: Options, settings: list[Setting], note: Callable[[str], None]) -> Conversion:
+def _several_scans(options: Options, settings: list[Setting], note: Callable[[str], None]) -> ConversionRequest:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
     from .pipeline.yaml_nodes import parse_param  # noqa: PLC0415  # few conversions have several outputs
@@ -113,7 +113,7 @@ def _several_scans(options: Options, settings: list[Setting], note: Callable[[st
     found = load_scans(options.scans, settings)
     _note_ignored(found.ignored, note)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
-    return Conversion(_options(options, found.specs, frames_of(options)), named_files(options) | files)
+    return ConversionRequest(_options(options, found.specs, frames_of(options)), named_files(options) | files)
 
 
 def _of_node(
@@ -124,7 +124,7 @@ def _of_node(
     note: Callable[[str], None],
     *,
     one_of_several: bool = False,
-) -> Conversion:
+) -> ConversionRequest:
     """Read the options of a conversion with one output; a parameter file is read for one of its nodes."""
     resolved = _resolved(options, settings, node)
     _note_ignored(resolved.ignored, note)
@@ -156,7 +156,7 @@ def _of_node(
         **_among(options, _OF_A_SCAN),
     )
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    return Conversion(_options(options, (scan,), frames), files)
+    return ConversionRequest(_options(options, (scan,), frames), files)
 
 
 def _note_ignored(places: Iterable[str], note: Callable[[str], None]) -> None:

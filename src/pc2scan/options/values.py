@@ -486,7 +486,7 @@ class Tolerances(Value):
         return found
 
 
-class Object(Value):
+class Instance(Value):
     """An object of Python, which only functions take."""
 
     def __init__(self, *, called: bool = False) -> None:
