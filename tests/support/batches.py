@@ -53,7 +53,7 @@ def in_this_process() -> Iterator[list[str]]:
     Yields the keys of the jobs that were begun: of a recording that is converted in pieces there are several.
     """
     jobs: list[str] = []
-    with patch("pc2scan.batch.executors.execute_here", partial(_execute, jobs=jobs)):
+    with patch("pc2scan.batch.executors.run_jobs", partial(_execute, jobs=jobs)):
         yield jobs
 
 

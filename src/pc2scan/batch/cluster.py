@@ -28,7 +28,7 @@ from pc2scan.version import __version__
 from .cutting import is_given_up
 from .staging import staged_jobs
 from .work import JobResult, death_of
-from .workers import Information, JobEnd, JobProgress, JobStart, execute
+from .workers import Information, JobEnd, JobProgress, JobStart, run_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
@@ -70,7 +70,7 @@ def check_dask() -> None:
     """Raise UsageError where Dask is not installed."""
     try:
         # Some of its modules catch every exception while they load, so Ctrl-C would be lost.
-        with _sigint_blocked():
+        with _block_sigint():
             import distributed  # noqa: F401, PLC0415  # an extra
     except ImportError as err:
         raise UsageError(
@@ -83,7 +83,7 @@ def dask_setup(_worker: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: int, retries: int) -> Generator[Event]:
+def run_jobs_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: int, retries: int) -> Generator[Event]:
     """Do jobs on a Dask cluster.
 
     Parameters
@@ -105,7 +105,7 @@ def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: i
     if not jobs:
         return
     with ExitStack() as stack:
-        client = stack.enter_context(_connected(address, workers, cores, retries))
+        client = stack.enter_context(_connect(address, workers, cores, retries))
         yield Information(f"Dask's dashboard: {client.dashboard_link}")
         if not client.scheduler_info(n_workers=-1)["workers"]:
             yield Information(f"{address} has no worker yet; the batch begins when one joins")
@@ -276,7 +276,7 @@ def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> JobRes
     last = 0.0
     with (
         staged_jobs([job], workers=1) as queue,
-        closing(execute(queue, workers=1, cores=threads, retries=0, check=check)) as events,
+        closing(run_jobs(queue, workers=1, cores=threads, retries=0, check=check)) as events,
     ):
         for event in events:
             if isinstance(event, JobEnd):
@@ -344,7 +344,7 @@ def _ask(address: str) -> None:
 
 
 @contextmanager
-def _sigint_blocked() -> Iterator[None]:
+def _block_sigint() -> Iterator[None]:
     """Block Ctrl-C in this thread, and in threads and processes that it starts within the context."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -357,7 +357,7 @@ def _sigint_blocked() -> Iterator[None]:
 
 
 @contextmanager
-def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator[Any]:
+def _connect(address: str, workers: int, cores: int, retries: int) -> Iterator[Any]:
     """Yield a client of the scheduler, or of a cluster on this machine."""
     import logging  # noqa: PLC0415
 
@@ -379,7 +379,7 @@ def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator
 
             # Started now, because starting it later would unblock the signal.
             resource_tracker.ensure_running()
-            with _sigint_blocked():
+            with _block_sigint():
                 # Dask cannot stop a cluster while it starts: Ctrl-C takes effect after that.
                 cluster = stack.enter_context(
                     LocalCluster(

@@ -23,7 +23,7 @@ from pc2scan.pipeline.run import run_piece
 
 from .identity import Identity, identity_of
 from .staging import is_remote
-from .work import Job, JobResult, now, outcome_of
+from .work import Job, JobResult, outcome_of, utc_now
 from .workers import JobEnd, JobProgress, JobStart, ProcessDeath
 
 if TYPE_CHECKING:
@@ -107,12 +107,12 @@ def _cuttable(job: Job) -> bool:
     return plain and may_be_cut(request.output.cut) and job.size_bytes >= 2 * PIECE_BYTES
 
 
-def count_of(jobs: Sequence[Job]) -> int:
+def piece_count(jobs: Sequence[Job]) -> int:
     """Return about how many processes could work on these jobs at a time."""
     return sum(job.size_bytes // PIECE_BYTES if _cuttable(job) else 1 for job in jobs)
 
 
-def in_pieces(executor: Executor) -> Executor:
+def cutting_executor(executor: Executor) -> Executor:
     """Return an executor that cuts long recordings. ``executor`` must accept a deque to which jobs are appended."""
 
     def execute(jobs: Sequence[Job]) -> Generator[Event]:
@@ -190,7 +190,7 @@ class _RecordingInPieces:
         match event:
             case JobStart():
                 if not self.started:
-                    self.started = now()
+                    self.started = utc_now()
                     self.began = time.monotonic()
                     yield JobStart(self.job.key)
             case JobProgress(_, done, total) if key in self.shares and self.error is None:
@@ -380,7 +380,7 @@ class _RecordingInPieces:
 
     def _ended(self, result: JobResult) -> JobEnd:
         seconds = time.monotonic() - self.began
-        started = self.started or now()
+        started = self.started or utc_now()
         return JobEnd(replace(result, key=self.job.key, started=started, seconds=seconds, attempts=self.attempts))
 
 

@@ -12,7 +12,7 @@ from pc2scan.pipeline.scheduler import cores
 
 from .staging import staged_jobs
 from .work import convert_one
-from .workers import execute as execute_here
+from .workers import run_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -21,42 +21,48 @@ if TYPE_CHECKING:
     from .work import Job
     from .workers import Event, Executor
 
+#: Sizes of recordings that are converted as a sample: smaller ones say little, larger ones take too long.
+_SAMPLE_BYTES = range(1_000_000, 300_000_000)
 
-def count_of(jobs: Sequence[Job]) -> int:
+#: Memory that is counted for a worker. A conversion with one thread takes less, unless chunks or clouds are very large.
+_WORKER_BYTES = 300_000_000
+
+
+def process_count(jobs: Sequence[Job]) -> int:
     """Return how many processes could work on these jobs at the same time."""
     if not any(job.request.output.cut for job in jobs):
         return len(jobs)
-    from .cutting import count_of as count_of_pieces  # noqa: PLC0415  # most outputs are one file
+    from .cutting import piece_count  # noqa: PLC0415  # most outputs are one file
 
-    return count_of_pieces(jobs)
+    return piece_count(jobs)
 
 
-def _cutting(executor: Executor) -> Executor:
+def _cutting_executor(executor: Executor) -> Executor:
     """Return an executor that converts long recordings in pieces, where their output is split."""
 
     def execute(jobs: Sequence[Job]) -> Generator[Event]:
         if not any(job.request.output.cut for job in jobs):
             return executor(jobs)
-        from .cutting import in_pieces  # noqa: PLC0415  # most outputs are one file
+        from .cutting import cutting_executor  # noqa: PLC0415  # most outputs are one file
 
-        return in_pieces(executor)(jobs)
+        return cutting_executor(executor)(jobs)
 
     return execute
 
 
-def local(*, workers: int, retries: int, lock: int | None) -> Executor:
+def local_executor(*, workers: int, retries: int, lock: int | None) -> Executor:
     """Return an executor with processes on this machine; ``lock`` is the lock that they inherit."""
 
     def executor(jobs: Sequence[Job]) -> Generator[Event]:
         with staged_jobs(jobs, workers) as queue:
-            yield from execute_here(queue, workers=workers, cores=cores(), retries=retries, lock=lock)
+            yield from run_jobs(queue, workers=workers, cores=cores(), retries=retries, lock=lock)
 
-    return _cutting(executor)
+    return _cutting_executor(executor)
 
 
-def on_dask(address: str) -> Callable[..., Executor]:
+def dask_executor(address: str) -> Callable[..., Executor]:
     """Return what makes an executor on the cluster at this address; empty: on one that is started on this machine."""
-    from .cluster import check_dask, execute_on_dask  # noqa: PLC0415  # most batches have no cluster
+    from .cluster import check_dask, run_jobs_on_dask  # noqa: PLC0415  # most batches have no cluster
 
     check_dask()
 
@@ -70,18 +76,14 @@ def on_dask(address: str) -> Callable[..., Executor]:
                     job if job.scratch_size is None else replace(job, scratch_size=job.scratch_size // workers)
                     for job in jobs
                 ]
-            return execute_on_dask(jobs, address, workers=workers, cores=cores(), retries=retries)
+            return run_jobs_on_dask(jobs, address, workers=workers, cores=cores(), retries=retries)
 
-        return _cutting(executor)
+        return _cutting_executor(executor)
 
     return make
 
 
-#: Sizes of recordings that are converted as a sample: smaller ones say little, larger ones take too long.
-_SAMPLE_BYTES = range(1_000_000, 300_000_000)
-
-
-def estimated_seconds(jobs: Sequence[Job], records: Sequence[ManifestRecord], workers: int) -> float | None:
+def estimate_seconds(jobs: Sequence[Job], records: Sequence[ManifestRecord], workers: int) -> float | None:
     """Return how many seconds these jobs would take; None if that cannot be estimated.
 
     Parameters
@@ -99,11 +101,11 @@ def estimated_seconds(jobs: Sequence[Job], records: Sequence[ManifestRecord], wo
     done = [record for record in records if record.is_written and record.seconds > 0]
     pace = sum(record.identity.size_bytes for record in done) / max(sum(record.seconds for record in done), 1e-9)
     if not done:
-        pace = _sampled(jobs)
+        pace = _sample_pace(jobs)
     return size / pace / max(1, min(workers, len(jobs))) if pace else None
 
 
-def _sampled(jobs: Sequence[Job]) -> float:
+def _sample_pace(jobs: Sequence[Job]) -> float:
     """Return the bytes per second of a small recording, converted into a temporary folder; 0 if none can be."""
     fitting = sorted((job for job in jobs if job.size_bytes in _SAMPLE_BYTES), key=lambda job: job.size_bytes)
     for job in fitting[:3]:
@@ -113,10 +115,6 @@ def _sampled(jobs: Sequence[Job]) -> float:
             if result.report is not None and result.seconds:
                 return job.size_bytes / result.seconds
     return 0.0
-
-
-#: Memory that is counted for a worker. A conversion with one thread takes less, unless chunks or clouds are very large.
-_WORKER_BYTES = 300_000_000
 
 
 def workers_for(count: int, cores: int, available: int | None) -> int:

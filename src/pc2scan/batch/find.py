@@ -139,8 +139,8 @@ def find(
             else:
                 found += _search_candidate(candidate, search)
         for files in named.values():
-            found += _with_joined_parts(files, search)
-    return sorted(_with_unique_keys(found), key=lambda each: _natural_key(each.key))
+            found += _join_parts(files, search)
+    return sorted(_make_keys_unique(found), key=lambda each: _natural_key(each.key))
 
 
 def _candidates(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Iterable[_Candidate]]:
@@ -244,7 +244,7 @@ def _search_candidate(candidate: _Candidate, search: _Search) -> Iterator[Record
     if _absolute(path) in search.outputs or not _is_new(path, search):
         return
     key = _key_of(path, candidate.root)
-    yield from _recognised(path, key, search, named=True)
+    yield from _recognise(path, key, search, named=True)
 
 
 def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Recording]:
@@ -268,19 +268,19 @@ def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Record
         if os.path.isdir(path):  # noqa: PTH112  # unlike the entry's, it does not raise for a link to itself
             if _is_rosbag2(path, search):
                 if _is_new(path, search):
-                    yield from _recognised(path, _key_of(path, root), search, named=True)
+                    yield from _recognise(path, _key_of(path, root), search, named=True)
             else:
                 yield from _search_folder(path, root, search)
         elif os.path.isfile(path):  # noqa: PTH113
             if _is_new(path, search):
-                files += _recognised(path, _key_of(path, root), search, named=is_named_as_recording(entry.name))
+                files += _recognise(path, _key_of(path, root), search, named=is_named_as_recording(entry.name))
         elif entry.is_symlink() and is_named_as_recording(entry.name):
             # A broken link.
-            files += _recognised(path, _key_of(path, root), search, named=True)
-    yield from _with_joined_parts(files, search)
+            files += _recognise(path, _key_of(path, root), search, named=True)
+    yield from _join_parts(files, search)
 
 
-def _recognised(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Recording]:
+def _recognise(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Recording]:
     """Yield a file or a rosbag2 directory if it is a recording; if not, yield it with an error if it is ``named``."""
     identity = identity_of([path])
     if container := search.known(_absolute(path), identity):
@@ -290,7 +290,7 @@ def _recognised(path: Path, key: str, search: _Search, *, named: bool) -> Iterat
         container = sniff(path).partition("+")[0]
         if FORMATS[container].is_magic_shared and not named:
             # Other programs write such files, too: open it to see whether it is a recording.
-            _opened(path, search).close()
+            _open_readers(path, search).close()
     except Pc2ScanError as err:
         if named:
             yield Recording(key, (path,), "", identity, err)
@@ -298,7 +298,7 @@ def _recognised(path: Path, key: str, search: _Search, *, named: bool) -> Iterat
         yield Recording(key, (path,), container, identity)
 
 
-def _with_joined_parts(found: Sequence[Recording], search: _Search) -> Iterator[Recording]:
+def _join_parts(found: Sequence[Recording], search: _Search) -> Iterator[Recording]:
     """Join the parts of split recordings."""
     by_path = {each.paths[0]: each for each in found if each.container}
     joined: dict[Path, Recording] = {}
@@ -326,7 +326,7 @@ def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Record
         for each in group:
             reader = None
             with suppress(Pc2ScanError):
-                reader = _opened(each.paths[0], search)
+                reader = _open_readers(each.paths[0], search)
             if chain and not (last and reader and continues(chain[-1].paths[0], last, each.paths[0], reader)):
                 yield chain
                 chain = []
@@ -340,7 +340,7 @@ def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Record
     yield chain
 
 
-def _opened(path: Path, search: _Search) -> Reader:
+def _open_readers(path: Path, search: _Search) -> Reader:
     search.stores.complete(path)
     return open_recording(path)
 
@@ -362,7 +362,7 @@ def _known_chains(group: Sequence[Recording], search: _Search) -> list[list[Reco
     return chains
 
 
-def _with_unique_keys(found: Sequence[Recording]) -> Iterator[Recording]:
+def _make_keys_unique(found: Sequence[Recording]) -> Iterator[Recording]:
     """Make the keys of recordings from several sources unique: prefix them with the folders that they were found in."""
     by_key: dict[str, list[Recording]] = {}
     for each in found:

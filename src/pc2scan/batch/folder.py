@@ -103,7 +103,7 @@ def check_folder(out: Path) -> None:
 
 
 @contextmanager
-def locked(out: Path) -> Iterator[int]:
+def lock_folder(out: Path) -> Iterator[int]:
     """Hold two locks of the folder: one for this process, and one that its workers inherit, which is yielded.
 
     The second one shows that workers of a killed run are still alive. They may take some seconds to end.
@@ -209,7 +209,7 @@ def _numbered(output: str) -> re.Match[str] | None:
     return re.fullmatch(rf"(.*_scan)_0({suffixes})", output, re.DOTALL)
 
 
-def whole(output: str) -> str:
+def unnumbered_name(output: str) -> str:
     """Return the name of a result without the number; a name without a number is returned as it is.
 
     >>> whole("drive_scan_0.bag"), whole("drive_scan.bag")

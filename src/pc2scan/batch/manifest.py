@@ -148,7 +148,7 @@ class ManifestRecord:
         )
 
 
-def read_lines(path: Path) -> Iterator[ManifestRecord]:
+def read_records(path: Path) -> Iterator[ManifestRecord]:
     """Yield the lines of a manifest; none if there is no manifest.
 
     Raises

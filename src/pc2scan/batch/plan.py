@@ -20,7 +20,7 @@ from pc2scan.files.same_file import name_key
 from pc2scan.text import size
 from pc2scan.version import __version__
 
-from .folder import first_part, is_numbered, whole
+from .folder import first_part, is_numbered, unnumbered_name
 from .identity import Identity
 from .manifest import MANIFEST, ManifestRecord
 
@@ -161,7 +161,7 @@ def _clashes(outputs: Mapping[str, str]) -> dict[str, list[str]]:
     # File systems may ignore case, or the form of Unicode.
     owners: dict[str, list[str]] = {}
     for key, output in outputs.items():
-        for name in (Path(output), *working_names(Path(whole(output)))):
+        for name in (Path(output), *working_names(Path(unnumbered_name(output)))):
             owners.setdefault(name_key(name.as_posix()), []).append(key)
     return {
         key: others

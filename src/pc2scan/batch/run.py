@@ -23,11 +23,11 @@ from pc2scan.remote.names import ShownUrl
 from pc2scan.remote.urls import is_url, shown_path, url_of
 
 from .dataset_file import DatasetFile, load_dataset_file
-from .executors import available_bytes, count_of, estimated_seconds, local, on_dask, workers_for
+from .executors import available_bytes, dask_executor, estimate_seconds, local_executor, process_count, workers_for
 from .find import find
-from .folder import check_folder, is_numbered, locked, read_unfinished, track_outputs, whole
+from .folder import check_folder, is_numbered, lock_folder, read_unfinished, track_outputs, unnumbered_name
 from .identity import checksum_of, identity_of
-from .manifest import MANIFEST, Manifest, ManifestRecord, read_lines
+from .manifest import MANIFEST, Manifest, ManifestRecord, read_records
 from .options import BatchCallbacks, ProgressSum
 from .plan import History, have_same_outcome, make_plan, refusal_record, result_record
 from .request import Choices
@@ -85,7 +85,7 @@ def run_batch(
     choices = Choices(dataset, keywords, origins or {})
     choices.check()
     if options.dask and not options.dry_run:
-        executor = executor or on_dask("" if options.dask is True else str(options.dask))
+        executor = executor or dask_executor("" if options.dask is True else str(options.dask))
     with ExitStack() as stack:
         stores = Stores(options.scratch)
         stack.callback(stores.close)
@@ -100,7 +100,7 @@ def run_batch(
             check_folder(out)
         else:
             stack.enter_context(made_folder(out))
-            lock = stack.enter_context(locked(out))
+            lock = stack.enter_context(lock_folder(out))
         folder = Path(os.path.realpath(out)) if store is None else store.folder
         batch = _Batch(sources, folder, options, choices, watch, stores, store)
         batch.report.destination = out if store is None else ShownUrl(shown_path(out))
@@ -109,7 +109,7 @@ def run_batch(
         watch.planned(batch.made)
         if not options.dry_run:
             batch.clean_up()
-        batch.convert(lock, executor or local)
+        batch.convert(lock, executor or local_executor)
         batch.conclude(began)
         if deliver is not None and options.report is not None:
             deliver(report_text(batch.report, options.report.suffix.lower()))
@@ -138,7 +138,7 @@ class _Batch:
         #: The folder in the store if the destination is a URL; then `_out` has the files of it that are uploaded.
         self._store = store
         begun = read_unfinished(out)
-        self._history = History.read(read_lines(out / MANIFEST), begun.outputs)
+        self._history = History.read(read_records(out / MANIFEST), begun.outputs)
         #: What killed runs have noted, without what is in the manifest.
         self._begun = begun._replace(outputs=self._history.begun)
         self._records: dict[str, ManifestRecord] = {}
@@ -217,7 +217,11 @@ class _Batch:
         if not is_numbered(output):
             return [path]
         left = self._history.left.get(output)
-        return parts_beside(self._out / whole(output)) if left is None else [path.with_name(f[0]) for f in left.files]
+        return (
+            parts_beside(self._out / unnumbered_name(output))
+            if left is None
+            else [path.with_name(f[0]) for f in left.files]
+        )
 
     def _inputs(self, found: Sequence[Recording], choices: Iterable[Choice]) -> Iterator[InputPath]:
         """Yield everything that the batch reads."""
@@ -232,7 +236,7 @@ class _Batch:
         read = cache(lambda: Inputs(inputs))
 
         def forbidden(output: str) -> DestinationError | None:
-            path = self._out / whole(output)
+            path = self._out / unnumbered_name(output)
             try:
                 read().refuse(OutputPath(path, numbered=is_numbered(output)))
             except DestinationError as err:
@@ -247,7 +251,7 @@ class _Batch:
         planned = [step.output for action in ("convert", "keep") for step in self.made.of(action)]
         for output in {*self._history.owned, *planned}:
             if first_link(self._out, output) is None:
-                path = self._out / whole(output)
+                path = self._out / unnumbered_name(output)
                 done, noted = finished(path), self._history.record(output)
                 recorded = done is None or (noted is not None and noted.files == done.files)
                 clean_up(path, recorded=recorded)
@@ -258,7 +262,7 @@ class _Batch:
         steps = sorted(self.made.of("convert"), key=lambda step: (-step.found.identity.size_bytes, step.found.key))
         by_key = {step.found.key: step for step in self.made.steps}
         jobs = [self._job(step, self._out) for step in steps]
-        count = count_of(jobs)
+        count = process_count(jobs)
         wanted = min(self._options.jobs or workers_for(count, all_cores(), available_bytes()), max(1, count))
         self.report.workers = wanted
         executor = make(workers=wanted, retries=self._options.retries, lock=lock)
@@ -268,7 +272,7 @@ class _Batch:
             with TemporaryDirectory(prefix="pc2scan-") as folder:
                 # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
                 self._run(executor, [self._job(step, Path(folder), flat=True) for step in steps], by_key, self._note)
-            self.report.estimate_seconds = estimated_seconds(jobs, list(self._history.records.values()), wanted)
+            self.report.estimate_seconds = estimate_seconds(jobs, list(self._history.records.values()), wanted)
             return
         with ExitStack() as stack:
             stack.callback(self._push, at_once=True)
@@ -338,7 +342,7 @@ class _Batch:
                             note_written(self._out / record.output)
                         note(record)
                         if is_numbered(record.output) and self._store is None and not self._options.dry_run:
-                            clean_up(self._out / whole(record.output), recorded=True)
+                            clean_up(self._out / unnumbered_name(record.output), recorded=True)
                         if result.text and self._watch.shown is not None:
                             self._watch.shown(result.text)
                         begin(steps[result.key].output, False)
@@ -354,7 +358,7 @@ class _Batch:
         return Job(
             key=step.found.key,
             sources=tuple(self._stores.url_of(path) for path in step.found.paths),
-            destination=self._stores.url_of(folder / whole(Path(step.output).name if flat else step.output)),
+            destination=self._stores.url_of(folder / unnumbered_name(Path(step.output).name if flat else step.output)),
             request=step.choice.request,
             size_bytes=step.found.identity.size_bytes,
             owned=step.owned or FileRecord({}),

@@ -28,7 +28,7 @@ from pc2scan.remote.urls import is_url
 from .folder import first_part
 from .identity import Identity, identity_of, versions
 from .stores import identity_in
-from .work import JobResult, now
+from .work import JobResult, utc_now
 from .workers import JobEnd, Queue
 
 if TYPE_CHECKING:
@@ -389,5 +389,5 @@ def _failed(copy: _Copy, err: Exception, what: str) -> JobResult:
         outcome="failed",
         exit_status=error.exit_status,
         error=error.as_dict(),
-        started=now(),
+        started=utc_now(),
     )

@@ -24,7 +24,7 @@ from pc2scan.files.source import on_demand
 from pc2scan.remote.names import Names
 from pc2scan.remote.urls import is_url, shown_url, url_of
 
-from .folder import UNFINISHED, is_numbered, whole
+from .folder import UNFINISHED, is_numbered, unnumbered_name
 from .identity import Identity, versions
 from .manifest import MANIFEST
 
@@ -347,7 +347,7 @@ def identity_in(objects: Mapping[str, Object], output: str, left: Identity | Non
     ``left`` says which files a numbered output has; without it, all with such names are listed.
     """
     if is_numbered(output):
-        folder, _, name = whole(output).rpartition("/")
+        folder, _, name = unnumbered_name(output).rpartition("/")
         here = {key.rpartition("/")[2]: found for key, found in objects.items() if key.rpartition("/")[0] == folder}
         names = parts_among(here, name) if left is None else [file for file, _, _ in left.files if file in here]
         return Identity(tuple((name, *here[name]) for name in names))

@@ -113,7 +113,7 @@ class JobResult:
     made: Any = None
 
 
-def now() -> str:
+def utc_now() -> str:
     """Return the time as the manifest has it: in UTC, with milliseconds."""
     return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
 
@@ -134,7 +134,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     if any(is_url(Path(path)) for path in (*job.sources, job.destination)):
         return _at_urls(job, progress)
     began = time.monotonic()
-    started = now()
+    started = utc_now()
     sources = [Path(path) for path in job.sources]
     destination = Path(job.destination)
     identity = identity_of(sources)
@@ -153,7 +153,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         if job.step is not None:
             made = job.step.do(job, progress)
         else:
-            done = _done(job, sources, destination, progress)
+            done = _run_job(job, sources, destination, progress)
             if limit is not None:
                 limit.check()
             report, status = done.as_dict(), done.exit_status
@@ -198,14 +198,14 @@ def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> JobR
         return JobResult(key=job.key, outcome="failed", exit_status=err.exit_status, error=err.as_dict())
 
 
-def _done(
+def _run_job(
     job: Job, sources: list[Path], destination: Path, progress: Callable[[int, int, int], None] | None
 ) -> Report | ExportReport:
     """Convert or export; raises the errors of that."""
     request = job.request
     options = replace(request.options, jobs=job.threads)
     if job.dry_run and request.export is not None and not request.export.converting:
-        return _looked_into(job, sources)
+        return _inspect_export(job, sources)
     if request.export is None or job.dry_run:
         # The forecast of an export that converts clouds is the forecast of the conversion.
         output = request.output._replace(owned=job.owned, dry_run=job.dry_run)
@@ -223,7 +223,7 @@ def _done(
     return export(sources, destination, options, form, in_folder=True, also_read=request.files, progress=progress)
 
 
-def _looked_into(job: Job, sources: list[Path]) -> ExportReport:
+def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:
     """Open a recording whose scans or clouds would be exported without conversion, and report what would be read."""
     from pc2scan.export.report import ExportReport  # noqa: PLC0415  # most batches write recordings
 
@@ -244,7 +244,7 @@ def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Ide
 def death_of(job: Job, why: str, *, attempts: int, seconds: float) -> JobResult:
     """Return the result of a job whose process died."""
     error = {"class": "ProcessDied", "message": why, "place": None, "hint": None, "exit_status": 1}
-    started = now()
+    started = utc_now()
     identity = identity_of(map(Path, job.sources))
     return JobResult(
         key=job.key,

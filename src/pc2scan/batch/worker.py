@@ -34,6 +34,8 @@ _PROGRESS_SECONDS = 0.1
 #: Seconds after which the process is ended even if its conversion does not react to the interrupt.
 _END_SECONDS = 10.0
 
+_LENGTH = struct.Struct(">Q")
+
 
 class _Shutdown:
     """Ends this process when its input ends: the parent has closed it or died."""
@@ -111,9 +113,6 @@ def main() -> None:
         pass
     # Does not wait for threads: their work is not needed any more, and all output is complete or removed.
     os._exit(0)
-
-
-_LENGTH = struct.Struct(">Q")
 
 
 def send(stream: BinaryIO, message: object) -> None:

@@ -231,7 +231,7 @@ class _Pool:
                     clean_up(Path(worker.job.destination))
 
 
-def execute(
+def run_jobs(
     jobs: Sequence[Job] | Queue,
     *,
     workers: int,

@@ -35,6 +35,9 @@ BEGINNING = b"<!doctype html>\n<!-- pc2scan view -->\n"
 _IMPORT = re.compile(r'^import (?P<names>\{[^}]*\}) from "\./(?P<module>\w+)\.mjs";$', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|let|class) (?P<name>\w+))", re.MULTILINE)
 
+#: The level of compression; higher ones take longer and gain almost nothing for measured values.
+_LEVEL = 6
+
 
 def check_page_name(path: Path) -> None:
     """Raise if browsers would not open a file of this name as a page.
@@ -127,10 +130,6 @@ def _digest(text: str) -> str:
 
 def _folder() -> Traversable:
     return files("pc2scan.look") / "page"
-
-
-#: The level of compression; higher ones take longer and gain almost nothing for measured values.
-_LEVEL = 6
 
 
 def compress(columns: Mapping[str, NDArray[Any]]) -> bytes:

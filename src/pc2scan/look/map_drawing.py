@@ -40,6 +40,9 @@ _LEVEL = math.cos(math.radians(5))
 #: How many reasons for skipping are distinguished.
 _MOST_REASONS = 100
 
+#: Limits of the side of a cell, metres: smaller cells are finer than any lidar measures, larger ones show nothing.
+_FINEST, _COARSEST = 0.001, 1.0
+
 
 @dataclass(slots=True)
 class Drawing:
@@ -210,10 +213,6 @@ class Drawing:
 
 def _scans_are(number: int) -> str:
     return f"{counted(number, 'scan', 'are')}"
-
-
-#: Limits of the side of a cell, metres: smaller cells are finer than any lidar measures, larger ones show nothing.
-_FINEST, _COARSEST = 0.001, 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,6 +31,23 @@ if TYPE_CHECKING:
 
 _FREE, _OCCUPIED, _UNKNOWN = 254, 0, 205
 
+_UNKNOWN_COLOUR, _FREE_COLOUR, _OCCUPIED_COLOUR = (226, 231, 236), (255, 255, 255), (23, 34, 46)
+
+_INK, _WAY, _LINES, _WHITE = "#17222e", "#d1495b", "#0b6e99", "#ffffff"
+
+#: The axes of a frame, as RViz colours them.
+_X_AXIS, _Y_AXIS = "#d62728", "#2ca02c"
+
+#: The longer side of a picture has at least the first number of pixels, unless a cell would have to be larger than the
+#: second number for this, and at most the third.
+_SMALL, _LARGEST_CELL, _LARGE = 1100, 12, 2200
+
+#: Pixels around the map, and below it for the scale.
+_MARGIN, _FOOT = 24, 58
+
+#: Maximum number of points of the robot's path that are drawn.
+_MOST_POINTS = 4_000
+
 
 def map_paths(path: Path) -> list[Path]:
     """Return the files of a map: image, picture, and the YAML file.
@@ -76,22 +93,6 @@ occupied_thresh: 0.65
 free_thresh: 0.196
 """
     return text.encode("utf-8")
-
-
-_UNKNOWN_COLOUR, _FREE_COLOUR, _OCCUPIED_COLOUR = (226, 231, 236), (255, 255, 255), (23, 34, 46)
-_INK, _WAY, _LINES, _WHITE = "#17222e", "#d1495b", "#0b6e99", "#ffffff"
-#: The axes of a frame, as RViz colours them.
-_X_AXIS, _Y_AXIS = "#d62728", "#2ca02c"
-
-#: The longer side of a picture has at least the first number of pixels, unless a cell would have to be larger than the
-#: second number for this, and at most the third.
-_SMALL, _LARGEST_CELL, _LARGE = 1100, 12, 2200
-
-#: Pixels around the map, and below it for the scale.
-_MARGIN, _FOOT = 24, 58
-
-#: Maximum number of points of the robot's path that are drawn.
-_MOST_POINTS = 4_000
 
 
 def picture_of(occupancy: Occupancy, way: NDArray[np.float64]) -> bytes:

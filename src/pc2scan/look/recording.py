@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
 
+#: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
+_FIRST_DATE_NS = 100_000_000 * 1_000_000_000
+
 
 class ShownRecording(NamedTuple):
     """A recording, others that were read for their transforms, and the transforms (None if there are none)."""
@@ -88,10 +91,6 @@ def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> Transform
             raise
         return None
     return buffer
-
-
-#: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
-_FIRST_DATE_NS = 100_000_000 * 1_000_000_000
 
 
 def moment_text(stamp_ns: int) -> str:

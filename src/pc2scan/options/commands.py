@@ -182,7 +182,7 @@ class PageClouds(TypedDict, total=False):
     ]
 
 
-class PageFile(TypedDict, total=False):
+class PageOutput(TypedDict, total=False):
     """The page on the disk; only the command has it."""
 
     open_page: Annotated[

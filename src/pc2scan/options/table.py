@@ -29,7 +29,7 @@ from .commands import (
     MapDrawing,
     MapFiles,
     PageClouds,
-    PageFile,
+    PageOutput,
     RepairContainer,
     RepairScreen,
 )
@@ -177,7 +177,7 @@ GROUPS: Mapping[str, tuple[Any, ...]] = {
     "convert": (Convert, ScreenOutput),
     "batch": (Batch, BatchScreen),
     "export": (Export, JsonOutput),
-    "view": (View, PageFile),
+    "view": (View, PageOutput),
     "plot": (Plot,),
     "map": (Map, MapFiles, JsonOutput),
     "check": (Check, JUnitOutput, JsonOutput),

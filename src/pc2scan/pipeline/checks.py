@@ -34,6 +34,9 @@ _COARSE = 0.2
 #: A tolerance of this many seconds or more, or a scan that takes so long, is nearly always meant in milliseconds.
 _LONG = 5.0
 
+#: How many of the first messages must fail before a user is warned.
+_LOOKED_AT = 10
+
 
 def refuse_unusable(options: ConvertOptions) -> None:
     """Raise if an option cannot be used, even if this conversion would not need it.
@@ -179,10 +182,6 @@ def _angle_doubts(spec: ScanSpec) -> list[str]:
             f"{math.degrees(span):.0f} degrees: beams beyond pi stay empty; degrees are written `angle_max=90deg`"
         )
     return found
-
-
-#: How many of the first messages must fail before a user is warned.
-_LOOKED_AT = 10
 
 
 def refuse_no_messages(

@@ -28,6 +28,14 @@ if TYPE_CHECKING:
     from .routes import OpenRoute
     from .topic_report import TopicReport
 
+#: What a consumer does with scans by its verdict, as part of a sentence.
+_DOES: dict[Outcome, str] = {
+    "shifted": "would turn these scans by up to one beam",
+    "misplaced": "would misplace these scans",
+    "ignored": "would ignore these scans",
+    "aborts": "would abort at these scans",
+}
+
 
 class Tally(NamedTuple):
     """What is compared and reported once the whole recording has been read.
@@ -114,15 +122,6 @@ def _refusals(routes: Iterable[OpenRoute], serialization: str) -> dict[str, list
         if text := refusal(output.sample, serialization, chosen):
             topics.setdefault(text, {})[output.report.target or ""] = None
     return {text: list(names) for text, names in topics.items()}
-
-
-#: What a consumer does with scans by its verdict, as part of a sentence.
-_DOES: dict[Outcome, str] = {
-    "shifted": "would turn these scans by up to one beam",
-    "misplaced": "would misplace these scans",
-    "ignored": "would ignore these scans",
-    "aborts": "would abort at these scans",
-}
 
 
 def refusal(data: Buffer, serialization: str, consumer: str = "") -> str:

@@ -70,7 +70,7 @@ class _TopicStart(NamedTuple):
         return median_interval_ns(self.stamps)
 
 
-class _MessageTimes(NamedTuple):
+class _MessageHeader(NamedTuple):
     """The times of a message, and the angle increment of a LaserScan; no stamp if the message cannot be decoded."""
 
     topic: str
@@ -217,21 +217,21 @@ def _look(
         for each in connections
     }
 
-    def times(message: RawMessage) -> _MessageTimes:
+    def times(message: RawMessage) -> _MessageHeader:
         topic, log_time_ns = message.connection.topic, message.log_time_ns
         try:
             decoded = decoders[message.connection.id](message.data)
         except MessageError:
             # An error of decoding is reported when this message is converted.
-            return _MessageTimes(topic, log_time_ns, None, None)
+            return _MessageHeader(topic, log_time_ns, None, None)
         increment = abs(decoded.angle_increment) if isinstance(decoded, LaserScan) else None
-        return _MessageTimes(topic, log_time_ns, decoded.stamp_ns, increment)
+        return _MessageHeader(topic, log_time_ns, decoded.stamp_ns, increment)
 
     # The callback returns only the times, so that no cloud is copied.
     units = reader.units(connections, start_ns, stop_ns)
     with closing(in_time_order(units, times, path=reader.path)) as seen:
         for each in islice(seen, most):
-            assert isinstance(each, _MessageTimes)
+            assert isinstance(each, _MessageHeader)
             if each.stamp_ns is None:
                 continue
             own = found[each.topic]
