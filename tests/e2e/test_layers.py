@@ -309,7 +309,7 @@ def test_scans_of_two_lidars_load_only_what_they_use(tmp_path: Path, further: tu
     both = ("--topic", "/front:=/scan", "--topic", "/rear:=/scan", "--target-frame", "base_link")
     heights = ("--min-height=-1", "--only-scans")
     loaded = loaded_by_convert(str(source), "-o", str(tmp_path / "scans.mcap"), *both, *heights, *further)
-    assert "pc2scan.pipeline.combine.matching" in loaded
+    assert "pc2scan.pipeline.combine.grouping" in loaded
     assert loaded & (NOT_FOR_COMBINING | SLOW_TO_LOAD) == set()
 
 

@@ -18,7 +18,7 @@ from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.combine import conversion as combine
 from pc2scan.pipeline.combine.conversion import Contribution, MessagesToScan, kept_together
-from pc2scan.pipeline.combine.matching import Grouper
+from pc2scan.pipeline.combine.grouping import Grouper
 from pc2scan.pipeline.combine.options import Combining
 from pc2scan.pipeline.combine.rules import Nearest
 from pc2scan.pipeline.conversion import ConvertedMessage, Measurements

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from pc2scan.threads import Threads
 
     from .conversion import Contribution, MessagesToScan
+    from .grouping import Group
     from .rules import SourceMessage
-    from .series import Group
 
 Outcome = TypeVar("Outcome")
 

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.stages.selection import SelectStage
     from pc2scan.tf.placing import Frames, Level
 
-    from .matching import Grouper
+    from .grouping import Grouper
     from .rebinning import Rebinning
 
 #: Bytes that a message takes besides its arrays.

@@ -17,7 +17,7 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.clocks import are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measurements
 
-from .matching import Grouper
+from .grouping import Grouper
 from .rules import Interval, Nearest, Recent
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.errors import UsageError
-from pc2scan.pipeline.combine import matching
+from pc2scan.pipeline.combine import grouping
 from pc2scan.pipeline.combine.counts import NO_RUN, SourceCounts
-from pc2scan.pipeline.combine.matching import Grouper
+from pc2scan.pipeline.combine.grouping import Grouper
 from pc2scan.pipeline.combine.rules import Interval, Nearest, Recent, SourceMessage
 from support import sampled
 from support.tables import rows
@@ -480,7 +480,7 @@ def test_of_many_series_the_most_silent_ones_end() -> None:
 
 
 def test_memory_has_a_limit_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
+    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 2_000)
     for rule in (Recent(span_ns=10 * SECOND), Interval(50 * MS), Recent(count=50)):
         Run(rule, 1).all(of_stamps(range(20)))
         with pytest.raises(UsageError, match="points of 21 messages") as caught:
@@ -489,7 +489,7 @@ def test_memory_has_a_limit_that_is_named(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_silent_topic_makes_no_scan_wait_for_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
+    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 2_000)
     rule = Nearest(windows_ns=(0, MS))
     run = Run(rule)
     held = []
@@ -507,7 +507,7 @@ def test_a_silent_topic_makes_no_scan_wait_for_more_memory(monkeypatch: pytest.M
 
 @pytest.mark.parametrize("old", [15, 1])
 def test_an_old_series_gives_its_memory_to_the_new_one(old: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
+    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 2_000)
     new = 35 - old if old > 1 else 20
     stamps = [*range(0, 10 * old, 10), *range(1_000_000, 1_000_000 + 10 * new, 10)]
     run = Run(Recent(span_ns=SECOND), 1)
@@ -522,7 +522,7 @@ def test_an_old_series_gives_its_memory_to_the_new_one(old: int, monkeypatch: py
 
 
 def test_an_old_series_that_is_full_ends_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 2_000)
+    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 2_000)
     # Each of two clocks takes a half, and nothing is lost.
     run = Run(Nearest(windows_ns=(0, MS)))
     for number in range(30):
