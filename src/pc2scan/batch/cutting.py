@@ -169,7 +169,7 @@ class _RecordingInPieces:
     folder: Path = field(default_factory=Path)
     stretches: list[Stretch] = field(default_factory=list)
     pieces: list[Piece] = field(default_factory=list)
-    made: dict[str, Any] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)
     waiting: set[str] = field(default_factory=set)
     transforms: tuple[Path, ...] = ()
     damage: list[Damage] = field(default_factory=list)
@@ -248,14 +248,14 @@ class _RecordingInPieces:
             return
         if result.identity != self.identity:
             raise changed_while_read(Path(self.job.sources[0]))
-        self.made[key] = result.made
+        self.values[key] = result.value
         if not self.waiting and self.next is not None:
             yield from self.next()
 
     def _cut(self, result: JobResult) -> None:
         """Begin the steps that follow the cutting; a recording that is not cut becomes one job again."""
         self.identity, self.sha256 = result.identity, result.sha256
-        cut: Stretches | None = result.made
+        cut: Stretches | None = result.value
         if cut is None:
             self.done = True
             self.todo.appendleft(self.job)
@@ -301,7 +301,7 @@ class _RecordingInPieces:
         return key
 
     def _transforms_read(self) -> Iterator[Event]:
-        self.damage = [damage for found in self.made.values() for damage in found]
+        self.damage = [damage for found in self.values.values() for damage in found]
         self._convert()
         return iter(())
 
@@ -324,9 +324,9 @@ class _RecordingInPieces:
 
     def _converted(self) -> Iterator[Event]:
         """Join the pieces if their files have the numbers that one conversion would give; convert the others again."""
-        made: list[PieceResult] = [self.made[_step_key(self.job, piece.folder.name)] for piece in self.pieces]
+        results: list[PieceResult] = [self.values[_step_key(self.job, piece.folder.name)] for piece in self.pieces]
         self.numbered += 1
-        if not made[0].file_count and len(made) > 1:
+        if not results[0].file_count and len(results) > 1:
             # The first piece has no message. The first file of one conversion begins with the first message, so
             # the first two pieces become one.
             first, second, *others = self.stretches
@@ -337,7 +337,7 @@ class _RecordingInPieces:
             return
         wrong = []
         number = 0
-        for place, (piece, each) in enumerate(zip(self.pieces, made, strict=True)):
+        for place, (piece, each) in enumerate(zip(self.pieces, results, strict=True)):
             if piece.first_file != number and each.file_count:
                 folder = self.folder / f"piece-{place}-{self.numbered}"
                 self.pieces[place] = piece._replace(folder=folder, first_file=number)
@@ -346,13 +346,13 @@ class _RecordingInPieces:
         if wrong:
             self._submit(wrong)
             return
-        yield self._complete(made)
+        yield self._complete(results)
 
-    def _complete(self, made: list[PieceResult]) -> JobEnd:
+    def _complete(self, results: list[PieceResult]) -> JobEnd:
         destination = Path(self.job.destination)
         options = self.job.request.options
-        report = joined_report(made, self.damage, options)
-        join(self.folder, self.pieces, made)
+        report = joined_report(results, self.damage, options)
+        join(self.folder, self.pieces, results)
         self.done = True
         self.stack.close()
         files = sorted(destination.iterdir(), key=lambda path: (len(path.name), path.name))
@@ -376,7 +376,7 @@ class _RecordingInPieces:
         """Return the event that the recording failed, with the error of a step."""
         self.done = True
         self._abandon()
-        return self._ended(replace(result, sha256=self.sha256, made=None))
+        return self._ended(replace(result, sha256=self.sha256, value=None))
 
     def _ended(self, result: JobResult) -> JobEnd:
         seconds = time.monotonic() - self.began

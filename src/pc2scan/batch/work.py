@@ -33,7 +33,7 @@ class JobPart(Protocol):
     """A part of a conversion that runs as a job of its own; see `pc2scan.batch.cutting`."""
 
     def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> Any:
-        """Run this part; what it returns becomes `JobResult.made`."""
+        """Run this part; what it returns becomes `JobResult.value`."""
         ...
 
 
@@ -95,7 +95,7 @@ class Job:
 class JobResult:
     """The result of a job: the attributes of a `pc2scan.batch.manifest.ManifestRecord` that only the conversion knows.
 
-    ``text`` is the report as text if the job requests it; ``made`` is what a step returns.
+    ``text`` is the report as text if the job requests it; ``value`` is what a `JobPart` returns.
     """
 
     key: str
@@ -110,7 +110,7 @@ class JobResult:
     report: dict[str, Any] | None = None
     error: dict[str, Any] | None = None
     text: str = ""
-    made: Any = None
+    value: Any = None
 
 
 def utc_now() -> str:
@@ -139,7 +139,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     destination = Path(job.destination)
     identity = identity_of(sources)
     sha256 = None
-    report = error = made = None
+    report = error = value = None
     text, status = "", 0
     try:
         if job.checksum:
@@ -151,7 +151,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
             limit = Limit(Path(job.room[0]), job.room[1])
             progress = limit.watching(progress)
         if job.step is not None:
-            made = job.step.do(job, progress)
+            value = job.step.do(job, progress)
         else:
             done = _run_job(job, sources, destination, progress)
             if limit is not None:
@@ -176,7 +176,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         report=report,
         error=error,
         text=text,
-        made=made,
+        value=value,
     )
 
 

@@ -130,12 +130,12 @@ def _converted_sizes(
                 for output in route.outputs:
                     output.report.messages_in += 1
                     result = converted[output.place]
-                    if output.joint is not None and not isinstance(result, MessageError):
+                    if output.combiner is not None and not isinstance(result, MessageError):
                         if output.handle < 0:
                             # Its size counts with the topic that leads the scan.
                             output.report.messages_out += 1
                             continue
-                        result = output.joint.alone(cast("Any", result))
+                        result = output.combiner.alone(cast("Any", result))
                     if not isinstance(result, MessageError):
                         data = (result.used or b"") if output.used else result.data
                         size += _compressed_size(data) if is_packed else len(data)
@@ -221,7 +221,7 @@ def _correct_intervals(
     for key, route in routes.items():
         for output in route.outputs:
             spec, entry = output.report.spec, output.report
-            if output.joint is None or output.handle < 0 or spec is None or not spec.combining.every_ns:
+            if output.combiner is None or output.handle < 0 or spec is None or not spec.combining.every_ns:
                 continue
             scans = min(entry.messages_out, duration_ns // spec.combining.every_ns + 1)
             found[key] = sizes[key]._replace(made=sizes[key].made * scans / max(1, entry.messages_in))

@@ -44,8 +44,8 @@ class TargetTopic:
 
     ``handle`` is the writer's; -1 if another topic leads the scans. ``place`` is the index of its messages in the
     result of ``convert``. ``used`` is whether its messages are the points that give scans their ranges. ``sample`` is
-    the first message; all others have the same geometry. ``joint`` makes one scan of several messages; None if each
-    message is one scan. ``points`` is the output of the points behind the scans that ``joint`` makes.
+    the first message; all others have the same geometry. ``combiner`` makes one scan of several messages; None if each
+    message is one scan. ``points`` is the output of the points behind the scans that ``combiner`` makes.
     """
 
     handle: int
@@ -53,7 +53,7 @@ class TargetTopic:
     place: int
     used: bool = False
     sample: bytes = b""
-    joint: Combiner | None = None
+    combiner: Combiner | None = None
     points: TargetTopic | None = None
 
 
@@ -109,7 +109,7 @@ def open_routes(
     opened: dict[int, OpenRoute] = {}
     compiled: dict[tuple[str, Definition], int] = {}
     entries: dict[tuple[object, ...], TopicReport] = {}
-    joints: dict[Combination, Combiner] = {}
+    combiners: dict[Combination, Combiner] = {}
 
     def shared(entry: TopicReport) -> TopicReport:
         """Return the report's entry; publishers of one topic share it if their messages are handled alike."""
@@ -131,7 +131,7 @@ def open_routes(
         made.convert = converter(chosen, topic, source, written, msgtype)
         made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
         for place, (task, conversion) in enumerate(zip(route.tasks, chosen, strict=True)):
-            joint = combiner_of(joints, task, conversion, written)
+            combiner = combiner_of(combiners, task, conversion, written)
             leads = task.combination is None or task.combination.sources[0] == topic
             for name in task.targets:
                 handle = declared.add(_converted_connection(connection, name, conversion, target)) if leads else -1
@@ -140,14 +140,14 @@ def open_routes(
                 entry = TopicReport(topic, msgtype, name, action, clouds_kept=kept, spec=task.spec)
                 if passing is not None and passing.lost:
                     entry.note, entry.lost = passing.note, True
-                made.outputs.append(TargetTopic(handle, shared(entry), place, joint=joint))
-                if joint is not None and task.combination is not None:
-                    joint.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
+                made.outputs.append(TargetTopic(handle, shared(entry), place, combiner=combiner))
+                if combiner is not None and task.combination is not None:
+                    combiner.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
             if (name := task.spec.keep_used) and leads:
                 handle = declared.add(_published_as(connection, name, POINTCLOUD2, definition, target))
                 note = f"the points that the beams of {', '.join(task.targets)} read"
                 entry = TopicReport(topic, msgtype, name, "added", note)
-                points = TargetTopic(handle, shared(entry), place, used=True, joint=joint)
+                points = TargetTopic(handle, shared(entry), place, used=True, combiner=combiner)
                 made.outputs[-1].points = points
                 made.outputs.append(points)
     report.topics += entries.values()
@@ -155,7 +155,7 @@ def open_routes(
 
 
 def combiner_of(
-    joints: dict[Combination, Combiner], task: RouteTask, conversion: Conversion, serialization: str
+    combiners: dict[Combination, Combiner], task: RouteTask, conversion: Conversion, serialization: str
 ) -> Combiner | None:
     """Return the `Combiner` that makes one scan of several messages; all routes of a combination share it."""
     if task.combination is None:
@@ -165,9 +165,9 @@ def combiner_of(
 
     if not isinstance(conversion, MessagesToScan) or conversion.grouper is None:
         return None
-    if task.combination not in joints:
-        joints[task.combination] = Combiner(conversion, serialization)
-    return joints[task.combination]
+    if task.combination not in combiners:
+        combiners[task.combination] = Combiner(conversion, serialization)
+    return combiners[task.combination]
 
 
 def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:

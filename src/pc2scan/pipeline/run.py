@@ -271,7 +271,7 @@ def _run(
     if in_parts:
         staging = staged_parts(path, overwrite=output.overwrite, owned=output.owned, warn=report.warnings.append)
     elif piece is not None:
-        # A process that was taken for lost may have completed it.
+        # Another process may have completed it, although it seemed to be dead.
         staging = staged(piece.folder, overwrite=True, record_in=recorded_in)
     else:
         staging = staged(path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)

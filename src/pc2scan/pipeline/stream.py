@@ -100,11 +100,13 @@ def stream(
     outcomes: Generator[_MessageOutcome | StoredChunk | CombinedScan] = _outcomes(
         reader, routes, options, span, rule, pool
     )
-    joints = list(dict.fromkeys(o.joint for route in routes.values() for o in route.outputs if o.joint is not None))
-    if joints:
+    combiners = list(
+        dict.fromkeys(o.combiner for route in routes.values() for o in route.outputs if o.combiner is not None)
+    )
+    if combiners:
         from .combine.combiner import add_scans  # noqa: PLC0415  # few scans are made of several messages
 
-        outcomes = add_scans(outcomes, _arrivals, joints, pool)
+        outcomes = add_scans(outcomes, _arrivals, combiners, pool)
     steps = 0
     # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
     with closing(outcomes):
@@ -219,9 +221,9 @@ def _write(outcome: _MessageOutcome, writer: Writer, report: Report, on_error: s
             made = converted[output.place]
             if isinstance(made, MessageError):
                 reason = made
-            elif output.joint is None:
+            elif output.combiner is None:
                 reason = _write_one(made, output, outcome, writer, levels)
-        _count(output.report, reason, is_written=output.joint is None)
+        _count(output.report, reason, is_written=output.combiner is None)
         if reason is not None:
             failed.append((reason, output.report))
     for made in converted:
@@ -261,10 +263,10 @@ def _arrivals(outcome: _MessageOutcome | StoredChunk | CombinedScan) -> tuple[in
     assert isinstance(outcome, _MessageOutcome)
     found = []
     for output in outcome.route.outputs:
-        if output.joint is not None and not output.used and outcome.error is None:
+        if output.combiner is not None and not output.used and outcome.error is None:
             made: Any = outcome.converted[output.place]
             if not isinstance(made, MessageError):
-                found.append(Arrival(output.joint, output, made, outcome.sequence))
+                found.append(Arrival(output.combiner, output, made, outcome.sequence))
     return outcome.log_time_ns, outcome.size, found
 
 

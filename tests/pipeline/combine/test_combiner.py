@@ -31,7 +31,7 @@ class EachItsOwn:
         self.threads: set[Thread] = set()
         self.groups: list[ref[Group]] = []
 
-    def add(self, arrived: Arrival, log_time_ns: int) -> list[Group]:  # noqa: ARG002  # as `Combiner` has them
+    def add(self, arrival: Arrival, log_time_ns: int) -> list[Group]:  # noqa: ARG002  # as `Combiner` has them
         group = Group()
         self.groups.append(ref(group))
         return [group]
@@ -59,22 +59,22 @@ class EachItsOwn:
 @pytest.mark.parametrize("quick", [False, True])
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_points_are_freed_before_the_next_message_is_read(jobs: int, *, quick: bool) -> None:
-    joint: Any = EachItsOwn(quick=quick)
+    combiner: Any = EachItsOwn(quick=quick)
     freed = []
 
     def outcomes() -> Generator[int]:
         for number in range(3):
             yield number
             # This message's scan was made: the next one is read into the same buffer.
-            freed.append(joint.hold_nothing())
+            freed.append(combiner.hold_nothing())
 
     def arrivals(number: Any) -> tuple[int, int, list[Arrival]]:
-        return number, 0, [Arrival(joint, None, None, number)]  # type: ignore[arg-type]  # nothing looks at it
+        return number, 0, [Arrival(combiner, None, None, number)]  # type: ignore[arg-type]  # nothing looks at it
 
     with Threads(jobs) if jobs > 1 else nullcontext() as threads:
-        written = list(add_scans(outcomes(), arrivals, [joint], threads))
+        written = list(add_scans(outcomes(), arrivals, [combiner], threads))
     assert written == [0, "scan 0", 1, "scan 1", 2, "scan 2"]
     assert freed == [True] * 3
     if quick:
         # Handing the work to another thread takes longer.
-        assert joint.threads == {current_thread()}
+        assert combiner.threads == {current_thread()}

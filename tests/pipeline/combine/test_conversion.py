@@ -57,8 +57,8 @@ def cloud(rng: np.random.Generator, frame: str, stamp_ns: int) -> Points:
 
 
 def together(made: MessagesToScan, clouds: list[Any]) -> ConvertedMessage:
-    prepared: list[Contribution] = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
-    return made.scan(prepared[0], prepared)
+    contribution: list[Contribution] = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    return made.scan(contribution[0], contribution)
 
 
 def concatenated(clouds: list[Points]) -> Points:
@@ -117,12 +117,12 @@ def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: se
     rng = np.random.default_rng(4)
     made = conversion(ProjectionParams(target_frame="base_link", min_height=-0.5, **choice))
     clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
-    prepared = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
-    before = encode_laserscan(made.scan(prepared[0], prepared).message, "cdr")
+    contribution = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    before = encode_laserscan(made.scan(contribution[0], contribution).message, "cdr")
     for each in clouds:
         each.field("x")[:] = 1.0
-    assert encode_laserscan(made.scan(prepared[0], prepared).message, "cdr") == before
-    assert all(each.points.fields.keys() == kept for each in prepared)
+    assert encode_laserscan(made.scan(contribution[0], contribution).message, "cdr") == before
+    assert all(each.points.fields.keys() == kept for each in contribution)
 
 
 def moving_frames() -> Frames:

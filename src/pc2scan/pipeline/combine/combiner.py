@@ -1,4 +1,4 @@
-"""Adds scans of several messages to the stream of a conversion.
+"""Combines messages to scans in the stream of a conversion.
 
 Messages are grouped in order, scans are made on any thread, and they are written in order. A scan has the log time of
 the message that completed its group, which is when a node would have published it. So log times in the destination are
@@ -32,11 +32,11 @@ _AHEAD_BYTES = 6 << 20
 
 
 class Arrival(NamedTuple):
-    """A prepared message, the output of the scan if this message leads it, and the sequence number."""
+    """A message for a scan, the output of the scan if this message leads it, and the sequence number."""
 
-    joint: Combiner
+    combiner: Combiner
     output: Any
-    prepared: Contribution
+    contribution: Contribution
     sequence: int
 
 
@@ -74,10 +74,10 @@ class Combiner:
         self._serialization = serialization
         self._grouper = conversion.grouper()
 
-    def add(self, arrived: Arrival, log_time_ns: int) -> list[Group[Any]]:
+    def add(self, arrival: Arrival, log_time_ns: int) -> list[Group[Any]]:
         """Take a message, and return the groups that are complete now."""
-        prepared = arrived.prepared
-        return self._grouper.add(prepared.source, prepared.stamp_ns, log_time_ns, prepared.size, arrived)  # type: ignore[arg-type]
+        contribution = arrival.contribution
+        return self._grouper.add(contribution.source, contribution.stamp_ns, log_time_ns, contribution.size, arrival)  # type: ignore[arg-type]
 
     def finish(self) -> list[Group[Any]]:
         """Return the groups that are still open, and add the counts to the report."""
@@ -91,28 +91,30 @@ class Combiner:
     def make(self, group: Group[Arrival], log_time_ns: int) -> CombinedScan:
         """Make the scan of a group; runs on any thread."""
         lead: SourceMessage[Arrival] = group.lead
-        output, prepared, sequence = lead.item.output, lead.item.prepared, lead.item.sequence
+        output, contribution, sequence = lead.item.output, lead.item.contribution, lead.item.sequence
         made: EncodedMessage | MessageError
         try:
-            members = [member.item.prepared for member in group.members]
-            made = self._conversion.encoded(prepared, members, self._serialization)
+            members = [member.item.contribution for member in group.members]
+            made = self._conversion.encoded(contribution, members, self._serialization)
         except MessageError as err:
             made = err
-        return CombinedScan(output, log_time_ns, prepared.stamp_ns, sequence, made)
+        return CombinedScan(output, log_time_ns, contribution.stamp_ns, sequence, made)
 
     def is_quick(self, group: Group[Arrival]) -> bool:
         """Whether making a scan takes less time than handing it to another thread."""
-        return self._conversion.is_projected(group.lead.item.prepared, [each.item.prepared for each in group.members])
+        return self._conversion.is_projected(
+            group.lead.item.contribution, [each.item.contribution for each in group.members]
+        )
 
-    def alone(self, prepared: Contribution) -> EncodedMessage:
+    def alone(self, contribution: Contribution) -> EncodedMessage:
         """Make the scan of one message alone, for forecasts."""
-        return self._conversion.encoded(prepared, (prepared,), self._serialization)
+        return self._conversion.encoded(contribution, (contribution,), self._serialization)
 
 
 def add_scans(
     outcomes: Generator[Outcome],
     arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrival]]],
-    joints: Iterable[Combiner],
+    combiners: Iterable[Combiner],
     threads: Threads | None,
 ) -> Generator[Outcome | CombinedScan]:
     """Add the scans of several messages to the results of single messages.
@@ -123,19 +125,19 @@ def add_scans(
         The results of single messages, in the order of writing.
     arrivals
         Returns the log time of an outcome, its size in bytes, and the messages that it has for scans.
-    joints
-        All joints of the conversion.
+    combiners
+        All combiners of the conversion.
     threads
         The threads that make the scans, or None for the caller's alone. The scans do not depend on it.
 
     Yields
     ------
-    Outcome | MadeScan
+    Outcome | CombinedScan
         Each scan follows the outcome that completes it.
     """
     if threads is None:
         with closing(outcomes):
-            for work, _, _ in _work(outcomes, arrivals, joints):
+            for work, _, _ in _work(outcomes, arrivals, combiners):
                 done = work()
                 # The next message is read into the buffer that this scan's points were in.
                 del work
@@ -144,7 +146,7 @@ def add_scans(
     # Of scans with very many points, only one may wait.
     queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)
     try:
-        for work, size, takes_long in _work(outcomes, arrivals, joints):
+        for work, size, takes_long in _work(outcomes, arrivals, combiners):
             while len(queue) and not queue.has_room(size):
                 yield queue.take()
             queue.put(work, size, at_its_turn=not takes_long)
@@ -163,24 +165,24 @@ def add_scans(
 def _work(
     outcomes: Iterable[Outcome],
     arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrival]]],
-    joints: Iterable[Combiner],
+    combiners: Iterable[Combiner],
 ) -> Generator[tuple[Callable[[], Outcome | CombinedScan], int, bool]]:
     """Yield the work in order, its size in bytes, and whether another thread should do it."""
     latest_ns = 0
     for outcome in outcomes:
         log_time_ns, size, found = arrivals(outcome)
         latest_ns = max(latest_ns, log_time_ns)
-        arrived = list(found)
+        arrival = list(found)
         yield partial(_same, outcome), size, False
         del outcome
-        for each in arrived:
-            for group in each.joint.add(each, log_time_ns):
-                yield partial(each.joint.make, group, log_time_ns), _size(group), not each.joint.is_quick(group)
+        for each in arrival:
+            for group in each.combiner.add(each, log_time_ns):
+                yield partial(each.combiner.make, group, log_time_ns), _size(group), not each.combiner.is_quick(group)
                 # This frame must not hold the points in memory while the next message is read.
                 del group
-    for joint in joints:
-        for group in joint.finish():
-            yield partial(joint.make, group, latest_ns), _size(group), not joint.is_quick(group)
+    for combiner in combiners:
+        for group in combiner.finish():
+            yield partial(combiner.make, group, latest_ns), _size(group), not combiner.is_quick(group)
 
 
 def _same(outcome: Outcome) -> Outcome:

@@ -218,7 +218,7 @@ class MessagesToScan(Conversion):
         deskew = None if self._deskew is None else self._deskew.of(topic)
 
         def prepare(message: Points | LaserScan) -> Contribution:
-            return self._prepared(number, firsts, deskew, message)
+            return self._contribution(number, firsts, deskew, message)
 
         return (prepare,) if self.grouper is not None else (prepare, self.alone)
 
@@ -230,11 +230,11 @@ class MessagesToScan(Conversion):
         """Make the scan of a group of messages, and serialise it as ``ros1`` or ``cdr``."""
         return super().encoder(target)(self.scan(lead, members))
 
-    def alone(self, prepared: Contribution) -> ConvertedMessage:
+    def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message."""
-        return self.scan(prepared, (prepared,))
+        return self.scan(contribution, (contribution,))
 
-    def _prepared(
+    def _contribution(
         self, number: int, firsts: TopicClouds | None, deskew: Deskew | None, message: Points | LaserScan
     ) -> Contribution:
         flat = isinstance(message, LaserScan)
@@ -270,7 +270,7 @@ class MessagesToScan(Conversion):
             selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
             points, rejected = selected.points, rejected | selected.rejected
             mount = selected.target_from_source if self._rigid else mount
-        prepared = Contribution(
+        contribution = Contribution(
             number,
             stamp_ns,
             reference_ns,
@@ -287,34 +287,34 @@ class MessagesToScan(Conversion):
             sample=sample,
         )
         if flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
-            return self._held(prepared)
+            return self._held(contribution)
         if self._rigid or (self._once and number == 0):
             if number == 0 and not self._rigid:
-                self._leads = [*self._leads[1 - _LEADS :], prepared._replace(points=_NO_POINTS, track=None)]
-            return self._projected(prepared)
-        return self._assumed(prepared) if self._once else self._held(prepared)
+                self._leads = [*self._leads[1 - _LEADS :], contribution._replace(points=_NO_POINTS, track=None)]
+            return self._projected(contribution)
+        return self._assumed(contribution) if self._once else self._held(contribution)
 
-    def _projected(self, prepared: Contribution) -> Contribution:
+    def _projected(self, contribution: Contribution) -> Contribution:
         """Return a message with the ranges of the beams instead of its points."""
-        nearest, motion = self._nearest(prepared, prepared)
-        points = Points(prepared.points.sequence, prepared.stamp_ns, prepared.points.frame_id, {})
+        nearest, motion = self._nearest(contribution, contribution)
+        points = Points(contribution.points.sequence, contribution.stamp_ns, contribution.points.frame_id, {})
         size = _OVERHEAD + nearest.ranges.nbytes
-        return prepared._replace(points=points, nearest=nearest, motion=motion, size=size)
+        return contribution._replace(points=points, nearest=nearest, motion=motion, size=size)
 
-    def _assumed(self, prepared: Contribution) -> Contribution:
+    def _assumed(self, contribution: Contribution) -> Contribution:
         """Return a message projected for the scan that it probably belongs to, with its points for any other scan.
 
         The points are in the processor's cache now; projecting them later takes twice as long.
         """
-        held = self._held(prepared)
+        held = self._held(contribution)
         leads = sorted(self._leads, key=attrgetter("stamp_ns"))
         if len(leads) < _FEWEST_LEADS:
             return held
-        lead = min(leads, key=lambda lead: abs(lead.stamp_ns - prepared.stamp_ns))
-        if 2 * abs(lead.stamp_ns - prepared.stamp_ns) > leads[-1].stamp_ns - leads[-2].stamp_ns:
+        lead = min(leads, key=lambda lead: abs(lead.stamp_ns - contribution.stamp_ns))
+        if 2 * abs(lead.stamp_ns - contribution.stamp_ns) > leads[-1].stamp_ns - leads[-2].stamp_ns:
             return held
         try:
-            nearest, motion = self._nearest(lead, prepared)
+            nearest, motion = self._nearest(lead, contribution)
         except MessageError:
             # The error is raised when the scan is made, if the message belongs to it.
             return held
@@ -328,13 +328,17 @@ class MessagesToScan(Conversion):
             nearest.counts += PointCounts(sum(rejected.values()), **rejected)
         return nearest, motion
 
-    def _held(self, prepared: Contribution) -> Contribution:
+    def _held(self, contribution: Contribution) -> Contribution:
         """Return a message whose points may be used after the buffer that they were decoded in is free again."""
-        track, points = prepared.track, prepared.points
-        if not prepared.flat and self._intensity:
+        track, points = contribution.track, contribution.points
+        if not contribution.flat and self._intensity:
             # A missing field is an error of this message, not of the scan.
             points.field(self._intensity)
-        names = {*self._kept, *(("index",) if prepared.flat else ()), *(() if track is None else (track.time_field,))}
+        names = {
+            *self._kept,
+            *(("index",) if contribution.flat else ()),
+            *(() if track is None else (track.time_field,)),
+        }
         if self._keeps_used:
             names.update(points.fields)
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
@@ -348,7 +352,7 @@ class MessagesToScan(Conversion):
             memory = kept_together(views.values()) if self._once else None
             views = views if memory is not None else _copied(views)
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
-        return prepared._replace(points=held, size=size, memory=memory)
+        return contribution._replace(points=held, size=size, memory=memory)
 
     def is_projected(self, lead: Contribution, members: Iterable[Contribution]) -> bool:
         """Whether the points of all members are projected already, as this scan needs them."""
@@ -476,8 +480,8 @@ def _fits(member: Contribution, lead: Contribution) -> bool:
     return member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}
 
 
-def _as_it_is(prepared: Contribution) -> Contribution:
-    return prepared
+def _as_it_is(contribution: Contribution) -> Contribution:
+    return contribution
 
 
 def _transformed(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Frames
 
-#: The time of a cloud that its scan gets.
+#: Which time of a cloud is the stamp of its scan.
 STAMPS = ("header", "start", "middle", "end")
 
 #: The longest time between the first and the last point of a cloud, and between a point and the stamp, seconds.
