@@ -217,7 +217,7 @@ def output_of(options: Options, *, folder: Path | None = None, like_source: bool
 
     cut = None
     if options.split is not None or options.repeat_latched:
-        from .pipeline.parts import cut_of  # noqa: PLC0415  # most recordings are one file
+        from .pipeline.split import cut_of  # noqa: PLC0415  # most recordings are one file
 
         cut = cut_of(options.split, repeat_latched=options.repeat_latched)
     return OutputOptions(cut=cut, folder=folder, like_source=like_source, **_among(options, OutputOptions._fields))

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pc2scan.batch.identity import Identity
+from pc2scan.batch.jobs import Job, JobResult
+from pc2scan.batch.processes import JobEnd
 from pc2scan.batch.request import request_of
 from pc2scan.batch.staging import staged_jobs
-from pc2scan.batch.work import Job, JobResult
-from pc2scan.batch.workers import JobEnd
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

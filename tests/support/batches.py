@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pc2scan
-from pc2scan.batch.work import convert_one
-from pc2scan.batch.workers import JobEnd, JobStart
+from pc2scan.batch.jobs import convert_one
+from pc2scan.batch.processes import JobEnd, JobStart
 from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import Finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
 
+    from pc2scan.batch.processes import Event, Queue
     from pc2scan.batch.summary import BatchReport
-    from pc2scan.batch.workers import Event, Queue
 
 __all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
 

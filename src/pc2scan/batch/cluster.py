@@ -25,16 +25,16 @@ from pc2scan.files.staging import clean_up
 from pc2scan.remote.urls import is_url
 from pc2scan.version import __version__
 
-from .cutting import is_given_up
+from .jobs import JobResult, death_of
+from .pieces import is_given_up
+from .processes import Information, JobEnd, JobProgress, JobStart, run_jobs
 from .staging import staged_jobs
-from .work import JobResult, death_of
-from .workers import Information, JobEnd, JobProgress, JobStart, run_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
 
-    from .work import Job
-    from .workers import Event
+    from .jobs import Job
+    from .processes import Event
 
 #: Seconds between two checks whether a task was cancelled, and between two polls of the events.
 _POLL_SECONDS = 0.5

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 
 from pc2scan.pipeline.scheduler import cores
 
+from .jobs import convert_one
+from .processes import run_jobs
 from .staging import staged_jobs
-from .work import convert_one
-from .workers import run_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
 
+    from .jobs import Job
     from .manifest import ManifestRecord
-    from .work import Job
-    from .workers import Event, Executor
+    from .processes import Event, Executor
 
 #: Sizes of recordings that are converted as a sample: smaller ones say little, larger ones take too long.
 _SAMPLE_BYTES = range(1_000_000, 300_000_000)
@@ -32,7 +32,7 @@ def process_count(jobs: Sequence[Job]) -> int:
     """Return how many processes could work on these jobs at the same time."""
     if not any(job.request.output.cut for job in jobs):
         return len(jobs)
-    from .cutting import piece_count  # noqa: PLC0415  # most outputs are one file
+    from .pieces import piece_count  # noqa: PLC0415  # most outputs are one file
 
     return piece_count(jobs)
 
@@ -43,7 +43,7 @@ def _cutting_executor(executor: Executor) -> Executor:
     def execute(jobs: Sequence[Job]) -> Generator[Event]:
         if not any(job.request.output.cut for job in jobs):
             return executor(jobs)
-        from .cutting import cutting_executor  # noqa: PLC0415  # most outputs are one file
+        from .pieces import cutting_executor  # noqa: PLC0415  # most outputs are one file
 
         return cutting_executor(executor)(jobs)
 

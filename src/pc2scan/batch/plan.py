@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from pc2scan.errors import Pc2ScanError
 
     from .find import Recording
+    from .jobs import JobResult
     from .request import Choice, Request
-    from .work import JobResult
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,14 @@ from .executors import available_bytes, dask_executor, estimate_seconds, local_e
 from .find import find
 from .folder import check_folder, is_numbered, lock_folder, read_unfinished, track_outputs, unnumbered_name
 from .identity import checksum_of, identity_of
+from .jobs import Job
 from .manifest import MANIFEST, Manifest, ManifestRecord, read_records
 from .options import BatchCallbacks, ProgressSum
 from .plan import History, have_same_outcome, make_plan, refusal_record, result_record
+from .processes import Information, JobEnd, JobProgress, JobStart, ProcessDeath
 from .request import Choices
 from .stores import Stores
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
-from .work import Job
-from .workers import Information, JobEnd, JobProgress, JobStart, ProcessDeath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     from .identity import Identity
     from .options import BatchOptions
     from .plan import BatchPlan, Step
+    from .processes import Executor
     from .request import Choice
     from .stores import StoreFolder
-    from .workers import Executor
 
 
 def run_batch(

@@ -27,17 +27,17 @@ from pc2scan.remote.urls import is_url
 
 from .folder import first_part
 from .identity import Identity, identity_of, versions
+from .jobs import JobResult, utc_now
+from .processes import JobEnd, Queue
 from .stores import identity_in
-from .work import JobResult, utc_now
-from .workers import JobEnd, Queue
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from pc2scan.remote.store import Object, RemotePath
 
-    from .work import Job
-    from .workers import Event
+    from .jobs import Job
+    from .processes import Event
 
 #: Bytes by which a result may be larger than its sources: an index, message definitions.
 _BESIDE = 1_000_000

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.memory import keep_freed_memory
 from pc2scan.version import __version__
 
-from .work import convert_one
+from .jobs import convert_one
 
 if TYPE_CHECKING:
     from types import FrameType

@@ -351,7 +351,7 @@ def _run(
             return PieceResult(report, tally, writer.info)
         report.bytes_written = _size_on_disk(unfinished)
         if cut is not None:
-            from .parts import files_in  # noqa: PLC0415  # most recordings are one file
+            from .split import files_in  # noqa: PLC0415  # most recordings are one file
 
             report.files = files_in(unfinished, path)
     return None
@@ -382,7 +382,7 @@ def _estimate(
         made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
         levels.report.messages_out = max(made, default=0)
     if output.cut is not None:
-        from .parts import expected_files  # noqa: PLC0415  # most recordings are one file
+        from .split import expected_files  # noqa: PLC0415  # most recordings are one file
 
         last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
         report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)

@@ -26,7 +26,7 @@ from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.staging import clean_up
 from pc2scan.version import __version__
 
-from .work import Job, JobResult, death_of
+from .jobs import Job, JobResult, death_of
 from .worker import receive, send
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
 
 
 class JobPart(Protocol):
-    """A part of a conversion that runs as a job of its own; see `pc2scan.batch.cutting`."""
+    """A part of a conversion that runs as a job of its own; see `pc2scan.batch.pieces`."""
 
     def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> Any:
         """Run this part; what it returns becomes `JobResult.value`."""

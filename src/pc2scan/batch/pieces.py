@@ -22,9 +22,9 @@ from pc2scan.pipeline.pieces import join, joined_report, may_be_cut, read_stretc
 from pc2scan.pipeline.run import run_piece
 
 from .identity import Identity, identity_of
+from .jobs import Job, JobResult, outcome_of, utc_now
+from .processes import JobEnd, JobProgress, JobStart, ProcessDeath
 from .staging import is_remote
-from .work import Job, JobResult, outcome_of, utc_now
-from .workers import JobEnd, JobProgress, JobStart, ProcessDeath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.piece import PieceResult
     from pc2scan.pipeline.pieces import Stretch, Stretches
 
-    from .workers import Event, Executor
+    from .processes import Event, Executor
 
 #: A file beside the pieces of a recording. While it exists, the steps that remain end at once: another one has failed.
 _GIVEN_UP = "given-up"
