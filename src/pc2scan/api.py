@@ -541,9 +541,9 @@ def diff(
     first, second = path_of("a", a), None if b is None else path_of("b", b)
     found = compare(first, second, topics=pairs, all_topics=asked.all_topics, rules=rules)
     if asked.view is not None:
-        from .look.comparison import compared_view  # noqa: PLC0415
+        from .look.comparison import write_comparison  # noqa: PLC0415
 
-        compared_view(first, second or first, asked.view, topics=pairs, rules=rules, summary=str(found))
+        write_comparison(first, second or first, asked.view, topics=pairs, rules=rules, summary=str(found))
     return found
 
 

@@ -146,7 +146,7 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                 what, key, value = inbox.get(timeout=_POLL_SECONDS)
             except Empty:
                 if client.status == "closed":
-                    raise _lost() from None
+                    raise _loss_error() from None
                 continue
             if what == "gone":
                 running.pop(key, None)
@@ -200,7 +200,7 @@ def _result(job: Job, future: Any, seconds: float) -> JobResult:
     from distributed import KilledWorker  # noqa: PLC0415  # an extra
 
     if future.status == "cancelled":
-        raise _lost()
+        raise _loss_error()
     if future.status == "error":
         err = future.exception()
         if isinstance(err, KilledWorker):
@@ -213,7 +213,7 @@ def _result(job: Job, future: Any, seconds: float) -> JobResult:
         )
     answer: _Answer = future.result()
     if answer.version != __version__:
-        raise _other_version(answer.host, answer.version)
+        raise _version_error(answer.host, answer.version)
     _check_seen(answer.host, answer.unseen)
     if answer.result is None:
         raise OutputError(f"the Dask worker on {answer.host} does not see {answer.unseen[0]}", hint=_SHARED)
@@ -306,7 +306,7 @@ def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
 
     for host, version, unseen in client.run(look, paths).values():
         if version != __version__:
-            raise _other_version(host, version)
+            raise _version_error(host, version)
         _check_seen(host, unseen)
 
 
@@ -317,14 +317,14 @@ def _check_seen(host: str, unseen: Sequence[str]) -> None:
         raise UsageError(f"the Dask worker on {host} does not see {here[0]}", hint=_SHARED)
 
 
-def _other_version(host: str, version: str) -> Pc2ScanError:
+def _version_error(host: str, version: str) -> Pc2ScanError:
     has = f"has pc2scan {version}, this is {__version__}" if version else "has no pc2scan"
     return UsageError(
         f"the Dask worker on {host} {has}", hint=f"on every worker: pip install 'pc2scan[dask]=={__version__}'"
     )
 
 
-def _lost() -> Pc2ScanError:
+def _loss_error() -> Pc2ScanError:
     return Pc2ScanError("the connection to Dask's scheduler was lost", hint="run the same batch again to continue it")
 
 

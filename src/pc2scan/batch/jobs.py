@@ -161,7 +161,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     except Pc2ScanError as err:
         error, status = err.as_dict(), err.exit_status
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
-        error, status = _unexpected(err), 1
+        error, status = _unexpected_error(err), 1
     return JobResult(
         key=job.key,
         outcome=outcome_of(status),
@@ -265,7 +265,7 @@ def _checksum_of_sources(sources: list[Path]) -> str:
         raise RecordingError(f"cannot be read: {err.strerror}", path=sources[0]) from err
 
 
-def _unexpected(err: Exception) -> dict[str, Any]:
+def _unexpected_error(err: Exception) -> dict[str, Any]:
     import traceback  # noqa: PLC0415  # a bug, or memory that is not there
 
     return {

@@ -18,7 +18,7 @@ from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.source import changed_while_read
 from pc2scan.files.staging import staged
 from pc2scan.pipeline.piece import Piece
-from pc2scan.pipeline.pieces import join, joined_report, may_be_cut, read_stretch, stretches_of
+from pc2scan.pipeline.pieces import join, join_reports, may_be_cut, read_stretch, stretches_of
 from pc2scan.pipeline.run import run_piece
 
 from .identity import Identity, identity_of
@@ -195,7 +195,7 @@ class _RecordingInPieces:
                     yield JobStart(self.job.key)
             case JobProgress(_, done, total) if key in self.shares and self.error is None:
                 self.shares[key] = min(1.0, max(self.shares[key], done * len(self.pieces) / max(1, total)))
-                yield self._progressed()
+                yield self._report_progress()
             case ProcessDeath(_, why) if self.error is None:
                 yield ProcessDeath(self.job.key, why)
             case JobEnd(result):
@@ -204,7 +204,7 @@ class _RecordingInPieces:
                 if result.error is None and self.error is None:
                     if key in self.shares:
                         self.shares[key] = 1.0
-                        yield self._progressed()
+                        yield self._report_progress()
                     try:
                         yield from self._after(key, result)
                     except Pc2ScanError as err:
@@ -213,7 +213,7 @@ class _RecordingInPieces:
                 elif self.error is None:
                     self._give_up(result)
                 if self.error is not None and not self.waiting:
-                    yield self._failed(self.error)
+                    yield self._fail(self.error)
 
     def close(self) -> None:
         """Remove the output if it is not complete."""
@@ -237,7 +237,7 @@ class _RecordingInPieces:
         error = OutputError("interrupted", path=Path(self.job.destination))
         self.stack.__exit__(type(error), error, None)
 
-    def _progressed(self) -> JobProgress:
+    def _report_progress(self) -> JobProgress:
         done = sum(self.shares.values()) / max(1, len(self.pieces))
         return JobProgress(self.job.key, round(1000 * done), 1000)
 
@@ -320,9 +320,9 @@ class _RecordingInPieces:
         for number in numbers:
             piece = self.pieces[number]
             self.shares[self._add(piece.folder.name, _PieceConversion(self.job.destination, piece), piece.folder)] = 0.0
-        self.next = self._converted
+        self.next = self._finish_conversions
 
-    def _converted(self) -> Iterator[Event]:
+    def _finish_conversions(self) -> Iterator[Event]:
         """Join the pieces if their files have the numbers that one conversion would give; convert the others again."""
         results: list[PieceResult] = [self.values[_step_key(self.job, piece.folder.name)] for piece in self.pieces]
         self.numbered += 1
@@ -351,7 +351,7 @@ class _RecordingInPieces:
     def _complete(self, results: list[PieceResult]) -> JobEnd:
         destination = Path(self.job.destination)
         options = self.job.request.options
-        report = joined_report(results, self.damage, options)
+        report = join_reports(results, self.damage, options)
         join(self.folder, self.pieces, results)
         self.done = True
         self.stack.close()
@@ -359,7 +359,7 @@ class _RecordingInPieces:
         report.files = [str(path) for path in files if path.name != "metadata.yaml"]
         report.bytes_written = sum(path.stat().st_size for path in files)
         report.seconds = time.monotonic() - self.began
-        return self._ended(
+        return self._end_job(
             JobResult(
                 key=self.job.key,
                 outcome=outcome_of(report.exit_status),
@@ -372,13 +372,13 @@ class _RecordingInPieces:
             )
         )
 
-    def _failed(self, result: JobResult) -> JobEnd:
+    def _fail(self, result: JobResult) -> JobEnd:
         """Return the event that the recording failed, with the error of a step."""
         self.done = True
         self._abandon()
-        return self._ended(replace(result, sha256=self.sha256, value=None))
+        return self._end_job(replace(result, sha256=self.sha256, value=None))
 
-    def _ended(self, result: JobResult) -> JobEnd:
+    def _end_job(self, result: JobResult) -> JobEnd:
         seconds = time.monotonic() - self.began
         started = self.started or utc_now()
         return JobEnd(replace(result, key=self.job.key, started=started, seconds=seconds, attempts=self.attempts))

@@ -240,7 +240,7 @@ def make_plan(
         if why:
             others = clashes.get(each.key)
             error = _clash(each.key, others[0], outputs, out) if others else forbidden(output)
-            error = error or _foreign(step, out, there)
+            error = error or _ownership_error(step, out, there)
         if error is not None:
             steps.append(replace(step, action="refuse", why=error.message, error=error))
             continue
@@ -262,7 +262,7 @@ def _clash(key: str, other: str, outputs: Mapping[str, str], out: Path) -> Pc2Sc
     )
 
 
-def _foreign(step: Step, out: Path, there: Identity) -> Pc2ScanError | None:
+def _ownership_error(step: Step, out: Path, there: Identity) -> Pc2ScanError | None:
     """Return the error of an output that exists and that no record names; None if it may be replaced."""
     assert step.choice.request is not None
     if not there.files or step.owned is not None or step.choice.request.output.overwrite:
@@ -298,7 +298,7 @@ def _reason(
         return f"converted by pc2scan {record.version}"
     if record.options != choice.digest:
         return "other options"
-    if changed := _changed(found, record, checksum):
+    if changed := _change_of(found, record, checksum):
         return changed
     if not record.is_written:
         message = str((record.error or {}).get("message", ""))
@@ -314,7 +314,7 @@ def _reason(
     return ""
 
 
-def _changed(found: Recording, record: ManifestRecord, checksum: Callable[[Recording], str] | None) -> str:
+def _change_of(found: Recording, record: ManifestRecord, checksum: Callable[[Recording], str] | None) -> str:
     before, now = record.identity, found.identity
     if not now.has_sizes_of(before):
         return f"the source was changed: it has {size(now.size_bytes)}, it had {size(before.size_bytes)}"

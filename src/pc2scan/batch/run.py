@@ -193,10 +193,10 @@ class _Batch:
             if step.error is not None:
                 self._stores.names.error(step.error)
         self._stores.forget()
-        self._refuse_idle()
+        self._refuse_useless_options()
         self.report.warnings += [*self._choices.warnings(keys), *self.made.warnings]
 
-    def _refuse_idle(self) -> None:
+    def _refuse_useless_options(self) -> None:
         """Raise for options that have no effect with URLs, or without URLs."""
         if self._stores.are_used:
             if self._options.checksum:

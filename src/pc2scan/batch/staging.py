@@ -151,7 +151,7 @@ class _StagingQueue(Queue):
             self.look()
             return None
         if result.error is not None or not is_url(Path(copy.job.destination)):
-            return self._ended(copy, result)
+            return self._finish_copy(copy, result)
         with self._lock:
             self._uploading += 1
         self._start(self._upload, copy, result)
@@ -177,11 +177,11 @@ class _StagingQueue(Queue):
                     needed, result = self._needed(copy.job)
                 except Pc2ScanError as err:
                     self._waiting.popleft()
-                    self._post(JobEnd(_failed(copy, err, "copied")))
+                    self._post(JobEnd(_failure_result(copy, err, "copied")))
                     continue
                 if needed > self._room.total:
                     self._waiting.popleft()
-                    self._post(JobEnd(_failed(copy, self._room.refusal(needed, self._folder.parent), "copied")))
+                    self._post(JobEnd(_failure_result(copy, self._room.refusal(needed, self._folder.parent), "copied")))
                     continue
                 wanted = self._room.total if copy.alone else min(needed + result, self._room.total)
                 if not self._room.reserve(wanted):
@@ -223,7 +223,7 @@ class _StagingQueue(Queue):
         except _ClosedQueueError:
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
-            result = self._ended(copy, _failed(copy, err, "copied"))
+            result = self._finish_copy(copy, _failure_result(copy, err, "copied"))
             with self._lock:
                 self._loading -= 1
                 self._post(JobEnd(result))
@@ -286,9 +286,9 @@ class _StagingQueue(Queue):
         except _ClosedQueueError:
             return
         except Exception as err:  # noqa: BLE001  # one recording must not end the others
-            failed = _failed(copy, err, "uploaded")
+            failed = _failure_result(copy, err, "uploaded")
             result = replace(failed, started=result.started, seconds=result.seconds, attempts=result.attempts)
-        result = self._ended(copy, result)
+        result = self._finish_copy(copy, result)
         with self._lock:
             self._uploading -= 1
             self._post(JobEnd(result))
@@ -362,7 +362,7 @@ class _StagingQueue(Queue):
             folder.child(name).delete()
         return staying(target, found.kept)
 
-    def _ended(self, copy: _Copy, result: JobResult) -> JobResult:
+    def _finish_copy(self, copy: _Copy, result: JobResult) -> JobResult:
         """Remove the copies, and replace their paths in the result by URLs."""
         shown: JobResult = copy.names.of(replace(result, identity=copy.identity or result.identity))
         with self._lock:
@@ -380,7 +380,7 @@ class _StagingQueue(Queue):
         copy.reserved = 0
 
 
-def _failed(copy: _Copy, err: Exception, what: str) -> JobResult:
+def _failure_result(copy: _Copy, err: Exception, what: str) -> JobResult:
     """Return the result of a job that could not be copied or uploaded."""
     error = err if isinstance(err, Pc2ScanError) else OutputError(f"cannot be {what}: {type(err).__name__}: {err}")
     copy.names.error(error)

@@ -44,9 +44,9 @@ def diff(
             result = compare(a, b, topics=pairs, all_topics=options.all_topics, rules=rules, progress=progress)
         write_junit(of_diff(result))
     if options.view is not None:
-        from pc2scan.look.comparison import compared_view
+        from pc2scan.look.comparison import write_comparison
 
-        compared_view(a, a if b is None else b, options.view, topics=pairs, rules=rules, summary=str(result))
+        write_comparison(a, a if b is None else b, options.view, topics=pairs, rules=rules, summary=str(result))
     if options.as_json:
         print_json(result.as_dict())
     elif not options.quiet:

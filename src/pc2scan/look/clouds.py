@@ -57,7 +57,7 @@ def clouds_page(
         As `pc2scan.look.html.html` takes them.
     """
     notes = list(taken.notes)
-    step, blobs = _packed_to_fit(taken.shots)
+    step, blobs = _compress_to_fit(taken.shots)
     if step > 1:
         notes.append(
             f"To keep this page small, only 1 of {step} points is shown; counts and ranges are those of the thinned "
@@ -139,7 +139,7 @@ def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[di
             yield {"name": name, "x": x, "y": y, "z": z}
 
 
-def _packed_to_fit(shots: Sequence[Shot]) -> tuple[int, dict[str, bytes]]:
+def _compress_to_fit(shots: Sequence[Shot]) -> tuple[int, dict[str, bytes]]:
     """Compress the clouds: all points, or every n-th if they are too many. Return n and the bytes."""
     step = 1
     while True:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _MOST = 20
 
 
-def compared_view(
+def write_comparison(
     a: Path,
     b: Path,
     destination: Path,
@@ -116,12 +116,12 @@ def _scan_pairs(streams: Sequence[tuple[TopicStream, TopicStream]]) -> Iterator[
             continue
         for pair in matched(one, other):
             if pair.a is not None and pair.b is not None:
-                scans = [_decoded(message) for message in (pair.a, pair.b)]
+                scans = [_decode(message) for message in (pair.a, pair.b)]
                 if scans[0] is not None and scans[1] is not None:
                     yield scans[0], scans[1]
 
 
-def _decoded(message: RawMessage) -> LaserScan | None:
+def _decode(message: RawMessage) -> LaserScan | None:
     if message.connection.ros_type != LASERSCAN:
         return None
     try:

@@ -110,7 +110,7 @@ def picture_of(occupancy: Occupancy, way: NDArray[np.float64]) -> bytes:
     bytes
         A PNG file.
     """
-    cells, enlarged, shrunk = _fitted(occupancy.cells)
+    cells, enlarged, shrunk = _fit_cells(occupancy.cells)
     height, width = (side * enlarged for side in cells.shape)
     colours = np.array([_UNKNOWN_COLOUR, _FREE_COLOUR, _OCCUPIED_COLOUR], np.uint8)
     numbers = np.where(cells == OCCUPIED, 2, np.where(cells == FREE, 1, 0))[::-1]
@@ -143,7 +143,7 @@ def picture_of(occupancy: Occupancy, way: NDArray[np.float64]) -> bytes:
     return png(picture)
 
 
-def _fitted(cells: NDArray[np.int8]) -> tuple[NDArray[np.int8], int, int]:
+def _fit_cells(cells: NDArray[np.int8]) -> tuple[NDArray[np.int8], int, int]:
     """Return the cells as they are drawn, the pixels per cell, and how many cells were merged into one."""
     longer = max(cells.shape)
     shrunk = math.ceil(longer / _LARGE)

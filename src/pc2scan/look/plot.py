@@ -143,7 +143,7 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
     with warnings.catch_warnings(), mpl.rc_context({"svg.hashsalt": "pc2scan", "text.parse_math": False}):
         # No warnings about letters that the font lacks.
         warnings.simplefilter("ignore", UserWarning)
-        placed = [_placed(shot) for shot in taken.shots]
+        placed = [_place_points(shot) for shot in taken.shots]
         limits = [_limits(values) for values in zip(*placed, strict=True)]
         across, *heights = (high - low for low, high in limits)
         inches = [min(_HIGHEST, max(_LOWEST, _WIDTH * height / across)) for height in heights]
@@ -237,7 +237,7 @@ def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _placed(shot: Shot) -> Sequence[NDArray[np.float32]]:
+def _place_points(shot: Shot) -> Sequence[NDArray[np.float32]]:
     """Return the coordinates in the scan's frame, in float32 like in the projection."""
     x, y, z = (shot.columns[axis] for axis in "xyz")
     rigid = shot.place.target_from_source

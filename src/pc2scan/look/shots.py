@@ -220,11 +220,11 @@ def _shot(message: RawMessage, options: ConvertOptions, frames: Frames, deskew: 
         options.frames.source_frame or points.frame_id,
         place,
         _columns(points, xyz),
-        _filtered(points, place, options, frames, None if deskew is None else deskew.within(frames)),
+        _filter_mask(points, place, options, frames, None if deskew is None else deskew.within(frames)),
     )
 
 
-def _filtered(
+def _filter_mask(
     points: Points, place: Placement, options: ConvertOptions, frames: Frames, deskew: Deskew | None
 ) -> NDArray[np.uint8] | None:
     """Return a mask of the points that the filters reject, and of those that cannot be deskewed."""

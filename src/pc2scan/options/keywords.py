@@ -88,7 +88,7 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
         for option in ordered
     ]
     checked.__signature__ = inspect.signature(function).replace(parameters=[*own, *listed])  # type: ignore[attr-defined]
-    checked.__doc__ = (function.__doc__ or "").replace(_PLACE, "".join(map(_described, ordered)))
+    checked.__doc__ = (function.__doc__ or "").replace(_PLACE, "".join(map(_describe, ordered)))
     return checked
 
 
@@ -96,7 +96,7 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
 _PLACE = "    **options\n"
 
 
-def _described(option: Option) -> str:
+def _describe(option: Option) -> str:
     """Return an option's entry in a docstring."""
     words = f"{option.help} {option.value.note}".split()
     if option.default_text:

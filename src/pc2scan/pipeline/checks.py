@@ -64,7 +64,7 @@ def refuse_unusable(options: ConvertOptions) -> None:
             )
 
 
-def doubts(options: ConvertOptions) -> list[str]:
+def option_warnings(options: ConvertOptions) -> list[str]:
     """Return a warning for each option without an effect, and each value that looks like degrees.
 
     Only parameters that are given as options are checked, because a parameter file usually lists all parameters.
@@ -252,7 +252,7 @@ def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> Usage
     )
 
 
-def idle_cut(reader: Reader, start: TimeBound | None, end: TimeBound | None) -> list[str]:
+def cut_warnings(reader: Reader, start: TimeBound | None, end: TimeBound | None) -> list[str]:
     """Return a warning if times of day are given as a cut, and the whole recording is within it.
 
     Times that count from the beginning draw none: the same cut may be used for recordings of many lengths.
@@ -290,7 +290,7 @@ def _meant(name: str, time_ns: int, first_ns: int, last_ns: int) -> str:
     return ""
 
 
-class Unconnected:
+class TransformCheck:
     """Detects that no transforms connect the frames of any message to convert with the target frame.
 
     Frames may differ from message to message, so it is certain only after the last one. The first ones draw a warning.

@@ -143,17 +143,17 @@ def refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
     scan = consumed_scan(decode_laserscan(data, serialization))
     if consumer:
         verdict = judge(consumer, scan)
-        return "" if verdict.outcome == "accepted" else f"{consumer} {_DOES[verdict.outcome]}: {_why(verdict)}"
+        return "" if verdict.outcome == "accepted" else f"{consumer} {_DOES[verdict.outcome]}: {_explanation(verdict)}"
     scan = replace(scan, infinite=0, short=0)
     verdicts = [verdict for consumer in CONSUMERS if (verdict := judge(consumer, scan)).refused]
     if not verdicts:
         return ""
     first = verdicts[0]
     others = f" (so would {', '.join(verdict.consumer for verdict in verdicts[1:])})" if verdicts[1:] else ""
-    return f"{first.consumer} would ignore these scans{others}: {_why(first)}"
+    return f"{first.consumer} would ignore these scans{others}: {_explanation(first)}"
 
 
-def _why(verdict: Verdict) -> str:
+def _explanation(verdict: Verdict) -> str:
     """Return what a scan has, what the consumer allows, and how to change it."""
     return f"{verdict.observed} where it allows {verdict.allowed}. {verdict.cure[:1].upper()}{verdict.cure[1:]}"
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from pc2scan.errors import MessageError
 
-from .checks import Unconnected
+from .checks import TransformCheck
 from .declarations import Declarations
 from .first_clouds import Candidate
 from .report import Skipped
@@ -104,7 +104,7 @@ def _converted_sizes(
 ) -> dict[int, _MeanSizes]:
     """Convert the first messages of each topic."""
     converting = {key: route for key, route in routes.items() if route.convert is not None}
-    unconnected = Unconnected(firsts.warn)
+    unconnected = TransformCheck(firsts.warn)
     sizes: dict[int, _MeanSizes] = {}
     for key, route in converting.items():
         connection, read, sizes_made = route.connection, list[int](), list[int]()

@@ -136,7 +136,7 @@ def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], fi
         for node, request, own in zip(nodes, requests, usual, strict=True)
     ]
     specs = [
-        _renamed(each.scan, target, f"{file}, {node}", request.source)
+        _rename_output(each.scan, target, f"{file}, {node}", request.source)
         for node, each, target, request in zip(nodes, options, targets, requests, strict=True)
     ]
     moved = dict.fromkeys(topic for each in options for topic in each.frames.tf_topics)
@@ -144,6 +144,6 @@ def options_of_nodes(nodes: Sequence[str], options: Sequence[ConvertOptions], fi
     return replace(options[0], scans=tuple(specs), frames=frames)
 
 
-def _renamed(spec: ScanSpec, target: str, place: str, source: str) -> ScanSpec:
+def _rename_output(spec: ScanSpec, target: str, place: str, source: str) -> ScanSpec:
     topics = () if source == "*" else (TopicRequest(source, target),)
     return replace(spec, name=target, place=place, topics=topics)

@@ -156,8 +156,8 @@ def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
     sections = _ros1_sections(leaves) if ros1 else _ros2_sections(leaves, path)
     target = _node_to_read(sections, node, path)
     if ros1:
-        sections = _with_nested(sections, target)
-    return _merged_sections(sections, target, ros1=ros1)
+        sections = _add_nested(sections, target)
+    return _merge_sections(sections, target, ros1=ros1)
 
 
 def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str, str]) -> ParamsFile:
@@ -369,7 +369,7 @@ def _ros1_sections(leaves: Iterable[_Leaf]) -> _Sections:
     return sections
 
 
-def _with_nested(sections: _Sections, target: str) -> _Sections:
+def _add_nested(sections: _Sections, target: str) -> _Sections:
     """Add to a ROS 1 node the parameters in namespaces below it, whose names have slashes."""
     below = target.rstrip("/") + "/"
     own = dict(sections[target])
@@ -489,7 +489,7 @@ def _most_specific(patterns: Collection[str]) -> list[str]:
     ]
 
 
-def _merged_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
+def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
     """Merge the sections that apply to a node, wildcards below, and check the names."""
     # The sort is stable, so that the later one of two equally specific sections is used, like in ROS 2.
     applying = sorted((s for s in sections if _matches(s, target)), key=_vagueness, reverse=True)

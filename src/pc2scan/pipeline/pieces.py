@@ -173,7 +173,7 @@ def join(folder: Path, pieces: Sequence[Piece], made: Sequence[PieceResult]) -> 
     write_info(folder, info)
 
 
-def joined_report(made: Sequence[PieceResult], damage: Iterable[Damage], options: ConvertOptions) -> Report:
+def join_reports(made: Sequence[PieceResult], damage: Iterable[Damage], options: ConvertOptions) -> Report:
     """Join the reports of the pieces.
 
     Parameters
@@ -204,7 +204,7 @@ def joined_report(made: Sequence[PieceResult], damage: Iterable[Damage], options
     places = {(each.path, each.offset) for each in report.damage}
     report.damage += (each for each in damage if each.offset is None or (each.path, each.offset) not in places)
     report.damage = list(dict.fromkeys(report.damage))
-    conclude(report, _whole(each.tally for each in made), options)
+    conclude(report, _join_tallies(each.tally for each in made), options)
     return report
 
 
@@ -218,7 +218,7 @@ def _by_key(report: Report) -> dict[tuple[object, ...], TopicReport]:
     }
 
 
-def _whole(tallies: Iterable[Tally]) -> Tally:
+def _join_tallies(tallies: Iterable[Tally]) -> Tally:
     """Return the tallies of all pieces as one."""
     first, *others = tallies
     counts = list(first.counts)

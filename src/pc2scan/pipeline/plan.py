@@ -124,7 +124,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     _refuse_collisions(routes)
     converted = {topic for found in targets.values() for topic in found}
     everything = tuple(each for found in combined.values() for each in found)
-    return Plan(tuple(routes), specs, everything, tuple(_idle_patterns(connections, options, converted)))
+    return Plan(tuple(routes), specs, everything, tuple(_pattern_warnings(connections, options, converted)))
 
 
 def _tasks(
@@ -168,11 +168,11 @@ def _combined_topics(
                 hint="such as `target_frame=base_link`; `fixed_frame=odom` corrects the robot's motion between their "
                 "stamps",
             )
-        found.append(Combination(spec, tuple(_led(topics, spec, types)), target))
+        found.append(Combination(spec, tuple(_leading_topics(topics, spec, types)), target))
     return found
 
 
-def _led(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> list[str]:
+def _leading_topics(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> list[str]:
     """Return the topics of a scan, beginning with the one that leads."""
     if not spec.combining.lead:
         return list(topics)
@@ -209,7 +209,7 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, options: Convert
     if spec.topics:
         requests: dict[str, list[str | None]] = {}
         for request in spec.topics:
-            for topic in _asked(request.source, types, candidates, spec):
+            for topic in _matching_topics(request.source, types, candidates, spec):
                 target = request.target and renamed(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
@@ -238,7 +238,7 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, options: Convert
     }
 
 
-def _asked(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
+def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
     """Return the topics that a name or a glob matches."""
     try:
         return find_topics(name, types, candidates, *spec.named_types)
@@ -314,7 +314,7 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
             )
 
 
-def _idle_patterns(
+def _pattern_warnings(
     connections: Sequence[Connection], options: ConvertOptions, converted: AbstractSet[str]
 ) -> list[str]:
     """Return warnings about patterns that match no topic: they are nearly always typing errors."""

@@ -14,7 +14,7 @@ from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns, offse
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.clouds import CLOUDS
 
-from .stages.deskew import PointTime, without_zeros
+from .stages.deskew import PointTime, mask_zero_times
 from .stages.turn import FIRST_CLOUDS, Turn, measure_turn, turn_sample
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class _PointTimes(NamedTuple):
     ordered: bool
 
 
-def doubtful_times(
+def time_warnings(
     reader: Reader, connections: Iterable[Connection], point_time: PointTime, span: Span
 ) -> Iterator[str]:
     """Yield warnings about times of points that are probably wrong, and would deskew a cloud wrongly.
@@ -117,7 +117,7 @@ def _times(points: Points, point_time: PointTime) -> _PointTimes | None:
     """Return the times of a cloud's points; None if it has none."""
     name = point_time.field_of(points)
     whole = points.field(name).dtype.kind in "iu"
-    points = without_zeros(points, name, point_time.unit)
+    points = mask_zero_times(points, name, point_time.unit)
     x, y, values = points.field("x"), points.field("y"), points.field(name)
     if values.shape != x.shape:
         raise DecodeError(f"{name} has several values a point")
@@ -133,11 +133,11 @@ def _times(points: Points, point_time: PointTime) -> _PointTimes | None:
         seconds = (values[chosen].astype(np.float64) - offset) * unit
         with np.errstate(invalid="ignore"):
             angles = np.arctan2(y[chosen].astype(np.float64), x[chosen].astype(np.float64))
-        ordered = _ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
+        ordered = _are_ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
     return _PointTimes(points.stamp_ns, name, low, high, unit, ordered)
 
 
-def _ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
+def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
     """Whether times follow the order of the points, or a turning lidar; (runs, points of a run)."""
     steps = np.abs(np.diff(seconds, axis=1))
     steps = steps[np.isfinite(steps)]

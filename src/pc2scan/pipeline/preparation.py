@@ -86,9 +86,9 @@ def prepare_conversions(
             continue
         own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
         if spec.fixed_frame or spec.imu:
-            from .clocks import doubtful_clocks  # noqa: PLC0415  # only where times of several topics are compared
+            from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
-            differ = doubtful_clocks(reader, own, _where_the_robot_was(reader, spec, asked), span)
+            differ = clock_warnings(reader, own, _motion_connections(reader, spec, asked), span)
             report.warnings += (each for each in differ if each not in report.warnings)
         if spec.fixed_frame and buffer is not None:
             from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
@@ -98,16 +98,16 @@ def prepare_conversions(
             report.warnings += (spec.label + doubt for doubt in doubts)
         combined = [each for each in plan.combinations if each.spec is spec]
         for combination in combined:
-            conversions[combination] = _combined(reader, plan, combination, frames, span, report, firsts)
+            conversions[combination] = _prepare_combination(reader, plan, combination, frames, span, report, firsts)
         if not combined or any(task.key is spec for route in plan.routes for task in route.tasks):
             converted = [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
-            timings = _measured(reader, converted, spec, frames, span, report) if spec.needs_measuring else None
+            timings = _measure(reader, converted, spec, frames, span, report) if spec.needs_measuring else None
             deskew = _deskew(reader, converted, spec, frames, span, report)
             conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
     return conversions, others
 
 
-def _where_the_robot_was(reader: Reader, spec: ScanSpec, frames: FrameOptions) -> Iterator[Connection]:
+def _motion_connections(reader: Reader, spec: ScanSpec, frames: FrameOptions) -> Iterator[Connection]:
     """Yield the connections with moving transforms, and those of the IMU, that the spec uses."""
     if spec.fixed_frame:
         yield from (c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic))
@@ -129,9 +129,9 @@ def _deskew(
     where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
     turns: Mapping[str, Turn] = {}
     if where.turn is None:
-        from .point_times import doubtful_times  # noqa: PLC0415  # only with deskewing
+        from .point_times import time_warnings  # noqa: PLC0415  # only with deskewing
 
-        report.warnings += (spec.label + doubt for doubt in doubtful_times(reader, sources, where, span))
+        report.warnings += (spec.label + doubt for doubt in time_warnings(reader, sources, where, span))
     else:
         from .point_times import measure_turns  # noqa: PLC0415  # few points have no times
 
@@ -164,7 +164,7 @@ def _to_scans(
     )
 
 
-def _combined(
+def _prepare_combination(
     reader: Reader,
     plan: Plan,
     combination: Combination,
@@ -191,7 +191,7 @@ def _combined(
     return MessagesToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
 
 
-def _measured(
+def _measure(
     reader: Reader, converted: Sequence[Connection], spec: ScanSpec, frames: Frames, span: Span, report: Report
 ) -> Mapping[str, Measurements]:
     from .measurements import measure  # noqa: PLC0415  # only if something is to be measured

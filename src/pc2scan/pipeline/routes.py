@@ -144,7 +144,7 @@ def open_routes(
                 if combiner is not None and task.combination is not None:
                     combiner.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
             if (name := task.spec.keep_used) and leads:
-                handle = declared.add(_published_as(connection, name, POINTCLOUD2, definition, target))
+                handle = declared.add(_publisher_like(connection, name, POINTCLOUD2, definition, target))
                 note = f"the points that the beams of {', '.join(task.targets)} read"
                 entry = TopicReport(topic, msgtype, name, "added", note)
                 points = TargetTopic(handle, shared(entry), place, used=True, combiner=combiner)
@@ -269,10 +269,10 @@ def _holding_any() -> str:
 
 def _converted_connection(source: Connection, topic: str, conversion: Conversion, target: Destination) -> Connection:
     """Return the connection of converted messages, with the QoS profile and latching of their source."""
-    return _published_as(source, topic, conversion.output_type, conversion.output.define, target)
+    return _publisher_like(source, topic, conversion.output_type, conversion.output.define, target)
 
 
-def _published_as(
+def _publisher_like(
     source: Connection,
     topic: str,
     msgtype: str,

@@ -38,7 +38,7 @@ from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads
 
-from .checks import Unconnected, doubts, ghost_warnings, idle_cut, refuse_no_messages, refuse_unusable
+from .checks import TransformCheck, cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
 from .conclusion import conclude, tally_of
 from .declarations import Declarations
 from .first_clouds import FirstClouds
@@ -252,7 +252,7 @@ def _run(
         from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
 
         report.warnings += overlap_warnings(readers)
-    report.warnings += (*plan.warnings, *doubts(options))
+    report.warnings += (*plan.warnings, *option_warnings(options))
     in_parts = files.numbered = output.cut is not None and not target.storage
     if in_parts:
         from pc2scan.files.staged_parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
@@ -279,7 +279,7 @@ def _run(
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         if piece is None:
-            report.warnings += idle_cut(reader, options.start, options.end)
+            report.warnings += cut_warnings(reader, options.start, options.end)
         is_first = piece is None or piece.is_first
         firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span)) if is_first else None
         transforms = () if piece is None else piece.transforms
@@ -324,7 +324,7 @@ def _run(
 
                 rule = narrowed(rule, cut, reader.connections)
             # Only the messages of all pieces show that nothing can be converted.
-            unconnected = Unconnected(firsts.warn) if firsts is not None and piece is None else None
+            unconnected = TransformCheck(firsts.warn) if firsts is not None and piece is None else None
             stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
             if unconnected is not None:
                 unconnected.finish()
@@ -373,7 +373,7 @@ def _estimate(
     span = span_of(reader, options)
     converted = [route.connection for route in plan.routes if route.targets]
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-    report.warnings += idle_cut(reader, options.start, options.end)
+    report.warnings += cut_warnings(reader, options.start, options.end)
     firsts = FirstClouds(report, None, partial(robot_transforms, files.read, options, span))
     conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
     levels = _level_frames(reader, plan, target, options, Declarations(), report)

@@ -86,7 +86,7 @@ def schedule(
         Sorted by log time, whatever the number of threads. An exception of the callback is raised in the place of its
         item.
     """
-    loading = when_due if threads is None else partial(_ahead, threads, window)
+    loading = when_due if threads is None else partial(_load_ahead, threads, window)
     items = in_time_order(units, callback, loading=loading, path=path)
     try:
         for item in items:
@@ -97,7 +97,7 @@ def schedule(
         items.close()
 
 
-def _ahead(
+def _load_ahead(
     threads: Threads, window: int | None, units: Iterable[Unit], callback: Callable[[RawMessage], Item]
 ) -> Generator[Handle]:
     """Load units ahead, on other threads."""
@@ -109,7 +109,7 @@ def _ahead(
             while waiting and (too_large or not _may_wait(unit, results, threads.jobs)):
                 yield Handle(waiting.popleft(), results.take)
             if too_large:
-                yield Handle(unit, partial(_together, threads, unit, callback))
+                yield Handle(unit, partial(_load_together, threads, unit, callback))
             else:
                 load = partial(loaded, unit, callback, whole=unit.may_be_whole)
                 results.put(load, unit.size, at_its_turn=unit.is_quick)
@@ -125,7 +125,7 @@ def _may_wait(unit: Unit, results: InOrder[Loaded[Any]], jobs: int) -> bool:
     return results.has_room(unit.size) and (len(results) < jobs or not unit.is_in_memory)
 
 
-def _together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
+def _load_together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
     """Load a unit on this thread, and work on its messages on all threads."""
     found = loaded(unit, owned, whole=unit.may_be_whole)
     if isinstance(found, StoredChunk):

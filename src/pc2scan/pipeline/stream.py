@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, ChunkRule, RawMessage, Writer
     from pc2scan.threads import Threads
 
-    from .checks import Unconnected
+    from .checks import TransformCheck
     from .combine.combiner import Arrival, CombinedScan
     from .levelling import LevelFrames
     from .options import ConvertOptions
@@ -90,7 +90,7 @@ def stream(
     report: Report,
     progress: Progress | None,
     levels: LevelFrames | None = None,
-    unconnected: Unconnected | None = None,
+    unconnected: TransformCheck | None = None,
 ) -> None:
     """Convert all messages of the cut, and write them in the order of reading.
 

@@ -12,7 +12,7 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import MessageError, UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.pipeline.checks import Unconnected, doubts, idle_cut, refuse_unusable
+from pc2scan.pipeline.checks import TransformCheck, cut_warnings, option_warnings, refuse_unusable
 from pc2scan.pipeline.conversion import EncodedMessage
 from pc2scan.pipeline.first_clouds import Candidate, FirstClouds, SharedSample
 from pc2scan.pipeline.plan import make_plan
@@ -212,7 +212,11 @@ class Scans(Stream[Scan]):
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
-        report.warnings += (*doubts(options), *idle_cut(reader, options.start, options.end), *plan.warnings)
+        report.warnings += (
+            *option_warnings(options),
+            *cut_warnings(reader, options.start, options.end),
+            *plan.warnings,
+        )
         early: list[str] = []
         transforms = partial(robot_transforms, self._selection.paths, options, span)
         firsts = FirstClouds(report, early.append, transforms)
@@ -417,7 +421,7 @@ class _Conversion:
         early: list[str],
     ) -> None:
         self._report, self._firsts, self._early = report, firsts, early
-        self._unconnected = Unconnected()
+        self._unconnected = TransformCheck()
         entries: dict[tuple[str, str], TopicReport] = {}
         #: The entries of each connection, and whether their scans are made of several messages.
         self._entries: dict[int, list[tuple[TopicReport, bool]]] = {}

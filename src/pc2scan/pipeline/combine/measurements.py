@@ -141,7 +141,7 @@ def measure_sources(
     if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
         found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
     warnings = _doubtful(asked, reader, topics, firsts)
-    later = partial(_later_delays, reader, own, start_ns, stop_ns)
+    later = partial(_sample_delays, reader, own, start_ns, stop_ns)
     grouper: Callable[[], Grouper[Contribution]]
     if asked.accumulates:
         # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
@@ -249,7 +249,7 @@ def _windows(firsts: Mapping[str, _TopicStart], topics: Sequence[str], window_ns
     return [max(period, periods[0]) // 2 for period in periods]
 
 
-def _later_delays(
+def _sample_delays(
     reader: Reader,
     own: Mapping[str, Sequence[Connection]],
     start_ns: int | None,

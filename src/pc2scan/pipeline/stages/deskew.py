@@ -347,7 +347,7 @@ class Deskew:
         given = TIME in points.fields
         name = TIME if given else self._point_time.field_of(points)
         whole = points.field(name).dtype.kind in "iu"
-        points = points if given else without_zeros(points, name, self._point_time.unit)
+        points = points if given else mask_zero_times(points, name, self._point_time.unit)
         values = points.field(name)
         low, high, measured, unknown = kernel.span(points.field("x"), values)
         if not measured:
@@ -417,7 +417,7 @@ class Deskew:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
 
 
-def without_zeros(points: Points, name: str, unit: str) -> Points:
+def mask_zero_times(points: Points, name: str, unit: str) -> Points:
     """Return points whose times that are 0 are NaN, if the others are absolute.
 
     Drivers write 0 for points without a return. Among times after the stamp, 0 is a time.
