@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pc2scan.pipeline.scheduler import cores
+from pc2scan.threads import cores
 
 from .jobs import convert_one
 from .processes import run_jobs

@@ -18,9 +18,9 @@ from pc2scan.files.places import made_folder
 from pc2scan.files.records import Record as FileRecord
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
-from pc2scan.pipeline.scheduler import cores as all_cores
 from pc2scan.remote.names import ShownUrl
 from pc2scan.remote.urls import is_url, shown_path, url_of
+from pc2scan.threads import cores as all_cores
 
 from .dataset_file import DatasetFile, load_dataset_file
 from .executors import available_bytes, dask_executor, estimate_seconds, local_executor, process_count, workers_for
@@ -151,7 +151,10 @@ class _Batch:
         if path is None:
             return None
         real = Path(os.path.realpath(path))
-        if real == self._out / MANIFEST or (real.is_relative_to(self._out) and self._is_output(real)):
+        is_inside = real.is_relative_to(self._out)
+        if real == self._out / MANIFEST or (
+            is_inside and real.relative_to(self._out).as_posix() in self._history.owned
+        ):
             raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
         beginning = BEGINNINGS[path.suffix.lower()]
         try:
@@ -162,9 +165,6 @@ class _Batch:
         except (DestinationError, OutputError) as err:
             err.message = f"the report cannot be written there: {err.message}"
             raise
-
-    def _is_output(self, path: Path) -> bool:
-        return path.relative_to(self._out).as_posix() in self._history.owned
 
     def plan(self) -> None:
         """Find the recordings, and decide what is done with each."""

@@ -133,8 +133,9 @@ def open_routes(
         for place, (task, conversion) in enumerate(zip(route.tasks, chosen, strict=True)):
             combiner = combiner_of(combiners, task, conversion, written)
             leads = task.combination is None or task.combination.sources[0] == topic
+            kind = conversion.output_type, conversion.output.define
             for name in task.targets:
-                handle = declared.add(_converted_connection(connection, name, conversion, target)) if leads else -1
+                handle = declared.add(_publisher_like(connection, name, *kind, target)) if leads else -1
                 kept = made.passing_handle >= 0
                 action = "converted" if leads else "joined"
                 entry = TopicReport(topic, msgtype, name, action, clouds_kept=kept, spec=task.spec)
@@ -265,11 +266,6 @@ def _prepare_passing(
 def _holding_any() -> str:
     """Return the suffixes of files that hold messages of every encoding."""
     return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)
-
-
-def _converted_connection(source: Connection, topic: str, conversion: Conversion, target: Destination) -> Connection:
-    """Return the connection of converted messages, with the QoS profile and latching of their source."""
-    return _publisher_like(source, topic, conversion.output_type, conversion.output.define, target)
 
 
 def _publisher_like(

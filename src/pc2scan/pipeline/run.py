@@ -36,7 +36,7 @@ from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
-from pc2scan.threads import Threads
+from pc2scan.threads import Threads, cores
 
 from .checks import TransformCheck, cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
 from .conclusion import conclude, tally_of
@@ -55,17 +55,16 @@ from .routes import (
     write_static,
 )
 from .run_files import OutputOptions, RunFiles, report_file
-from .scheduler import cores
 from .stream import Progress, Span, stream
 from .topic_report import TopicReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection, Summary
+    from pc2scan.model import Summary
     from pc2scan.tf.buffer import TransformBuffer
 
     from .levelling import LevelFrames
@@ -433,10 +432,12 @@ def _target(
     output: OutputOptions,
 ) -> Destination:
     """Decide the destination's format; a repaired recording has its source's format if its name allows it."""
-    ros_version = _ros_version(reader.connections)
+    # None for a source without ROS messages.
+    ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
     storage, compression = default_storage(path, summaries) if not is_named else None, None
     if options.repair:
         storage, compression = kept_form(path, summaries)
+    names_directory = output.to is not None and destinations()[output.to].is_directory
     target = plan_destination(
         path,
         storage=output.storage or storage,
@@ -444,7 +445,7 @@ def _target(
         profile=output.profile,
         metadata_version=output.metadata_version,
         source_ros_version=ros_version,
-        is_directory=not is_named or output.storage is not None or _is_directory(output.to),
+        is_directory=not is_named or output.storage is not None or names_directory,
     )
     # A recording without ROS messages has no ROS profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
@@ -464,16 +465,6 @@ def _level_frames(
     entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
     report.topics.append(entry)
     return LevelFrames(declared.add(connection), target.serialization, entry)
-
-
-def _is_directory(to: str | None) -> bool:
-    """Whether the option `to` names a format whose recordings are directories."""
-    return to is not None and destinations()[to].is_directory
-
-
-def _ros_version(connections: Iterable[Connection]) -> int | None:
-    """Return the source's ROS version; None for a source without ROS messages."""
-    return next((c.ros_version for c in connections if c.ros_version is not None), None)
 
 
 def _threads(options: ConvertOptions, stack: ExitStack) -> Threads | None:

@@ -6,7 +6,6 @@ core's own cache, and the memory of a chunk is released as soon as its scans exi
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -50,11 +49,6 @@ class DeferredMessage(NamedTuple):
     def size(self) -> int:
         """The size of the message in bytes."""
         return self.message.size
-
-
-def cores() -> int:
-    """Return how many processor cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def schedule(
