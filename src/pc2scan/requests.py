@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from .arguments import path_of, path_text, paths_in, refuse_unknown, shown
+from .arguments import path_of, path_text, paths_in, refuse_unknown, value_and_type
 from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
 from .options.call import CALL, Options
@@ -275,7 +275,9 @@ def _filters_in(values: object) -> tuple[Filter, ...]:
     for value in found:
         if isinstance(value, type) or not hasattr(value, "explanation"):
             text = "; a condition as text is the argument `where`" if isinstance(value, str) else ""
-            raise TypeError(f"filters has {shown(value)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}")
+            raise TypeError(
+                f"filters has {value_and_type(value)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}"
+            )
     return found
 
 

@@ -15,7 +15,7 @@ from pc2scan.text import did_you_mean
 
 from .combine.options import Combining
 from .param_sources import resolve_sources
-from .parameters import ALIASES, Setting, names_of, shown
+from .parameters import ALIASES, Setting, names_of, value_text
 from .redaction import may_quote, redact_file
 from .scan_spec import ScanSpec, TopicRequest
 from .stages.filter_options import filters_from
@@ -296,7 +296,7 @@ def _check_value(key: str, entry: _Entry) -> Any:
 
 
 def _found(entry: _Entry) -> str:
-    return "a mapping" if isinstance(entry.value, dict) else shown(entry.value)
+    return "a mapping" if isinstance(entry.value, dict) else value_text(entry.value)
 
 
 def refuse_beside(names: Sequence[str]) -> None:

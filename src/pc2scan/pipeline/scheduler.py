@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from pc2scan.bags.many import Many
 from pc2scan.bags.units import Handle, in_time_order, loaded, when_due
-from pc2scan.model import RawMessage, StoredChunk, owned
+from pc2scan.model import RawMessage, StoredChunk, own_message
 from pc2scan.threads import InOrder
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def _may_wait(unit: Unit, results: InOrder[Loaded[Any]], jobs: int) -> bool:
 
 def _load_together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
     """Load a unit on this thread, and work on its messages on all threads."""
-    found = loaded(unit, owned, whole=unit.may_be_whole)
+    found = loaded(unit, own_message, whole=unit.may_be_whole)
     if isinstance(found, StoredChunk):
         return found
     if isinstance(found, Many):

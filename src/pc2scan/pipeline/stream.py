@@ -11,7 +11,7 @@ from pc2scan.bags.lasting import Newest, is_static
 from pc2scan.bags.units import Unit
 from pc2scan.errors import DecodeError, MessageError, UnwritableError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.model import StoredChunk, own, owned
+from pc2scan.model import StoredChunk, own_data, own_message
 
 from .conversion import EncodedMessage
 from .first_clouds import Candidate, SharedSample
@@ -153,7 +153,7 @@ def _units_of_cut(
     start, stop = span.start_ns, span.stop_ns
     lasting = [route.connection for route in routes.values() if route.lasts]
     if start is not None and lasting and span.latched:
-        with closing(schedule(reader.units(lasting, None, start), owned, pool, path=reader.path)) as earlier:
+        with closing(schedule(reader.units(lasting, None, start), own_message, pool, path=reader.path)) as earlier:
             # No rule allows whole chunks here.
             yield [latched_at(cast("Iterator[RawMessage]", earlier), start)]
     yield reader.units(wanted, start, stop, rule)
@@ -163,7 +163,7 @@ def _outcome_or_deferral(routes: Mapping[int, OpenRoute], message: RawMessage) -
     """Work on a message; postpone it if its result takes more memory than itself. Runs on any thread."""
     route = routes[message.connection.id]
     if route.convert is not None and len(message.data) < route.shrinks_from:
-        return DeferredMessage(owned(message), partial(_outcome, route))
+        return DeferredMessage(own_message(message), partial(_outcome, route))
     return _outcome(route, message)
 
 
@@ -173,7 +173,7 @@ def _outcome(route: OpenRoute, message: RawMessage) -> _MessageOutcome:
     passing = error = None
     try:
         if route.passing_handle >= 0:
-            passing = own(message.data) if route.encode is None else route.encode(message.data)
+            passing = own_data(message.data) if route.encode is None else route.encode(message.data)
         if route.convert is not None:
             converted = route.convert(message.data)
             for made in converted:

@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.many import MAX_TOGETHER, Many
-from pc2scan.model import RawMessage, own
+from pc2scan.model import RawMessage, own_data
 
 from .records import MESSAGE, OP_MESSAGE, RECORD
 
@@ -86,7 +86,7 @@ def _many(data: memoryview, wanted: Mapping[int, Connection], start_ns: int, sto
             times.append(log_time_ns)
             places.append(position)
         position += RECORD.size + length
-    return Many(times, places, partial(message_at, memoryview(own(data)), wanted), len(data))
+    return Many(times, places, partial(message_at, memoryview(own_data(data)), wanted), len(data))
 
 
 def _stretch_of(

@@ -17,7 +17,7 @@ from pc2scan.bags.many import MAX_TOGETHER, Many
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import CompressionError, decompress
 from pc2scan.files.limits import allowed_bytes
-from pc2scan.model import RawMessage, own
+from pc2scan.model import RawMessage, own_data
 
 from .records import (
     CONNECTION,
@@ -290,7 +290,7 @@ def _many(data: memoryview, wanted: Mapping[int, Connection | None], start_ns: i
             identity, stamp = uint32_field(fields, "conn"), time_field(fields, "time")
         if wanted[identity] is not None and start_ns <= stamp < stop_ns:
             found.add(identity, stamp, start, position)
-    return found.many(memoryview(own(data)), {key: item for key, item in wanted.items() if item is not None})
+    return found.many(memoryview(own_data(data)), {key: item for key, item in wanted.items() if item is not None})
 
 
 class FoundMessages:
