@@ -43,7 +43,7 @@ PIECE_BYTES = 2_000_000_000
 
 
 class _CutSearch(NamedTuple):
-    """A step: find where to cut a recording."""
+    """The part of a job that finds where to cut a recording."""
 
     piece_bytes: int
 
@@ -54,7 +54,7 @@ class _CutSearch(NamedTuple):
 
 
 class _TransformReading(NamedTuple):
-    """A step: read the transforms of a stretch."""
+    """The part of a job that reads the transforms of a stretch."""
 
     sources: tuple[Path, ...]
     file: Path
@@ -67,7 +67,7 @@ class _TransformReading(NamedTuple):
 
 
 class _PieceConversion(NamedTuple):
-    """A step: convert a piece."""
+    """The part of a job that converts a piece."""
 
     destination: str
     piece: Piece

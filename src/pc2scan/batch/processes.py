@@ -50,7 +50,7 @@ _SAID = 2_000
 
 
 class JobStart(NamedTuple):
-    """A conversion begins."""
+    """The conversion of a job begins."""
 
     key: str
 

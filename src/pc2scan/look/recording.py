@@ -61,7 +61,7 @@ class ShownRecording(NamedTuple):
 
 @contextmanager
 def open_with_transforms(sources: Sequence[Path], options: ConvertOptions) -> Iterator[ShownRecording]:
-    """Open recordings as one.
+    """Open recordings as one, and read their transforms.
 
     Raises
     ------

@@ -38,7 +38,7 @@ _DOES: dict[Outcome, str] = {
 
 
 class Tally(NamedTuple):
-    """What is compared and reported once the whole recording has been read.
+    """What is compared and reported at the end of a conversion.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Tally(NamedTuple):
 
 
 def tally_of(reader: Reader, routes: Mapping[int, OpenRoute], serialization: str) -> Tally:
-    """Return what is compared and reported at the end."""
+    """Return the tally of a conversion whose messages have all been read."""
     written = [route for route in routes.values() if route.writes]
     return Tally(
         reader.path,
@@ -71,7 +71,7 @@ def tally_of(reader: Reader, routes: Mapping[int, OpenRoute], serialization: str
 
 
 def conclude(report: Report, tally: Tally, options: ConvertOptions) -> None:
-    """Add to a report what is known only of the whole conversion.
+    """Compare the counts, and add warnings about the whole conversion to its report.
 
     Raises
     ------

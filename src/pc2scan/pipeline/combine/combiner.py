@@ -51,7 +51,7 @@ class CombinedScan(NamedTuple):
 
 
 class Combiner:
-    """Topics whose messages become scans together.
+    """Combines the messages of several topics to scans.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ _NOWHERE = Rigid.identity()
 
 
 class Contribution(NamedTuple):
-    """A message on its way to a scan that may have others in it.
+    """What one message contributes to a scan of several messages.
 
     Attributes
     ----------
