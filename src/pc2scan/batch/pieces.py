@@ -17,9 +17,9 @@ from pc2scan.bags.destinations import recorded_in
 from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.source import changed_while_read
 from pc2scan.files.staging import staged
-from pc2scan.pipeline.piece import Piece
 from pc2scan.pipeline.pieces import join, join_reports, may_be_cut, read_stretch, stretches_of
 from pc2scan.pipeline.run import run_piece
+from pc2scan.pipeline.split import Piece
 
 from .identity import Identity, identity_of
 from .jobs import Job, JobResult, outcome_of, utc_now
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.pipeline.piece import PieceResult
     from pc2scan.pipeline.pieces import Stretch, Stretches
+    from pc2scan.pipeline.split import PieceResult
 
     from .processes import Event, Executor
 

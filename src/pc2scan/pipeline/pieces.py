@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 
     from .conclusion import Tally
     from .options import ConvertOptions
-    from .piece import Piece, PieceResult
     from .plan import Plan
     from .report import Report
+    from .split import Piece, PieceResult
     from .stream import Span
     from .topic_report import TopicReport
 

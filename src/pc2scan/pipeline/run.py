@@ -69,8 +69,8 @@ if TYPE_CHECKING:
 
     from .levelling import LevelFrames
     from .options import ConvertOptions
-    from .piece import Piece, PieceResult
     from .plan import Plan
+    from .split import Piece, PieceResult
 
 
 def run(
@@ -344,7 +344,7 @@ def _run(
         if piece is not None:
             from pc2scan.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415  # loaded by now
 
-            from .piece import PieceResult  # noqa: PLC0415  # most recordings are converted in one piece
+            from .split import PieceResult  # noqa: PLC0415  # most recordings are converted in one piece
 
             assert isinstance(writer, Rosbag2Writer)
             return PieceResult(report, tally, writer.info)
