@@ -126,14 +126,14 @@ class CloudToScan(Conversion):
         measured = self._timings.get(topic, self._default)
         beams = self._beams or _Beams(measured.resolve(self.params))
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
-        project = partial(self._scan, measured, beams, firsts)
+        project = partial(self._make_scan, measured, beams, firsts)
         select = () if self._select is None else (self._select,)
         return (self._place.of(topic), *select, project, *self._remove)
 
-    def _scan(
+    def _make_scan(
         self, timing: Measurements, beams: _Beams, firsts: TopicClouds | None, placed: PlacedCloud
     ) -> ConvertedMessage:
-        scan = self._projected(placed, beams.project)
+        scan = self._project(placed, beams.project)
         params, layout, stamp_ns = self.params, beams.layout, placed.stamp_ns
         if timing.first_beam_ns:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
@@ -156,10 +156,10 @@ class CloudToScan(Conversion):
         sample = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
-        used = self._used(placed, beams.project) if self._keeps_used else None
+        used = self._gather_used(placed, beams.project) if self._keeps_used else None
         return ConvertedMessage(message, scan.counts, empty, motion, sample, level, used=used, removed=scan.removed)
 
-    def _used(self, placed: PlacedCloud, project: Projector) -> UsedPoints:
+    def _gather_used(self, placed: PlacedCloud, project: Projector) -> UsedPoints:
         """Return which of the decoded points the beams read."""
         from pc2scan.messages.used_points import UsedPoints  # noqa: PLC0415  # only where they are kept
 
@@ -169,7 +169,7 @@ class CloudToScan(Conversion):
             numbers = points.field(NUMBER).reshape(-1)[numbers]
         return UsedPoints(placed.whole, numbers, beams)
 
-    def _projected(self, placed: PlacedCloud, project: Projector) -> ProjectedScan:
+    def _project(self, placed: PlacedCloud, project: Projector) -> ProjectedScan:
         """Project the points; a transform that is not applied yet is applied in the same loop."""
         points, name = placed.points, self.params.intensity_field
         scan = project(*points.xyz(), _transform(placed), points.field(name) if name else None)

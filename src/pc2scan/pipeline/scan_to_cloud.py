@@ -60,10 +60,10 @@ class ScanToCloud(Conversion):
 
     def stages(self, topic: str) -> tuple[Step, ...]:  # noqa: ARG002
         """Return the only stage, which is the same for all topics; see `Conversion`."""
-        return (self._cloud,)
+        return (self._make_cloud,)
 
-    def _cloud(self, scan: LaserScan) -> ConvertedMessage:
-        header, points = self._placed(scan, unprojected(scan, self.channels))
+    def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
+        header, points = self._place(scan, unprojected(scan, self.channels))
         message = StructuredCloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
         rejected = points.rejected
         counts = PointCounts(
@@ -74,7 +74,7 @@ class ScanToCloud(Conversion):
         )
         return ConvertedMessage(message, counts, empty=not len(points.points))
 
-    def _placed(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:
+    def _place(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:
         """Return the cloud's header, and the points in its frame."""
         place = self._frames.place(scan.frame_id, scan.stamp_ns)
         own = _CloudHeader(scan.sequence, scan.stamp_ns, place.frame_id)

@@ -17,7 +17,7 @@ from pc2scan.files.borrowed import Borrowed, Buffers
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.combine import conversion as combine
-from pc2scan.pipeline.combine.conversion import Contribution, MessagesToScan, kept_together
+from pc2scan.pipeline.combine.conversion import Contribution, MessagesToScan, common_memory
 from pc2scan.pipeline.combine.grouping import Grouper
 from pc2scan.pipeline.combine.options import Combining
 from pc2scan.pipeline.combine.rules import Nearest
@@ -177,11 +177,11 @@ def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None
     rows = np.frombuffer(
         memoryview(borrowed.buffer).toreadonly()[:960_000] if wrapped else borrowed.buffer, np.float32
     ).reshape(-1, 4)
-    memory = kept_together(rows[:, axis] for axis in range(3))
+    memory = common_memory(rows[:, axis] for axis in range(3))
     assert memory is not None
-    assert kept_together([rows[:, 0], np.zeros(len(rows), np.float32)]) is None
+    assert common_memory([rows[:, 0], np.zeros(len(rows), np.float32)]) is None
     # A copy of a small part takes less than all of it.
-    assert kept_together([rows[:1000, 0]]) is None
+    assert common_memory([rows[:1000, 0]]) is None
     del borrowed
     assert not buffers
     del memory

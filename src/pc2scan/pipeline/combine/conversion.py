@@ -218,7 +218,7 @@ class MessagesToScan(Conversion):
         deskew = None if self._deskew is None else self._deskew.of(topic)
 
         def prepare(message: Points | LaserScan) -> Contribution:
-            return self._contribution(number, firsts, deskew, message)
+            return self._contribute(number, firsts, deskew, message)
 
         return (prepare,) if self.grouper is not None else (prepare, self.alone)
 
@@ -226,7 +226,7 @@ class MessagesToScan(Conversion):
         """Return the encoder of scans; messages that are grouped first are not encoded here."""
         return super().encoder(target) if self.grouper is None else _as_it_is
 
-    def encoded(self, lead: Contribution, members: Sequence[Contribution], target: str) -> EncodedMessage:
+    def encode(self, lead: Contribution, members: Sequence[Contribution], target: str) -> EncodedMessage:
         """Make the scan of a group of messages, and serialise it as ``ros1`` or ``cdr``."""
         return super().encoder(target)(self.scan(lead, members))
 
@@ -234,7 +234,7 @@ class MessagesToScan(Conversion):
         """Make the scan of one message."""
         return self.scan(contribution, (contribution,))
 
-    def _contribution(
+    def _contribute(
         self, number: int, firsts: TopicClouds | None, deskew: Deskew | None, message: Points | LaserScan
     ) -> Contribution:
         flat = isinstance(message, LaserScan)
@@ -287,26 +287,26 @@ class MessagesToScan(Conversion):
             sample=sample,
         )
         if flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
-            return self._held(contribution)
+            return self._keep_points(contribution)
         if self._rigid or (self._once and number == 0):
             if number == 0 and not self._rigid:
                 self._leads = [*self._leads[1 - _LEADS :], contribution._replace(points=_NO_POINTS, track=None)]
-            return self._projected(contribution)
-        return self._assumed(contribution) if self._once else self._held(contribution)
+            return self._project(contribution)
+        return self._project_as_assumed(contribution) if self._once else self._keep_points(contribution)
 
-    def _projected(self, contribution: Contribution) -> Contribution:
+    def _project(self, contribution: Contribution) -> Contribution:
         """Return a message with the ranges of the beams instead of its points."""
-        nearest, motion = self._nearest(contribution, contribution)
+        nearest, motion = self._find_nearest(contribution, contribution)
         points = Points(contribution.points.sequence, contribution.stamp_ns, contribution.points.frame_id, {})
         size = _OVERHEAD + nearest.ranges.nbytes
         return contribution._replace(points=points, nearest=nearest, motion=motion, size=size)
 
-    def _assumed(self, contribution: Contribution) -> Contribution:
+    def _project_as_assumed(self, contribution: Contribution) -> Contribution:
         """Return a message projected for the scan that it probably belongs to, with its points for any other scan.
 
         The points are in the processor's cache now; projecting them later takes twice as long.
         """
-        held = self._held(contribution)
+        held = self._keep_points(contribution)
         leads = sorted(self._leads, key=attrgetter("stamp_ns"))
         if len(leads) < _FEWEST_LEADS:
             return held
@@ -314,21 +314,21 @@ class MessagesToScan(Conversion):
         if 2 * abs(lead.stamp_ns - contribution.stamp_ns) > leads[-1].stamp_ns - leads[-2].stamp_ns:
             return held
         try:
-            nearest, motion = self._nearest(lead, contribution)
+            nearest, motion = self._find_nearest(lead, contribution)
         except MessageError:
             # The error is raised when the scan is made, if the message belongs to it.
             return held
         return held._replace(nearest=nearest, motion=motion, assumed=(lead.reference_ns, lead.frame_id))
 
-    def _nearest(self, lead: Contribution, member: Contribution) -> tuple[ProjectedScan, Motion | None]:
+    def _find_nearest(self, lead: Contribution, member: Contribution) -> tuple[ProjectedScan, Motion | None]:
         """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
-        points, transform, rejected, motion = self._placed(lead, member)
-        nearest = self._projector.nearest(Part(*points.xyz(), _rounded(transform)))
+        points, transform, rejected, motion = self._place(lead, member)
+        nearest = self._projector.nearest(Part(*points.xyz(), _round_transform(transform)))
         if rejected:
             nearest.counts += PointCounts(sum(rejected.values()), **rejected)
         return nearest, motion
 
-    def _held(self, contribution: Contribution) -> Contribution:
+    def _keep_points(self, contribution: Contribution) -> Contribution:
         """Return a message whose points may be used after the buffer that they were decoded in is free again."""
         track, points = contribution.track, contribution.points
         if not contribution.flat and self._intensity:
@@ -349,8 +349,8 @@ class MessagesToScan(Conversion):
         memory = None
         if self.grouper is not None:
             # Messages that are in many scans are held for longer, so their fields are copied, which takes less memory.
-            memory = kept_together(views.values()) if self._once else None
-            views = views if memory is not None else _copied(views)
+            memory = common_memory(views.values()) if self._once else None
+            views = views if memory is not None else _copy_fields(views)
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
         return contribution._replace(points=held, size=size, memory=memory)
 
@@ -384,18 +384,18 @@ class MessagesToScan(Conversion):
                 known.append(member.nearest)
                 motions += [] if member.motion is None else [member.motion]
                 continue
-            points, transform, found, motion = self._placed(lead, member)
+            points, transform, found, motion = self._place(lead, member)
             if found:
                 others.append(PointCounts(sum(found.values()), **found))
             if motion is not None:
                 motions.append(motion)
             values = points.field(self._intensity) if self._intensity in points.fields else None
             by_height = not (member.flat and self._any_height)
-            parts.append(Part(*points.xyz(), _rounded(transform), values, any_height=not by_height))
+            parts.append(Part(*points.xyz(), _round_transform(transform), values, any_height=not by_height))
             if member.flat:
                 beams.append((parts[-1], points.field("index")))
             if self._keeps_used:
-                sources.append((member.source, _transformed(points, transform, lead.frame_id)))
+                sources.append((member.source, _transform_points(points, transform, lead.frame_id)))
         if known:
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
@@ -417,14 +417,14 @@ class MessagesToScan(Conversion):
         )
         empty = scan.ranges.tobytes() == self._no_returns
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
-        shared = self._rebinned(beams) if len(beams) == len(members) else None
+        shared = self._rebin(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
-        used = self._used(message, parts, sources) if self._keeps_used else None
+        used = self._gather_used(message, parts, sources) if self._keeps_used else None
         counts = sum(others, scan.counts)
         result = ConvertedMessage(message, counts, empty, largest, lead.sample, level, shared, used, scan.removed)
         return result if self._remove is None else self._remove(result)
 
-    def _placed(
+    def _place(
         self, lead: Contribution, member: Contribution
     ) -> tuple[Points, Rigid | MovingTransform | None, Mapping[str, int], Motion | None]:
         """Return a member's points, the transform still to apply, the rejection counts, and the sensor's motion."""
@@ -443,7 +443,7 @@ class MessagesToScan(Conversion):
             motion = Motion(0.0, 0.0)
         elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
             transform = lead.target_from_fixed.product(member.fixed_from_source)
-            motion = _moved(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
+            motion = _motion_of(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
         if self._late is None and self._keeps_used and moving is not None:
             # The points are written as they are projected.
             points, placed, lost = moving.place(member.points)
@@ -455,14 +455,14 @@ class MessagesToScan(Conversion):
         rejected = {**member.rejected, **selected.rejected}
         return selected.points, selected.motion or selected.target_from_source, rejected, motion
 
-    def _used(self, scan: LaserScan, parts: Sequence[Part], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
+    def _gather_used(self, scan: LaserScan, parts: Sequence[Part], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
         """Return the points that the beams of a scan read."""
         from pc2scan.messages.used_points import gathered  # noqa: PLC0415  # only where they are kept
 
         read = self._projector.read_together(parts)
         return gathered(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
-    def _rebinned(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinning:
+    def _rebin(self, beams: Sequence[tuple[Part, NDArray[np.int32]]]) -> Rebinning:
         from .rebinning import count_rebinning  # noqa: PLC0415  # most sources are clouds
 
         found = []
@@ -484,17 +484,17 @@ def _as_it_is(contribution: Contribution) -> Contribution:
     return contribution
 
 
-def _transformed(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
+def _transform_points(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
     """Return points as they are projected; those of a moving sensor are transformed already."""
     return points.transform(packed(transform.as_float32()), frame_id) if isinstance(transform, Rigid) else points
 
 
-def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
+def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
     """Return a transform as it is applied to points."""
     return transform.as_float32() if isinstance(transform, Rigid) else transform
 
 
-def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
+def common_memory(arrays: Iterable[NDArray[Any]]) -> Kept | None:
     """Return the memory that all these arrays are views of, which is kept; None if they must be copied."""
     memory: Kept | None = None
     whole: bytes | Memory | None = None
@@ -512,14 +512,14 @@ def kept_together(arrays: Iterable[NDArray[Any]]) -> Kept | None:
     return memory
 
 
-def _copied(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _copy_fields(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return copies of fields, whose memory may be overwritten."""
     axes = compact(*(fields[axis] for axis in "xyz"))
     copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
     return copies | dict(zip("xyz", axes, strict=True))
 
 
-def _moved(transform: Rigid | None, mount: Rigid | None) -> Motion:
+def _motion_of(transform: Rigid | None, mount: Rigid | None) -> Motion:
     """Return how far a sensor moved from the pose at which it is mounted."""
     one, other = (transform or _NOWHERE).pose, (mount or _NOWHERE).pose
     distance = math.dist(one[:3], other[:3])
