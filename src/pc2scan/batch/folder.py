@@ -212,7 +212,7 @@ def _numbered(output: str) -> re.Match[str] | None:
 def unnumbered_name(output: str) -> str:
     """Return the name of a result without the number; a name without a number is returned as it is.
 
-    >>> whole("drive_scan_0.bag"), whole("drive_scan.bag")
+    >>> unnumbered_name("drive_scan_0.bag"), unnumbered_name("drive_scan.bag")
     ('drive_scan.bag', 'drive_scan.bag')
     """
     found = _numbered(output)

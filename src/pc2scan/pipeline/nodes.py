@@ -35,7 +35,7 @@ class Remappings:
 def remaps_of_node(texts: Iterable[str], node: str) -> list[str]:
     """Return the remappings that apply to a node: those without a node's name in front, or with this one's.
 
-    >>> meant_for(["front:scan:=/a", "/rear:scan:=/b", "cloud_in:=/points"], "/robot/front")
+    >>> remaps_of_node(["front:scan:=/a", "/rear:scan:=/b", "cloud_in:=/points"], "/robot/front")
     ['front:scan:=/a', 'cloud_in:=/points']
     """
     found = []
