@@ -55,7 +55,7 @@ class UnfinishedOutputs(NamedTuple):
     folders: frozenset[str] = frozenset()
 
 
-def note_unfinished(folder: Path, begun: UnfinishedOutputs) -> None:
+def note_unfinished(folder: Path, unfinished: UnfinishedOutputs) -> None:
     """Note what a run is going to write. After a run was killed, this shows which files belong to the batch.
 
     Raises
@@ -63,7 +63,7 @@ def note_unfinished(folder: Path, begun: UnfinishedOutputs) -> None:
     OutputError
         If it cannot be written.
     """
-    outputs, folders = (json.dumps(sorted(names)) for names in begun)
+    outputs, folders = (json.dumps(sorted(names)) for names in unfinished)
     text = f'{_NOTE_BEGINNING.decode()}"{__version__}", "outputs": {outputs}, "folders": {folders}}}\n'
     with text_output(folder / UNFINISHED, beginning=_NOTE_BEGINNING, overwrite=False) as write:
         write(text)
@@ -74,8 +74,10 @@ def read_unfinished(folder: Path) -> UnfinishedOutputs:
     try:
         noted = json.loads((folder / UNFINISHED).read_bytes())
         # Older versions did not note folders.
-        begun = UnfinishedOutputs(frozenset(map(str, noted["outputs"])), frozenset(map(str, noted.get("folders", ()))))
-        for path in (*begun.outputs, *begun.folders):
+        unfinished = UnfinishedOutputs(
+            frozenset(map(str, noted["outputs"])), frozenset(map(str, noted.get("folders", ())))
+        )
+        for path in (*unfinished.outputs, *unfinished.folders):
             refuse_outside(path)
     except FileNotFoundError:
         return UnfinishedOutputs()
@@ -85,7 +87,7 @@ def read_unfinished(folder: Path) -> UnfinishedOutputs:
             path=folder / UNFINISHED,
             hint="move it away",
         ) from err
-    return begun
+    return unfinished
 
 
 def forget_unfinished(folder: Path) -> None:

@@ -42,7 +42,7 @@ class History:
     ----------
     records
         The manifest, by key.
-    begun
+    unfinished
         Outputs that a killed run was going to write, relative to the folder of the batch.
     left
         How the files of the outputs were left when they were last written, by output. The last line of a recording
@@ -50,11 +50,11 @@ class History:
     """
 
     records: Mapping[str, ManifestRecord]
-    begun: frozenset[str] = frozenset()
+    unfinished: frozenset[str] = frozenset()
     left: Mapping[str, Identity] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, lines: Iterable[ManifestRecord], begun: frozenset[str]) -> History:
+    def read(cls, lines: Iterable[ManifestRecord], unfinished: frozenset[str]) -> History:
         """Return the history that a manifest, and the note of a killed run, tell."""
         records: dict[str, ManifestRecord] = {}
         left: dict[str, Identity] = {}
@@ -63,13 +63,13 @@ class History:
             if line.is_written:
                 left[line.output] = line.output_identity
         # An output in the manifest was completed, even if the note still lists it.
-        return cls(records, begun - {record.output for record in records.values()}, left)
+        return cls(records, unfinished - {record.output for record in records.values()}, left)
 
     @cached_property
     def owned(self) -> frozenset[str]:
         """The outputs that were written by earlier runs."""
         # What a process had written when it died is not known. A conversion that failed has left nothing.
-        return self.begun | {
+        return self.unfinished | {
             record.output
             for record in self.records.values()
             if record.output and (record.output in self.left or record.outcome == "died")
@@ -293,7 +293,7 @@ def _reason(
     """Return why a recording is converted; empty if its result is up to date."""
     record = history.records.get(found.key)
     if record is None:
-        return "interrupted before" if output in history.begun else "new"
+        return "interrupted before" if output in history.unfinished else "new"
     if record.version != __version__:
         return f"converted by pc2scan {record.version}"
     if record.options != choice.digest:

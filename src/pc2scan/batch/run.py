@@ -137,10 +137,10 @@ class _Batch:
         self._stores = stores
         #: The folder in the store if the destination is a URL; then `_out` has the files of it that are uploaded.
         self._store = store
-        begun = read_unfinished(out)
-        self._history = History.read(read_records(out / MANIFEST), begun.outputs)
+        unfinished = read_unfinished(out)
+        self._history = History.read(read_records(out / MANIFEST), unfinished.outputs)
         #: What killed runs have noted, without what is in the manifest.
-        self._begun = begun._replace(outputs=self._history.begun)
+        self._unfinished = unfinished._replace(outputs=self._history.unfinished)
         self._records: dict[str, ManifestRecord] = {}
         self.made: BatchPlan
         self.report = BatchReport(out, dry_run=options.dry_run)
@@ -295,7 +295,7 @@ class _Batch:
             if self._options.fail_fast and self.made.of("refuse"):
                 jobs = []
             outputs = {step.output for step in steps} if jobs else set()
-            with track_outputs(self._out, outputs, self._begun, self._is_there) as begin:
+            with track_outputs(self._out, outputs, self._unfinished, self._is_there) as begin:
                 if jobs:
                     self._push(at_once=True)
                     self._run(executor, jobs, by_key, note, begin)
