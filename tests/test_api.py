@@ -20,7 +20,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import ParameterError, Pc2ScanError, RecordingError, TransformError, UsageError
-from pc2scan.model import Connection, RawMessage, own, owned
+from pc2scan.model import Connection, RawMessage, own_data, own_message
 from support import ROOT
 from support.command import run
 
@@ -156,14 +156,14 @@ def test_what_is_borrowed_is_copied_to_be_kept() -> None:
     kept = b"some data"
     borrowed = memoryview(bytearray(kept))
     for data in (kept, memoryview(kept), memoryview(kept)[2:5]):
-        assert own(data) is data
+        assert own_data(data) is data
     topic = Connection(1, "/a", "a/msg/A", "cdr")
     message, lent = RawMessage(topic, 1, kept, 1), RawMessage(topic, 2, borrowed[2:5], 2, 3)
-    assert owned(message) is message
-    for copied in (own(lent.data), owned(lent).data):
+    assert own_message(message) is message
+    for copied in (own_data(lent.data), own_message(lent).data):
         assert isinstance(copied, bytes)
         assert copied == kept[2:5]
-    assert owned(lent) == lent
+    assert own_message(lent) == lent
 
 
 # --- names and documentation ---

@@ -15,7 +15,7 @@ import pc2scan
 from pc2scan.cli.app import COMMANDS, application
 from pc2scan.errors import UsageError
 from pc2scan.options.table import GROUPS, options_of
-from pc2scan.options.values import Object
+from pc2scan.options.values import Instance
 from support import ROOT
 from support.builders import SCAN, Recording, Stream, item, write_mcap
 from support.builders import scan as scan_message
@@ -46,7 +46,7 @@ def taken_by_function(function: str) -> set[str]:
 def test_a_function_takes_what_its_command_takes(command: str) -> None:
     known = options_of(command)
     only_typed = {name for name, option in known.items() if option.command_only} | ONLY_TYPED.get(command, set())
-    only_python = {name for name, option in known.items() if isinstance(option.value, Object)}
+    only_python = {name for name, option in known.items() if isinstance(option.value, Instance)}
     assert taken_by_command(command) - only_typed == taken_by_function(command) - only_python
     assert taken_by_function(command) - ARGUMENTS == {n for n, option in known.items() if not option.command_only}
 

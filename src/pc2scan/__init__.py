@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from .look.plot import Plotted as Plotted
     from .look.view import Page as Page
     from .pipeline.report import Report as Report
-    from .pipeline.stages.height_slope import MinHeightSlope as MinHeightSlope
+    from .pipeline.stages.ground import MinHeightSlope as MinHeightSlope
     from .pipeline.stages.regions import ExcludeBox as ExcludeBox
     from .pipeline.stages.regions import ExcludePolygon as ExcludePolygon
     from .pipeline.stages.where import Where as Where
@@ -97,7 +97,7 @@ _HOMES = {
     "GoldenReport": "golden.result",
     "Info": "inspect.info",
     "Map": "look.map_result",
-    "MinHeightSlope": "pipeline.stages.height_slope",
+    "MinHeightSlope": "pipeline.stages.ground",
     "Page": "look.view",
     "Pc2ScanError": "errors",
     "Plotted": "look.plot",

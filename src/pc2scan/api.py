@@ -127,10 +127,10 @@ def batch(
     >>> result.counts  # doctest: +SKIP
     {'failed': 2, 'converted': 998}
     """
-    from .batch.watch import Watch  # noqa: PLC0415
+    from .batch.options import BatchCallbacks  # noqa: PLC0415
 
     asked = Options("batch", options)
-    watch = Watch() if asked.progress is None else Watch(progress=asked.progress)
+    watch = BatchCallbacks() if asked.progress is None else BatchCallbacks(progress=asked.progress)
     names = [str(path) for path in paths_in("sources", sources)]
     return commands.batch(names, path_of("destination", destination), asked, watch)
 

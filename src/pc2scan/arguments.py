@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _LONGEST = 80
 
 
-def shown(value: object) -> str:
+def value_and_type(value: object) -> str:
     """Return a value and its type, for an error message."""
     text = repr(value)
     return f"{text if len(text) <= _LONGEST else f'{text[:_LONGEST]}...'} ({type(value).__name__})"
@@ -59,7 +59,7 @@ def path_text(name: str, value: object) -> str:
     text: object = os.fspath(value) if isinstance(value, str | PathLike) else value
     if not isinstance(text, str):
         hint = ", not an open file" if hasattr(value, "read") else ""
-        raise TypeError(f"{name} is {shown(value)}, it must be a path: str or pathlib.Path{hint}")
+        raise TypeError(f"{name} is {value_and_type(value)}, it must be a path: str or pathlib.Path{hint}")
     if not text:
         raise UsageError(f"{name} is an empty path")
     text = local_path(text)
@@ -154,11 +154,11 @@ def names_in(name: str, values: object) -> tuple[str, ...]:
     if isinstance(values, str):
         return (values,)
     if isinstance(values, bytes) or not isinstance(values, Iterable):
-        raise TypeError(f"{name} is {shown(values)}, it must be a str or several")
+        raise TypeError(f"{name} is {value_and_type(values)}, it must be a str or several")
     found = tuple(values)
     for value in found:
         if not isinstance(value, str):
-            raise TypeError(f"{name} has {shown(value)}, it must be a str or several")
+            raise TypeError(f"{name} has {value_and_type(value)}, it must be a str or several")
     return found
 
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from .arguments import PathText
+    from .batch.options import BatchCallbacks
     from .batch.summary import BatchReport
-    from .batch.watch import Watch
     from .compare.result import Difference
     from .export.report import ExportReport
     from .golden.check import Command
@@ -98,7 +98,7 @@ def repair(source: Path, destination: PathText | None, options: Options, *, prog
     return run([source], path, asked, output_of(options, folder=folder), progress=progress)
 
 
-def batch(sources: Sequence[str], destination: Path, options: Options, watch: Watch) -> BatchReport:
+def batch(sources: Sequence[str], destination: Path, options: Options, watch: BatchCallbacks) -> BatchReport:
     """Convert every recording of a dataset; see `pc2scan.batch`."""
     from .batch.options import BatchOptions  # noqa: PLC0415
     from .batch.run import run_batch  # noqa: PLC0415
@@ -189,7 +189,7 @@ def map(  # noqa: A001  # the command's name
     conversion = conversion_of(options, warnings)
     first = first_output(conversion.options, "drawn", warnings)
     from .look.map import map_of, write_map  # noqa: PLC0415
-    from .look.map_options import MapOptions  # noqa: PLC0415
+    from .look.map_drawing import MapOptions  # noqa: PLC0415
 
     asked = MapOptions.of(options)
     if not write:
@@ -256,9 +256,9 @@ def diff(a: Path, b: Path | None, options: Options, *, progress: Progress | None
     pairs = [TopicPair.parse(topic) for topic in options.topics]
     found = compare(a, b, topics=pairs, all_topics=options.all_topics, rules=rules, progress=progress)
     if options.view is not None:
-        from .look.compared import compared_view  # noqa: PLC0415
+        from .look.comparison import write_comparison  # noqa: PLC0415
 
-        compared_view(a, a if b is None else b, options.view, topics=pairs, rules=rules, summary=str(found))
+        write_comparison(a, a if b is None else b, options.view, topics=pairs, rules=rules, summary=str(found))
     return found
 
 

@@ -162,14 +162,14 @@ class RawMessage(NamedTuple):
         return len(self.data)
 
 
-def own(data: Buffer) -> Buffer:
+def own_data(data: Buffer) -> Buffer:
     """Return data that may be kept. Borrowed data is copied (see `pc2scan.files.source.SourceFile.borrow`)."""
     return data if isinstance(data, bytes) or isinstance(data.obj, bytes) else bytes(data)
 
 
-def owned(message: RawMessage) -> RawMessage:
+def own_message(message: RawMessage) -> RawMessage:
     """Return a message whose data may be kept."""
-    data = own(message.data)
+    data = own_data(message.data)
     return message if data is message.data else message._replace(data=data)
 
 

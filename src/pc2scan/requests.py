@@ -7,14 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from .arguments import path_of, path_text, paths_in, refuse_unknown, shown
+from .arguments import path_of, path_text, paths_in, refuse_unknown, value_and_type
 from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
 from .options.call import CALL, Options
 from .options.frames import frames_of
 from .options.option import POINTS
 from .options.table import PARAMETERS, options_of
-from .pipeline.combine.asked import Combining
+from .pipeline.combine.options import Combining
 from .pipeline.options import ConvertOptions, destination_and_folder
 from .pipeline.param_sources import ResolvedSources, resolve_sources
 from .pipeline.parameters import Setting, refuse_degrees
@@ -37,7 +37,7 @@ _OF_A_SCAN = ScanSpec.__dataclass_fields__.keys() - {"topics", "params", "channe
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}
 
 
-class Conversion(NamedTuple):
+class ConversionRequest(NamedTuple):
     """The options of a conversion, read and checked.
 
     Attributes
@@ -64,7 +64,7 @@ def first_output(options: ConvertOptions, verb: str, note: Callable[[str], None]
     return options.with_scan()
 
 
-def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None) -> Conversion:
+def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None) -> ConversionRequest:
     """Read the options of a conversion.
 
     Parameters
@@ -95,25 +95,25 @@ def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None
     except SeveralNodesError as err:
         if options.reverse or options.params_file is None:
             raise
-        from .pipeline.several_nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
+        from .pipeline.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
 
         file = options.params_file
         refuse_topics(options.topics, err.nodes, file)
         each = [_of_node(options, settings, node, filters, note_once, one_of_several=True) for node in err.nodes]
-        return Conversion(options_of_nodes(err.nodes, [found.options for found in each], file), each[0].files)
+        return ConversionRequest(options_of_nodes(err.nodes, [found.options for found in each], file), each[0].files)
 
 
-def _several_scans(options: Options, settings: list[Setting], note: Callable[[str], None]) -> Conversion:
+def _several_scans(options: Options, settings: list[Setting], note: Callable[[str], None]) -> ConversionRequest:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
-    from .pipeline.param_assignment import parse_param  # noqa: PLC0415  # few conversions have several outputs
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
+    from .pipeline.yaml_nodes import parse_param  # noqa: PLC0415  # few conversions have several outputs
 
     refuse_beside(options.of_one_output)
     settings = [*settings, *(parse_param(text) for text in reversed(options.param))]
     found = load_scans(options.scans, settings)
     _note_ignored(found.ignored, note)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
-    return Conversion(_options(options, found.specs, frames_of(options)), named_files(options) | files)
+    return ConversionRequest(_options(options, found.specs, frames_of(options)), named_files(options) | files)
 
 
 def _of_node(
@@ -124,7 +124,7 @@ def _of_node(
     note: Callable[[str], None],
     *,
     one_of_several: bool = False,
-) -> Conversion:
+) -> ConversionRequest:
     """Read the options of a conversion with one output; a parameter file is read for one of its nodes."""
     resolved = _resolved(options, settings, node)
     _note_ignored(resolved.ignored, note)
@@ -135,12 +135,12 @@ def _of_node(
             "`topics` and `remap` both name the topics; give only one of them", hint="such as `topics=/points:=/scan`"
         )
     if typed or resolved.remaps:
-        from .pipeline.remaps import meant_for, remapped  # noqa: PLC0415  # few are given any
+        from .pipeline.nodes import read_remaps, remaps_of_node  # noqa: PLC0415  # few are given any
 
         if one_of_several and node is not None:
-            typed = meant_for(typed, node)
+            typed = remaps_of_node(typed, node)
         typed = [text for text in typed if not text.startswith("__")]
-        moved = remapped((*resolved.remaps, *typed), reverse=resolved.reverse)
+        moved = read_remaps((*resolved.remaps, *typed), reverse=resolved.reverse)
         topics = topics or moved.topics
         if moved.tf_topics and not frames.tf_topics:
             frames = replace(frames, tf_topics=moved.tf_topics)
@@ -156,7 +156,7 @@ def _of_node(
         **_among(options, _OF_A_SCAN),
     )
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    return Conversion(_options(options, (scan,), frames), files)
+    return ConversionRequest(_options(options, (scan,), frames), files)
 
 
 def _note_ignored(places: Iterable[str], note: Callable[[str], None]) -> None:
@@ -217,7 +217,7 @@ def output_of(options: Options, *, folder: Path | None = None, like_source: bool
 
     cut = None
     if options.split is not None or options.repeat_latched:
-        from .pipeline.parts import cut_of  # noqa: PLC0415  # most recordings are one file
+        from .pipeline.split import cut_of  # noqa: PLC0415  # most recordings are one file
 
         cut = cut_of(options.split, repeat_latched=options.repeat_latched)
     return OutputOptions(cut=cut, folder=folder, like_source=like_source, **_among(options, OutputOptions._fields))
@@ -275,7 +275,9 @@ def _filters_in(values: object) -> tuple[Filter, ...]:
     for value in found:
         if isinstance(value, type) or not hasattr(value, "explanation"):
             text = "; a condition as text is the argument `where`" if isinstance(value, str) else ""
-            raise TypeError(f"filters has {shown(value)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}")
+            raise TypeError(
+                f"filters has {value_and_type(value)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}"
+            )
     return found
 
 

@@ -12,7 +12,7 @@ import pytest
 import pc2scan
 from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, and_list, destinations, storages
 from pc2scan.bags.opening import open_recording
-from pc2scan.batch.results import first_part, whole
+from pc2scan.batch.folder import first_part, unnumbered_name
 from pc2scan.errors import DestinationError, RecordingError
 from pc2scan.options.table import options_of
 from support import ROOT
@@ -137,7 +137,7 @@ def test_the_command_and_batches_know_a_new_container(tmp_path: Path) -> None:
     report = pc2scan.convert(FIXTURES / "hall.mcap", f"{tmp_path}/", to="toy", keep_clouds=True)
     assert report.destination == str(tmp_path / "hall_scan.toy")
     assert first_part("a_scan.toy") == "a_scan_0.toy"
-    assert whole("a_scan_0.toy") == "a_scan.toy"
+    assert unnumbered_name("a_scan_0.toy") == "a_scan.toy"
 
 
 @pytest.mark.usefixtures("toy")

@@ -20,7 +20,7 @@ import pytest
 import pc2scan
 from batch.cluster import cluster
 from batch.long_drive import WORDS, WRITERS, drive
-from pc2scan.batch import cutting
+from pc2scan.batch import pieces
 from pc2scan.errors import UsageError
 from support.batches import HEIGHTS, batch, contents, in_this_process, manifest_of, place, run_batch
 from support.builders import POINTS, T0, Recording, cloud, item, points_of, write_rosbag1
@@ -163,7 +163,7 @@ def test_a_long_recording_is_cut_and_a_worker_is_killed(tmp_path: Path, monkeypa
     source = WRITERS["mcap"](tmp_path, drive())
     with in_this_process():
         pc2scan.batch(source, tmp_path / "here", **WORDS)
-    monkeypatch.setattr(cutting, "PIECE_BYTES", source.stat().st_size // 6)
+    monkeypatch.setattr(pieces, "PIECE_BYTES", source.stat().st_size // 6)
     out, killed = tmp_path / "there", list[int]()
     with cluster(tmp_path, {}, {}) as (address, workers):
         killer = Thread(target=kill_one_that_converts, args=(workers, out, killed))

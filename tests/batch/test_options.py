@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.batch.dataset_file import Entry
+from pc2scan.batch.dataset_file import DatasetEntry
 from pc2scan.batch.request import request_of
 from pc2scan.errors import UsageError
 from pc2scan.export.formats import FORMATS
@@ -237,7 +237,7 @@ def test_a_dataset_file_has_the_options_of_conversions(
     ],
 )
 def test_patterns_match_recordings(pattern: str, matching: list[str], others: list[str]) -> None:
-    entry = Entry(1, (pattern,))
+    entry = DatasetEntry(1, (pattern,))
     assert [key for key in matching if not entry.matches(key)] == []
     assert [key for key in others if entry.matches(key)] == []
 

@@ -8,7 +8,7 @@ import pytest
 
 import pc2scan
 from batch.long_drive import WORDS, WRITERS, drive
-from pc2scan.batch import cutting
+from pc2scan.batch import pieces
 from support import sampled
 from support.batches import contents, in_this_process, manifest_of
 
@@ -25,7 +25,7 @@ def same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[
         size = sum(file.stat().st_size for file in source.rglob("*")) if source.is_dir() else source.stat().st_size
         lines = []
         for name, piece_bytes in (("whole", 1 << 62), ("cut", size // 4)):
-            monkeypatch.setattr(cutting, "PIECE_BYTES", piece_bytes)
+            monkeypatch.setattr(pieces, "PIECE_BYTES", piece_bytes)
             with in_this_process() as jobs:
                 pc2scan.batch(source, tmp_path / name, **{**WORDS, **words})
             assert (sum("piece" in job for job in jobs) > 1) == (is_cut and name == "cut")
@@ -114,6 +114,6 @@ def test_pieces_are_converted_by_processes(tmp_path: Path, monkeypatch: pytest.M
     source = WRITERS["mcap"](tmp_path, drive())
     with in_this_process():
         pc2scan.batch(source, tmp_path / "here", **WORDS)
-    monkeypatch.setattr(cutting, "PIECE_BYTES", source.stat().st_size // 4)
+    monkeypatch.setattr(pieces, "PIECE_BYTES", source.stat().st_size // 4)
     pc2scan.batch(source, tmp_path / "there", jobs=2, **WORDS)
     assert contents(tmp_path / "there") == contents(tmp_path / "here")

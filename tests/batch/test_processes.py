@@ -18,8 +18,8 @@ import pytest
 
 import pc2scan
 from batch.datasets import make_dataset
-from pc2scan.batch.frames import receive, send
-from pc2scan.batch.resources import available_bytes, workers_for
+from pc2scan.batch.executors import available_bytes, workers_for
+from pc2scan.batch.worker import receive, send
 from pc2scan.errors import DestinationError, Pc2ScanError
 from support import sampled
 from support.batches import HEIGHTS, KEYWORDS, batch, contents, manifest_of, place
@@ -227,7 +227,7 @@ def test_a_bug_is_the_result_of_its_recording(tmp_path: Path, monkeypatch: pytes
     def fails(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("pc2scan.batch.work.run", fails)
+    monkeypatch.setattr("pc2scan.batch.jobs.run", fails)
     (outcome,) = batch(place(tmp_path / "in", "a.bag"), tmp_path / "out").outcomes
     assert (outcome.outcome, outcome.exit_status, outcome.error) == ("failed", 1, "ZeroDivisionError: oh")
     assert "in fails" in manifest_of(tmp_path / "out")["a.bag"]["error"]["traceback"]

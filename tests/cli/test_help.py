@@ -122,7 +122,7 @@ OPTIONS_BELOW = {
     "options/projection.py": "likewise",
     "options/running.py": "likewise",
     "pipeline/parameters.py": "where a parameter comes from, as it was typed",
-    "pipeline/param_assignment.py": "likewise",
+    "pipeline/yaml_nodes.py": "likewise",
     "pipeline/launch_file.py": "ROS's own options, which launch files have",
     "bags/formats.py": "the options of ROS's own players",
     "golden/case.py": "the arguments of a command, which cases have",

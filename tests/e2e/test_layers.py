@@ -270,12 +270,12 @@ LOADED_BY_CONVERT = {
     "pc2scan.messages": "clouds definitions laserscan outputs pointcloud2 tfmessage wire",
     "pc2scan.options": "call commands conversion frames option projection running table values",
     "pc2scan.pipeline": (
-        "acceptance beforehand cloud_checks cloud_to_scan combine conversion declarations demands first_clouds idle "
-        "options param_sources parameters plan prepare report report_warnings ros_scalars routes run "
-        "run_files scan_spec scheduler stages stream tally topic_report"
+        "checks cloud_checks cloud_to_scan combine conclusion conversion declarations first_clouds "
+        "options param_sources parameters plan preparation report report_warnings ros_scalars routes run "
+        "run_files scan_spec scheduler stages stream topic_report"
     ),
-    "pc2scan.pipeline.combine": "asked",
-    "pc2scan.pipeline.stages": "place",
+    "pc2scan.pipeline.combine": "options",
+    "pc2scan.pipeline.stages": "placement",
     "pc2scan.remote": "urls",
     "pc2scan.tf": "options placing reading",
 }
@@ -315,7 +315,7 @@ def test_scans_of_two_lidars_load_only_what_they_use(tmp_path: Path, further: tu
     both = ("--topic", "/front:=/scan", "--topic", "/rear:=/scan", "--target-frame", "base_link")
     heights = ("--min-height=-1", "--only-scans")
     loaded = loaded_by_convert(str(source), "-o", str(tmp_path / "scans.mcap"), *both, *heights, *further)
-    assert "pc2scan.pipeline.combine.matching" in loaded
+    assert "pc2scan.pipeline.combine.grouping" in loaded
     assert loaded & (NOT_FOR_COMBINING | SLOW_TO_LOAD) == set()
 
 
@@ -325,10 +325,10 @@ NOT_FOR_COMBINING = {
     "pc2scan.core.resolution",
     "pc2scan.core.unproject",
     "pc2scan.messages.beams",
-    "pc2scan.pipeline.combine.rebinned",
-    "pc2scan.pipeline.measure",
+    "pc2scan.pipeline.combine.rebinning",
+    "pc2scan.pipeline.measurements",
     "pc2scan.pipeline.stages.deskew",
-    "pc2scan.pipeline.stages.select",
+    "pc2scan.pipeline.stages.selection",
 }
 
 

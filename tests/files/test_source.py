@@ -14,7 +14,7 @@ from pc2scan.errors import OutputError, RecordingError
 from pc2scan.files import buffers
 from pc2scan.files import source as files
 from pc2scan.files.source import FreeIds, NewFile, SourceFile
-from pc2scan.model import own
+from pc2scan.model import own_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -98,7 +98,7 @@ def test_what_is_borrowed_is_what_would_be_read(
         monkeypatch.setattr(os, "preadv", lambda fd, views, offset: preadv(fd, [views[0][:99_999]], offset))
     with closing(SourceFile(large)) as file:
         for _ in range(2):
-            seen = file.borrow(offset, length, lambda data: (data.readonly, bytes(data), own(data)))
+            seen = file.borrow(offset, length, lambda data: (data.readonly, bytes(data), own_data(data)))
             assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
 
 

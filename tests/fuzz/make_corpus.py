@@ -20,7 +20,6 @@ from pc2scan import ProjectionParams
 from pc2scan.compare.scan_text import render_messages
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import Connection, RawMessage
-from pc2scan.pipeline.params_file import render_params_file
 from support.builders import (
     BATTERY,
     CLOUD,
@@ -34,6 +33,7 @@ from support.builders import (
     qos_text,
     scan,
 )
+from support.params_files import render_params_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

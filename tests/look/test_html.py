@@ -6,8 +6,14 @@ import base64
 import hashlib
 import json
 import re
+import zlib
 
-from pc2scan.look.html import BEGINNING, html, script, style
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from pc2scan.look.html import BEGINNING, compress, description_of, html, script, style
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>\u2028\u202e"
 
@@ -44,3 +50,19 @@ def test_the_script_needs_no_modules() -> None:
 
 def test_the_page_is_small_without_a_recording() -> None:
     assert len(html({}, {})) < 150_000
+
+
+@given(st.integers(0, 50).flatmap(lambda n: st.tuples(arrays("<f4", n), arrays("u1", n), arrays("<f8", n))))
+def test_bytes_sorted_by_place_can_be_put_together(columns: tuple[np.ndarray, ...]) -> None:
+    named = dict(zip(("x", "ring", "time"), columns, strict=True))
+    data = zlib.decompress(compress(named), -zlib.MAX_WBITS)
+    description = description_of("cloud-0", named)
+    assert description["id"] == "cloud-0"
+    begin = 0
+    for field in description["fields"]:
+        kind = np.dtype(f"<{field['type']}")
+        length = description["length"] * kind.itemsize
+        planes = np.frombuffer(data[begin : begin + length], np.uint8).reshape(kind.itemsize, -1)
+        assert planes.T.tobytes() == named[field["name"]].tobytes()
+        begin += length
+    assert begin == len(data)

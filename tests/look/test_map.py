@@ -302,7 +302,7 @@ def test_notebooks_show_the_picture(source: Path) -> None:
 
 def test_large_maps_become_pictures_of_bounded_size() -> None:
     from pc2scan.core.occupancy import Occupancy
-    from pc2scan.look.map_picture import picture_of
+    from pc2scan.look.map_files import picture_of
 
     image = pytest.importorskip("PIL.Image")
     cells = np.zeros((3001, 7003), np.int8)

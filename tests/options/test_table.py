@@ -15,7 +15,7 @@ from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.moment import TimeBound
 from pc2scan.options.table import GROUPS, PARAMETERS, instead_of, options_of, spelling_of
-from pc2scan.options.values import Object
+from pc2scan.options.values import Instance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -109,10 +109,10 @@ def test_only_recordings_that_are_written_have_options_about_them(command: str) 
 
 
 def test_what_only_python_has_is_no_option_of_a_command() -> None:
-    assert {option.name for _, option in all_options() if isinstance(option.value, Object)} == {
+    assert {option.name for _, option in all_options() if isinstance(option.value, Instance)} == {
         *("params", "filters", "frames", "progress")
     }
-    assert all(not option.spelling for _, option in all_options() if isinstance(option.value, Object))
+    assert all(not option.spelling for _, option in all_options() if isinstance(option.value, Instance))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.pipeline.clocks import are_doubtful, doubtful_clocks
+from pc2scan.pipeline.clocks import are_doubtful, clock_warnings
 from pc2scan.pipeline.stream import Span
 from support.worlds.moving import BEGIN_NS, Lidar, write_world
 
@@ -29,7 +29,7 @@ def test_clouds_whose_clock_is_not_that_of_the_transforms(kind: str, clock: floa
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
         moving = [each for each in reader.connections if each.topic == "/tf"]
-        found = list(doubtful_clocks(reader, own, moving, Span(None, None, BEGIN_NS)))
+        found = list(clock_warnings(reader, own, moving, Span(None, None, BEGIN_NS)))
     assert len(found) == bool(what)
     assert all(text.startswith("the stamps of /points are ") and f" s {what} those of /tf" in text for text in found)
 

@@ -16,7 +16,7 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
-from pc2scan.pipeline.conversion import Conversion, Converted, Measured
+from pc2scan.pipeline.conversion import Conversion, EncodedMessage, Measurements
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer
@@ -67,7 +67,7 @@ def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Placer:
 
 def once(
     conversion: Conversion, message: bytes, source: str = "ros1", target: str = "ros1", topic: str = "/topic"
-) -> Converted:
+) -> EncodedMessage:
     return conversion.for_topic(topic, source, target)(message)
 
 
@@ -81,7 +81,7 @@ def points_of(message: PointCloud2) -> Any:
 )
 def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, expected: int) -> None:
     params = ProjectionParams(scan_time="auto", time_increment="auto")
-    conversion = CloudToScan(params, Placer(), {"/front": Measured(0.125, -0.25, first_beam_ns)})
+    conversion = CloudToScan(params, Placer(), {"/front": Measurements(0.125, -0.25, first_beam_ns)})
     serialization = "ros1" if stamp_ns >= 0 else "cdr"
     message = encode_pointcloud2(
         serialization=serialization, sequence=0, stamp_ns=stamp_ns, frame_id="f", fields=XYZ, point_step=12, data=b""

@@ -20,9 +20,9 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.moment import TimeBound
 from pc2scan.options.table import PARAMETERS
-from pc2scan.pipeline.param_assignment import parse_param
 from pc2scan.pipeline.param_sources import resolve_sources
 from pc2scan.pipeline.parameters import Setting, preset_settings, resolve
+from pc2scan.pipeline.yaml_nodes import parse_param
 from pipeline.param_settings import failure, yaml_like
 from support import ROOT
 from support.tables import rows
@@ -218,6 +218,6 @@ def test_contradictions_are_refused(options: dict[str, Any]) -> None:
 
 
 def test_importing_the_modules_does_not_import_yaml() -> None:
-    modules = "pc2scan.pipeline.param_assignment, pc2scan.pipeline.params_file"
+    modules = "pc2scan.pipeline.yaml_nodes, pc2scan.pipeline.params_file"
     code = f"import sys, {modules}; sys.exit('ruamel.yaml' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT / "src")

@@ -16,9 +16,10 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.options.table import PARAMETERS
 from pc2scan.pipeline.parameters import Setting, resolve
-from pc2scan.pipeline.params_file import ParamsFile, load_params_file, render_params_file
+from pc2scan.pipeline.params_file import ParamsFile, load_params_file
 from pipeline.param_settings import failure, params_of, yaml_like
 from support import GOLDEN, sampled
+from support.params_files import render_params_file
 from support.tables import rows
 
 if TYPE_CHECKING:

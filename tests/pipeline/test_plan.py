@@ -10,7 +10,7 @@ import pytest
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import TopicError
 from pc2scan.model import Connection
-from pc2scan.pipeline.combine.asked import Combining
+from pc2scan.pipeline.combine.options import Combining
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.plan import Plan, make_plan
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest

@@ -9,7 +9,7 @@ import pytest
 
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, Definition, RawMessage
-from pc2scan.pipeline.point_times import doubtful_times
+from pc2scan.pipeline.point_times import time_warnings
 from pc2scan.pipeline.stages.deskew import PointTime
 from pc2scan.pipeline.stream import Span
 
@@ -31,7 +31,7 @@ AZIMUTH = SECONDS * 20 * np.pi
 ROSETTE = 1.2 * np.sin(17.3 * AZIMUTH) * np.cos(3.1 * AZIMUTH)
 
 
-def doubts(
+def option_warnings(
     seconds: Floats = SECONDS,
     azimuth: Floats = AZIMUTH,
     stored: Callable[[Floats], Floats] = lambda seconds: seconds,
@@ -54,7 +54,7 @@ def doubts(
                 )  # fmt: skip
                 yield RawMessage(POINTS, stamp_ns, data, stamp_ns)
 
-    return list(doubtful_times(cast("Reader", Recording()), [POINTS], PointTime.parse(asked), Span(None, None, T0)))
+    return list(time_warnings(cast("Reader", Recording()), [POINTS], PointTime.parse(asked), Span(None, None, T0)))
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def doubts(
     ],
 )
 def test_times_that_are_right_draw_none(case: dict[str, Any]) -> None:
-    assert doubts(**case) == []
+    assert option_warnings(**case) == []
 
 
 @pytest.mark.parametrize(
@@ -103,6 +103,6 @@ def test_times_that_are_right_draw_none(case: dict[str, Any]) -> None:
     ],
 )
 def test_times_that_are_probably_wrong_draw_a_warning(case: dict[str, Any], what: str) -> None:
-    (text,) = doubts(**case)
+    (text,) = option_warnings(**case)
     assert text.startswith("/points: the ")
     assert what in text

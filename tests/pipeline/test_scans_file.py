@@ -15,11 +15,11 @@ from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.schemas import scans_schema, schema_text
 from pc2scan.options.table import PARAMETERS, output_options
-from pc2scan.pipeline.combine.asked import Combining
+from pc2scan.pipeline.combine.options import Combining
 from pc2scan.pipeline.parameters import Setting
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from pc2scan.pipeline.scans_file import load_scans, refuse_beside
-from pc2scan.pipeline.stages.height_slope import MinHeightSlope
+from pc2scan.pipeline.stages.ground import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
 from support import ROOT
 

@@ -9,7 +9,7 @@ import pytest
 
 from pc2scan.bags.units import Unit
 from pc2scan.model import Connection, RawMessage, StoredChunk
-from pc2scan.pipeline.scheduler import AHEAD_BYTES, LARGEST_AHEAD, Later, schedule
+from pc2scan.pipeline.scheduler import AHEAD_BYTES, LARGEST_AHEAD, DeferredMessage, schedule
 from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def test_a_result_that_takes_more_memory_is_made_in_its_turn() -> None:
         return message._replace(sequence=1)
 
     with Threads(2) as threads:
-        items = schedule([unit(number) for number in range(9)], lambda message: Later(message, work), threads)
+        items = schedule([unit(number) for number in range(9)], lambda message: DeferredMessage(message, work), threads)
         for number, item in enumerate(items):
             assert isinstance(item, RawMessage)
             assert item.sequence == 1

@@ -25,9 +25,9 @@ from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, RawMessage
 from pc2scan.pipeline import cloud_to_scan, scheduler, stream
-from pc2scan.pipeline.conversion import Converted
+from pc2scan.pipeline.conversion import EncodedMessage
 from pc2scan.pipeline.routes import OpenRoute
-from pc2scan.pipeline.scheduler import Later
+from pc2scan.pipeline.scheduler import DeferredMessage
 from pc2scan.pipeline.topic_report import TopicReport
 from support import sampled
 from support.builders import transforms
@@ -232,19 +232,19 @@ def test_large_chunks_are_read_into_buffers_that_are_used_again(
 @pytest.mark.parametrize("shrinks_from", [2, 9])
 def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
     connection = Connection(1, "/points", POINTCLOUD2, "cdr")
-    converted = Converted(b"scan", PointCounts(), False)
+    converted = EncodedMessage(b"scan", PointCounts(), False)
     report = TopicReport("/points", "", None, "")
     route = OpenRoute(connection, report, lambda _: [converted], shrinks_from=shrinks_from)
     route.passing_handle = 1 if passes else -1
     message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
-    done = stream._outcome_or_later({1: route}, message)
-    assert isinstance(done, Later) is (shrinks_from == 9)
-    if isinstance(done, Later):
+    done = stream._outcome_or_deferral({1: route}, message)
+    assert isinstance(done, DeferredMessage) is (shrinks_from == 9)
+    if isinstance(done, DeferredMessage):
         assert done.log_time_ns == 5
         # What waits is not borrowed.
         assert isinstance(done.message.data, bytes)
         done = done.work(done.message)
-    assert isinstance(done, stream._Outcome)
+    assert isinstance(done, stream._MessageOutcome)
     assert (done.converted, done.passing) == ([converted], b"cloud" if passes else None)
     assert not isinstance(done.passing, memoryview)
 

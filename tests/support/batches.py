@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pc2scan
-from pc2scan.batch.work import convert_one
-from pc2scan.batch.workers import Began, Ended
+from pc2scan.batch.jobs import convert_one
+from pc2scan.batch.processes import JobEnd, JobStart
 from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import Finished, run
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator
 
+    from pc2scan.batch.processes import Event, Queue
     from pc2scan.batch.summary import BatchReport
-    from pc2scan.batch.workers import Event, Queue
 
 __all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
 
@@ -39,9 +39,9 @@ def _execute(queue: Queue, jobs: list[str], **_: object) -> Generator[Event]:
     while queue.is_open or not inbox.empty():
         if (job := queue.take()) is not None:
             jobs.append(job.key)
-            yield Began(job.key)
+            yield JobStart(job.key)
             if (result := queue.done(convert_one(job))) is not None:
-                yield Ended(result)
+                yield JobEnd(result)
         elif (event := inbox.get(timeout=60)) is not None:
             yield event
 
@@ -53,7 +53,7 @@ def in_this_process() -> Iterator[list[str]]:
     Yields the keys of the jobs that were begun: of a recording that is converted in pieces there are several.
     """
     jobs: list[str] = []
-    with patch("pc2scan.batch.executors.execute_here", partial(_execute, jobs=jobs)):
+    with patch("pc2scan.batch.executors.run_jobs", partial(_execute, jobs=jobs)):
         yield jobs
 
 

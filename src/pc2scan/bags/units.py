@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from pc2scan.bags.lazy_items import ITEM_BYTES, LazyItems
 from pc2scan.errors import RecordingError
-from pc2scan.model import RawMessage, StoredChunk, owned
+from pc2scan.model import RawMessage, StoredChunk, own_message
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
@@ -153,7 +153,7 @@ def load_when_due(units: Iterable[Unit], callback: Callable[[RawMessage], Item])
 
 def merge_by_time(
     units: Iterable[Unit],
-    callback: Callable[[RawMessage], Item] = owned,  # type: ignore[assignment]  # the default makes messages of messages
+    callback: Callable[[RawMessage], Item] = own_message,  # type: ignore[assignment]  # the default makes messages of messages
     *,
     loading: Callable[[Iterable[Unit], Callable[[RawMessage], Item]], Generator[Handle]] = load_when_due,
     max_open_bytes: int = MAX_OPEN_BYTES,

@@ -12,7 +12,7 @@ from pc2scan.files import compression
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError
 from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
 from pc2scan.files.source import open_bytes
-from pc2scan.model import owned
+from pc2scan.model import own_message
 
 from .damage import RECOVER
 from .lazy_items import LazyItems
@@ -171,7 +171,7 @@ def decompress_messages(messages: Messages, log: DamageLog, place: int, path: Pa
     unpacked = partial(_decompress_or_note, log, place, path)
     if isinstance(messages, list) and sum(map(_min_size, messages)) > MAX_UNPACKED:
         # Together they would take more memory than a chunk may, so each is decompressed when it is needed.
-        packed = list(map(owned, messages))
+        packed = list(map(own_message, messages))
         times = array("Q", (message.log_time_ns for message in packed))
         size = sum(message.size for message in packed)
         messages = LazyItems(times, array("Q", range(len(packed))), packed.__getitem__, size)

@@ -25,16 +25,16 @@ from pc2scan.files.staging import clean_up
 from pc2scan.remote.urls import is_url
 from pc2scan.version import __version__
 
-from .cutting import is_given_up
-from .staged import jobs_here
-from .work import Result, died
-from .workers import Began, Ended, Information, Progressed, execute
+from .jobs import JobResult, death_of
+from .pieces import is_given_up
+from .processes import Information, JobEnd, JobProgress, JobStart, run_jobs
+from .staging import staged_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Sequence
 
-    from .work import Job
-    from .workers import Event
+    from .jobs import Job
+    from .processes import Event
 
 #: Seconds between two checks whether a task was cancelled, and between two polls of the events.
 _POLL_SECONDS = 0.5
@@ -52,7 +52,7 @@ class _CancelledError(Exception):
     """The task was cancelled."""
 
 
-class _ConversionDiedError(Exception):
+class _ProcessDeathError(Exception):
     """The process of a conversion died; Dask tries the task again."""
 
 
@@ -61,7 +61,7 @@ class _Answer:
     """What a task returns: a result, or why it did not begin: another version of pc2scan, or paths it does not see."""
 
     host: str
-    result: Result | None = None
+    result: JobResult | None = None
     version: str = __version__
     unseen: tuple[str, ...] = ()
 
@@ -70,7 +70,7 @@ def check_dask() -> None:
     """Raise UsageError where Dask is not installed."""
     try:
         # Some of its modules catch every exception while they load, so Ctrl-C would be lost.
-        with _sigint_blocked():
+        with _block_sigint():
             import distributed  # noqa: F401, PLC0415  # an extra
     except ImportError as err:
         raise UsageError(
@@ -83,7 +83,7 @@ def dask_setup(_worker: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: int, retries: int) -> Generator[Event]:
+def run_jobs_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: int, retries: int) -> Generator[Event]:
     """Do jobs on a Dask cluster.
 
     Parameters
@@ -100,12 +100,12 @@ def execute_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: i
     Yields
     ------
     Event
-        `Ended` once for every job.
+        `JobEnd` once for every job.
     """
     if not jobs:
         return
     with ExitStack() as stack:
-        client = stack.enter_context(_connected(address, workers, cores, retries))
+        client = stack.enter_context(_connect(address, workers, cores, retries))
         yield Information(f"Dask's dashboard: {client.dashboard_link}")
         if not client.scheduler_info(n_workers=-1)["workers"]:
             yield Information(f"{address} has no worker yet; the batch begins when one joins")
@@ -146,7 +146,7 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                 what, key, value = inbox.get(timeout=_POLL_SECONDS)
             except Empty:
                 if client.status == "closed":
-                    raise _lost() from None
+                    raise _loss_error() from None
                 continue
             if what == "gone":
                 running.pop(key, None)
@@ -156,9 +156,9 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                 case "began":
                     attempts[key] += 1
                     running[key] = time.monotonic()
-                    yield Began(key)
+                    yield JobStart(key)
                 case "progress":
-                    yield Progressed(key, *value)
+                    yield JobProgress(key, *value)
                 case "done":
                     job = left.pop(key)
                     seconds = time.monotonic() - running.get(key, time.monotonic())
@@ -171,7 +171,7 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                         # The first attempt, whose worker was lost, has completed the output nevertheless.
                         pending.append(job.retried())
                         continue
-                    yield Ended(replace(result, attempts=max(1, attempts[key])))
+                    yield JobEnd(replace(result, attempts=max(1, attempts[key])))
     finally:
         connected = client.status == "running"
         if left:
@@ -195,25 +195,25 @@ def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, f
                 running.pop(key, None)
 
 
-def _result(job: Job, future: Any, seconds: float) -> Result:
+def _result(job: Job, future: Any, seconds: float) -> JobResult:
     """Return the result of a finished task; raises if the cluster cannot convert anything of this batch."""
     from distributed import KilledWorker  # noqa: PLC0415  # an extra
 
     if future.status == "cancelled":
-        raise _lost()
+        raise _loss_error()
     if future.status == "error":
         err = future.exception()
         if isinstance(err, KilledWorker):
-            return died(job, f"its Dask worker died: {err}", attempts=1, seconds=seconds)
-        if isinstance(err, _ConversionDiedError):
-            return died(job, str(err), attempts=1, seconds=seconds)
+            return death_of(job, f"its Dask worker died: {err}", attempts=1, seconds=seconds)
+        if isinstance(err, _ProcessDeathError):
+            return death_of(job, str(err), attempts=1, seconds=seconds)
         raise Pc2ScanError(
             f"a Dask worker cannot convert: {type(err).__name__}: {err}",
             hint="every worker needs the same version of pc2scan, and the modules of your own filters",
         )
     answer: _Answer = future.result()
     if answer.version != __version__:
-        raise _other_version(answer.host, answer.version)
+        raise _version_error(answer.host, answer.version)
     _check_seen(answer.host, answer.unseen)
     if answer.result is None:
         raise OutputError(f"the Dask worker on {answer.host} does not see {answer.unseen[0]}", hint=_SHARED)
@@ -230,7 +230,7 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
     unseen = tuple(path for path in job.sources if not is_url(Path(path)) and not os.path.lexists(path))
     folder = Path(job.destination).parent
     if job.step is not None and is_given_up(job):
-        return _Answer(host, died(job, "the recording was given up", attempts=1, seconds=0.0))
+        return _Answer(host, death_of(job, "the recording was given up", attempts=1, seconds=0.0))
     if not is_url(folder) and not _is_there(folder):
         return _Answer(host, unseen=(str(folder), *unseen))
     worker = get_worker()
@@ -257,7 +257,7 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
     finally:
         worker.log_event(topic, ("gone", job.key, None))
     if result.outcome == "died":
-        raise _ConversionDiedError((result.error or {}).get("message", ""))
+        raise _ProcessDeathError((result.error or {}).get("message", ""))
     return _Answer(host, result, unseen=unseen)
 
 
@@ -272,16 +272,16 @@ def _is_there(folder: Path) -> bool:
     return folder.is_dir()
 
 
-def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> Result:
+def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> JobResult:
     last = 0.0
     with (
-        jobs_here([job], workers=1) as queue,
-        closing(execute(queue, workers=1, cores=threads, retries=0, check=check)) as events,
+        staged_jobs([job], workers=1) as queue,
+        closing(run_jobs(queue, workers=1, cores=threads, retries=0, check=check)) as events,
     ):
         for event in events:
-            if isinstance(event, Ended):
+            if isinstance(event, JobEnd):
                 return event.result
-            if isinstance(event, Progressed) and time.monotonic() - last >= _POLL_SECONDS:
+            if isinstance(event, JobProgress) and time.monotonic() - last >= _POLL_SECONDS:
                 last = time.monotonic()
                 check()
                 tell((event.done, event.total))
@@ -306,7 +306,7 @@ def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
 
     for host, version, unseen in client.run(look, paths).values():
         if version != __version__:
-            raise _other_version(host, version)
+            raise _version_error(host, version)
         _check_seen(host, unseen)
 
 
@@ -317,14 +317,14 @@ def _check_seen(host: str, unseen: Sequence[str]) -> None:
         raise UsageError(f"the Dask worker on {host} does not see {here[0]}", hint=_SHARED)
 
 
-def _other_version(host: str, version: str) -> Pc2ScanError:
+def _version_error(host: str, version: str) -> Pc2ScanError:
     has = f"has pc2scan {version}, this is {__version__}" if version else "has no pc2scan"
     return UsageError(
         f"the Dask worker on {host} {has}", hint=f"on every worker: pip install 'pc2scan[dask]=={__version__}'"
     )
 
 
-def _lost() -> Pc2ScanError:
+def _loss_error() -> Pc2ScanError:
     return Pc2ScanError("the connection to Dask's scheduler was lost", hint="run the same batch again to continue it")
 
 
@@ -344,7 +344,7 @@ def _ask(address: str) -> None:
 
 
 @contextmanager
-def _sigint_blocked() -> Iterator[None]:
+def _block_sigint() -> Iterator[None]:
     """Block Ctrl-C in this thread, and in threads and processes that it starts within the context."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -357,7 +357,7 @@ def _sigint_blocked() -> Iterator[None]:
 
 
 @contextmanager
-def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator[Any]:
+def _connect(address: str, workers: int, cores: int, retries: int) -> Iterator[Any]:
     """Yield a client of the scheduler, or of a cluster on this machine."""
     import logging  # noqa: PLC0415
 
@@ -379,7 +379,7 @@ def _connected(address: str, workers: int, cores: int, retries: int) -> Iterator
 
             # Started now, because starting it later would unblock the signal.
             resource_tracker.ensure_running()
-            with _sigint_blocked():
+            with _block_sigint():
                 # Dask cannot stop a cluster while it starts: Ctrl-C takes effect after that.
                 cluster = stack.enter_context(
                     LocalCluster(

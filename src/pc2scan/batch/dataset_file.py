@@ -33,7 +33,7 @@ _SECTIONS = ("defaults", "recordings")
 
 
 @dataclass(frozen=True)
-class Entry:
+class DatasetEntry:
     """Options for the recordings that a pattern matches.
 
     Attributes
@@ -70,7 +70,7 @@ class DatasetFile:
     """The content of a dataset file: its entries, the defaults first."""
 
     path: Path | None = None
-    entries: tuple[Entry, ...] = ()
+    entries: tuple[DatasetEntry, ...] = ()
 
     def matching(self, key: str) -> tuple[int, ...]:
         """Return the indices of the entries that apply to a recording."""
@@ -115,10 +115,10 @@ def load_dataset_file(path: Path) -> DatasetFile:
         root = compose(text, str(path))
     except ParameterError as err:
         raise UsageError(err.message, hint=err.hint) from err
-    return _Reader(path).read(root)
+    return _FileReader(path).read(root)
 
 
-class _Reader:
+class _FileReader:
     """Reads the nodes of a dataset file."""
 
     def __init__(self, path: Path) -> None:
@@ -129,7 +129,7 @@ class _Reader:
     def read(self, root: Any) -> DatasetFile:
         if root is None or is_empty(root):
             return DatasetFile(self._path)
-        entries: list[Entry] = []
+        entries: list[DatasetEntry] = []
         sections = dict(self._pairs(root, "the file", _SECTIONS))
         if (defaults := sections.get("defaults")) is not None and not is_empty(defaults):
             entries.append(self._entry(defaults, "defaults"))
@@ -139,7 +139,7 @@ class _Reader:
             entries += [self._entry(node, "an entry of recordings") for node in recordings.value]
         return DatasetFile(self._path, tuple(entries))
 
-    def _entry(self, node: Any, where: str) -> Entry:
+    def _entry(self, node: Any, where: str) -> DatasetEntry:
         is_default = where == "defaults"
         options = dataset_options()
         known = (*(() if is_default else ("match", "skip")), *options)
@@ -157,7 +157,7 @@ class _Reader:
                 lines[name] = _line(value)
         if not patterns and not is_default:
             raise self._error(node, "an entry of recordings has no match", "write 'match: robot1/**' in it")
-        return Entry(_line(node), patterns, keywords, lines, skip)
+        return DatasetEntry(_line(node), patterns, keywords, lines, skip)
 
     def _pairs(self, node: Any, where: str, known: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield the names and values of a mapping; raises if a name is unknown or occurs twice."""

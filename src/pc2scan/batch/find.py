@@ -41,7 +41,7 @@ _MAX_LIST_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Recording:
     """A recording, or a file that was expected to be one.
 
     Attributes
@@ -97,7 +97,7 @@ def find(
     known: Known | None = None,
     outputs: Iterable[Path] = (),
     stores: Stores | None = None,
-) -> list[Found]:
+) -> list[Recording]:
     """Find recordings.
 
     Parameters
@@ -130,17 +130,17 @@ def find(
     search = _Search(
         _device_and_inode(out), known or (lambda _path, _identity: ""), frozenset(map(_absolute, outputs)), stores
     )
-    found: list[Found] = []
+    found: list[Recording] = []
     for candidates in _candidates(sources, out, stores):
-        named: dict[Path, list[Found]] = {}
+        named: dict[Path, list[Recording]] = {}
         for candidate in candidates:
             if candidate.named:
                 named.setdefault(candidate.path.parent, []).extend(_search_candidate(candidate, search))
             else:
                 found += _search_candidate(candidate, search)
         for files in named.values():
-            found += _with_joined_parts(files, search)
-    return sorted(_with_unique_keys(found), key=lambda each: _natural_key(each.key))
+            found += _join_parts(files, search)
+    return sorted(_make_keys_unique(found), key=lambda each: _natural_key(each.key))
 
 
 def _candidates(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Iterable[_Candidate]]:
@@ -182,7 +182,7 @@ def _candidates_at(paths: Sequence[Path], out: Path, stores: Stores, searching: 
         yield from _candidates_below([path for path in paths if stores.is_remote(path) == remote], out, searching)
 
 
-def _candidates_below(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[list[_Candidate]]:
+def _candidates_below(paths: Sequence[Path], out: Path, searching: str) -> Iterator[list[_Candidate]]:
     """Yield candidates for paths that were named one by one; keys are relative to the folder that contains them all."""
     if not paths:
         return
@@ -236,7 +236,7 @@ def _paths_in_list(path: Path, stores: Stores) -> list[Path] | None:
     return paths if any(map(os.path.lexists, paths)) else None
 
 
-def _search_candidate(candidate: _Candidate, search: _Search) -> Iterator[Found]:
+def _search_candidate(candidate: _Candidate, search: _Search) -> Iterator[Recording]:
     path = candidate.path
     if path.is_dir() and not candidate.named:
         yield from _search_folder(path, candidate.root, search)
@@ -244,10 +244,10 @@ def _search_candidate(candidate: _Candidate, search: _Search) -> Iterator[Found]
     if _absolute(path) in search.outputs or not _is_new(path, search):
         return
     key = _key_of(path, candidate.root)
-    yield from _recognised(path, key, search, named=True)
+    yield from _recognise(path, key, search, named=True)
 
 
-def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]:
+def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Recording]:
     """Find the recordings in a folder and its subfolders."""
     identity = _device_and_inode(folder)
     if identity is None or identity == search.out or identity in search.folders:
@@ -258,9 +258,9 @@ def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]
             listed = sorted((entry for entry in entries if not entry.name.startswith(".")), key=_entry_order)
     except OSError as err:
         error = RecordingError(f"cannot be searched: {err.strerror}", path=folder)
-        yield Found(_key_of(folder, root) or folder.name, (folder,), "", Identity(), error)
+        yield Recording(_key_of(folder, root) or folder.name, (folder,), "", Identity(), error)
         return
-    files: list[Found] = []
+    files: list[Recording] = []
     for entry in listed:
         path = folder / entry.name
         if entry.name.endswith(_UNFINISHED) or _absolute(path) in search.outputs:
@@ -268,65 +268,65 @@ def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Found]
         if os.path.isdir(path):  # noqa: PTH112  # unlike the entry's, it does not raise for a link to itself
             if _is_rosbag2(path, search):
                 if _is_new(path, search):
-                    yield from _recognised(path, _key_of(path, root), search, named=True)
+                    yield from _recognise(path, _key_of(path, root), search, named=True)
             else:
                 yield from _search_folder(path, root, search)
         elif os.path.isfile(path):  # noqa: PTH113
             if _is_new(path, search):
-                files += _recognised(path, _key_of(path, root), search, named=is_named_as_recording(entry.name))
+                files += _recognise(path, _key_of(path, root), search, named=is_named_as_recording(entry.name))
         elif entry.is_symlink() and is_named_as_recording(entry.name):
             # A broken link.
-            files += _recognised(path, _key_of(path, root), search, named=True)
-    yield from _with_joined_parts(files, search)
+            files += _recognise(path, _key_of(path, root), search, named=True)
+    yield from _join_parts(files, search)
 
 
-def _recognised(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Found]:
+def _recognise(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Recording]:
     """Yield a file or a rosbag2 directory if it is a recording; if not, yield it with an error if it is ``named``."""
     identity = identity_of([path])
     if container := search.known(_absolute(path), identity):
-        yield Found(key, (path,), container, identity)
+        yield Recording(key, (path,), container, identity)
         return
     try:
         container = sniff(path).partition("+")[0]
         if FORMATS[container].is_magic_shared and not named:
             # Other programs write such files, too: open it to see whether it is a recording.
-            _opened(path, search).close()
+            _open_readers(path, search).close()
     except Pc2ScanError as err:
         if named:
-            yield Found(key, (path,), "", identity, err)
+            yield Recording(key, (path,), "", identity, err)
     else:
-        yield Found(key, (path,), container, identity)
+        yield Recording(key, (path,), container, identity)
 
 
-def _with_joined_parts(found: Sequence[Found], search: _Search) -> Iterator[Found]:
+def _join_parts(found: Sequence[Recording], search: _Search) -> Iterator[Recording]:
     """Join the parts of split recordings."""
     by_path = {each.paths[0]: each for each in found if each.container}
-    joined: dict[Path, Found] = {}
+    joined: dict[Path, Recording] = {}
     parts: set[Path] = set()
     for group in groups_of_parts(by_path):
         for chain in _chains([by_path[path] for path in group], search):
             if len(chain) > 1:
                 first = chain[0]
                 paths = tuple(each.paths[0] for each in chain)
-                joined[paths[0]] = Found(first.key, paths, first.container, identity_of(paths))
+                joined[paths[0]] = Recording(first.key, paths, first.container, identity_of(paths))
                 parts.update(paths[1:])
     for each in found:
         if each.paths[0] not in parts:
             yield joined.get(each.paths[0], each)
 
 
-def _chains(group: Sequence[Found], search: _Search) -> Iterator[list[Found]]:
+def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Recording]]:
     """Divide files that are named like parts of one recording wherever a file does not continue the one before it."""
     if chains := _known_chains(group, search):
         yield from chains
         return
-    chain: list[Found] = []
+    chain: list[Recording] = []
     last = None
     try:
         for each in group:
             reader = None
             with suppress(Pc2ScanError):
-                reader = _opened(each.paths[0], search)
+                reader = _open_readers(each.paths[0], search)
             if chain and not (last and reader and continues(chain[-1].paths[0], last, each.paths[0], reader)):
                 yield chain
                 chain = []
@@ -340,14 +340,14 @@ def _chains(group: Sequence[Found], search: _Search) -> Iterator[list[Found]]:
     yield chain
 
 
-def _opened(path: Path, search: _Search) -> Reader:
+def _open_readers(path: Path, search: _Search) -> Reader:
     search.stores.complete(path)
     return open_recording(path)
 
 
-def _known_chains(group: Sequence[Found], search: _Search) -> list[list[Found]]:
+def _known_chains(group: Sequence[Recording], search: _Search) -> list[list[Recording]]:
     """Return the parts as an earlier run has joined them; empty if a file has changed since."""
-    chains: list[list[Found]] = []
+    chains: list[list[Recording]] = []
     rest = list(group)
     while rest:
         # The longest first: a file that was a recording of its own may now be the first part of several.
@@ -362,9 +362,9 @@ def _known_chains(group: Sequence[Found], search: _Search) -> list[list[Found]]:
     return chains
 
 
-def _with_unique_keys(found: Sequence[Found]) -> Iterator[Found]:
+def _make_keys_unique(found: Sequence[Recording]) -> Iterator[Recording]:
     """Make the keys of recordings from several sources unique: prefix them with the folders that they were found in."""
-    by_key: dict[str, list[Found]] = {}
+    by_key: dict[str, list[Recording]] = {}
     for each in found:
         by_key.setdefault(each.key.casefold(), []).append(each)
     for same in by_key.values():
@@ -384,7 +384,7 @@ def _with_unique_keys(found: Sequence[Found]) -> Iterator[Found]:
             # Prefix the whole key with as many folders as are needed.
             below = Path(each.key).parts
             before = parts[-max(count, len(below)) : len(parts) - len(below)]
-            yield Found("/".join((*before, *below)), each.paths, each.container, each.identity, each.error)
+            yield Recording("/".join((*before, *below)), each.paths, each.container, each.identity, each.error)
 
 
 def _refuse_inside(folder: Path, out: Path) -> None:

@@ -10,11 +10,10 @@ import json
 import os
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.system import sync_directory
-from pc2scan.files.text_output import text_output
 from pc2scan.version import __version__
 
 from .identity import Identity
@@ -26,17 +25,15 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-#: The files that a batch writes into its folder besides the recordings.
+#: The name of the manifest in the folder of a batch.
 MANIFEST = "manifest.jsonl"
-BEGUN = ".pc2scan-begun.json"
 
 #: Each line of a manifest begins with this. A file of the same name without it is refused.
 _BEGINNING = '{"pc2scan": "'
-_BEGUN_BEGINNING = b'{"pc2scan begun": '
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Record:
+class ManifestRecord:
     """The result of one recording: a line of the manifest.
 
     Attributes
@@ -127,10 +124,10 @@ class Record:
         }
 
     @classmethod
-    def from_dict(cls, line: Mapping[str, Any]) -> Record:
+    def from_dict(cls, line: Mapping[str, Any]) -> ManifestRecord:
         """Read what `as_dict` returned."""
         source, output = line["source"], line["output"] or {}
-        _refuse_outside(str(output.get("path", "")))
+        refuse_outside(str(output.get("path", "")))
         return cls(
             key=str(line["key"]),
             sources=tuple(map(str, source["paths"])),
@@ -151,7 +148,7 @@ class Record:
         )
 
 
-def read_lines(path: Path) -> Iterator[Record]:
+def read_records(path: Path) -> Iterator[ManifestRecord]:
     """Yield the lines of a manifest; none if there is no manifest.
 
     Raises
@@ -174,7 +171,7 @@ def read_lines(path: Path) -> Iterator[Record]:
     # What follows the last line end was being written when a run was killed.
     for number, line in enumerate(data.split(b"\n")[:-1], start=1):
         try:
-            yield Record.from_dict(json.loads(line))
+            yield ManifestRecord.from_dict(json.loads(line))
         except (ValueError, LookupError, TypeError, AttributeError) as err:
             raise UsageError(
                 f"line {number} is not a line of a manifest ({type(err).__name__}: {err})",
@@ -216,7 +213,7 @@ class Manifest:
     ) -> None:
         self._file.close()
 
-    def append(self, record: Record) -> None:
+    def append(self, record: ManifestRecord) -> None:
         """Append a line, and wait until it is on the disk.
 
         Raises
@@ -240,61 +237,8 @@ class Manifest:
             self._file.truncate(end)
 
 
-def _refuse_outside(output: str) -> None:
+def refuse_outside(output: str) -> None:
     """Raise if a path leads out of the folder of the batch: a run may replace or remove the outputs that are noted."""
     place = PurePosixPath(output)
     if place.is_absolute() or ".." in place.parts:
         raise ValueError(f"{output} is not below the folder of the batch")
-
-
-class Begun(NamedTuple):
-    """What a run is going to write, relative to its folder.
-
-    Attributes
-    ----------
-    outputs
-        The results.
-    folders
-        The folders that it makes for them.
-    """
-
-    outputs: frozenset[str] = frozenset()
-    folders: frozenset[str] = frozenset()
-
-
-def write_begun(folder: Path, begun: Begun) -> None:
-    """Note what a run is going to write. After a run was killed, this shows which files belong to the batch.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
-    outputs, folders = (json.dumps(sorted(names)) for names in begun)
-    text = f'{_BEGUN_BEGINNING.decode()}"{__version__}", "outputs": {outputs}, "folders": {folders}}}\n'
-    with text_output(folder / BEGUN, beginning=_BEGUN_BEGINNING, overwrite=False) as write:
-        write(text)
-
-
-def read_begun(folder: Path) -> Begun:
-    """Return what a killed run was going to write; empty if no run was killed."""
-    try:
-        noted = json.loads((folder / BEGUN).read_bytes())
-        # Older versions did not note folders.
-        begun = Begun(frozenset(map(str, noted["outputs"])), frozenset(map(str, noted.get("folders", ()))))
-        for path in (*begun.outputs, *begun.folders):
-            _refuse_outside(path)
-    except FileNotFoundError:
-        return Begun()
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as err:
-        raise DestinationError(
-            "was not written by pc2scan batch, which uses this name",
-            path=folder / BEGUN,
-            hint="move it away",
-        ) from err
-    return begun
-
-
-def forget_begun(folder: Path) -> None:
-    """Remove the note: each output in it is in the manifest by now, or was not begun."""
-    (folder / BEGUN).unlink(missing_ok=True)

@@ -1,9 +1,9 @@
-"""How a batch runs; none of these options affects the outputs."""
+"""How a batch runs, and callbacks for what happens in it; none of these options affects the outputs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UsageError
 from pc2scan.remote.urls import is_url
@@ -11,9 +11,13 @@ from pc2scan.remote.urls import is_url
 from .summary import BEGINNINGS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from pc2scan.options.call import Options
+
+    from .manifest import ManifestRecord
+    from .plan import BatchPlan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,3 +79,65 @@ class BatchOptions:
             raise UsageError(
                 f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"
             )
+
+
+class BatchProgress(NamedTuple):
+    """The progress of a batch: bytes of sources and number of recordings, done and in total."""
+
+    bytes_done: int
+    bytes_total: int
+    recordings_done: int
+    recordings_total: int
+
+
+def _ignore(_argument: object) -> None:
+    """Do nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchCallbacks:
+    """Callbacks for what happens in a batch. All are called in the thread that runs the batch.
+
+    Attributes
+    ----------
+    planned
+        Called with the plan.
+    progress
+        Called from time to time with the progress.
+    done
+        Called when a recording is done, with its line of the manifest.
+    shown
+        Called with the report of each conversion as text; None: no such text is made.
+    warn
+        Called with warnings that the user should see at once.
+    inform
+        Called with information for the user, such as the address of a dashboard.
+    """
+
+    planned: Callable[[BatchPlan], None] = _ignore
+    progress: Callable[[BatchProgress], None] = _ignore
+    done: Callable[[ManifestRecord], None] = _ignore
+    shown: Callable[[str], None] | None = None
+    warn: Callable[[str], None] = _ignore
+    inform: Callable[[str], None] = _ignore
+
+
+@dataclass(slots=True)
+class ProgressSum:
+    """Adds up the progress of all conversions."""
+
+    sizes: Mapping[str, int]
+    watch: BatchCallbacks
+    done: dict[str, int] = field(default_factory=dict)
+    ended: set[str] = field(default_factory=set)
+
+    def at(self, key: str, share: float) -> None:
+        """Report how much of a recording is done, 0 to 1."""
+        self.done[key] = round(self.sizes[key] * min(1.0, share))
+        total = sum(self.sizes.values())
+        self.watch.progress(BatchProgress(sum(self.done.values()), total, len(self.ended), len(self.sizes)))
+
+    def end(self, key: str) -> None:
+        """Report that a recording has ended."""
+        self.ended.add(key)
+        self.at(key, 1.0)

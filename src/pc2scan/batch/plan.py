@@ -1,11 +1,14 @@
-"""Plans a batch: decides what is done with each recording, and why. Pure functions: nothing is read or written."""
+"""Plans a batch: decides what is done with each recording, and why; makes the lines of the manifest for it.
+
+Pure functions: nothing is read or written.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.destinations import name_after
 from pc2scan.bags.formats import file_suffixes
@@ -17,34 +20,18 @@ from pc2scan.files.records import Record as FileRecord
 from pc2scan.text import size
 from pc2scan.version import __version__
 
+from .folder import first_part, is_numbered, unnumbered_name
 from .identity import Identity
-from .manifest import MANIFEST
-from .results import first_part, is_numbered, whole
+from .manifest import MANIFEST, ManifestRecord
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.errors import Pc2ScanError
 
-    from .find import Found
-    from .manifest import Record
-    from .request import Request
-
-
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """The options of a recording. Recordings with the same options share one object.
-
-    Attributes
-    ----------
-    request
-        The conversion that is requested; None if the recording is skipped.
-    digest
-        The digest of the request.
-    """
-
-    request: Request | None
-    digest: str = ""
+    from .find import Recording
+    from .jobs import JobResult
+    from .request import Choice, Request
 
 
 @dataclass(frozen=True)
@@ -55,34 +42,34 @@ class History:
     ----------
     records
         The manifest, by key.
-    begun
+    unfinished
         Outputs that a killed run was going to write, relative to the folder of the batch.
     left
         How the files of the outputs were left when they were last written, by output. The last line of a recording
         that could not be converted again does not say it.
     """
 
-    records: Mapping[str, Record]
-    begun: frozenset[str] = frozenset()
+    records: Mapping[str, ManifestRecord]
+    unfinished: frozenset[str] = frozenset()
     left: Mapping[str, Identity] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, lines: Iterable[Record], begun: frozenset[str]) -> History:
+    def read(cls, lines: Iterable[ManifestRecord], unfinished: frozenset[str]) -> History:
         """Return the history that a manifest, and the note of a killed run, tell."""
-        records: dict[str, Record] = {}
+        records: dict[str, ManifestRecord] = {}
         left: dict[str, Identity] = {}
         for line in lines:
             records[line.key] = line
             if line.is_written:
                 left[line.output] = line.output_identity
         # An output in the manifest was completed, even if the note still lists it.
-        return cls(records, begun - {record.output for record in records.values()}, left)
+        return cls(records, unfinished - {record.output for record in records.values()}, left)
 
     @cached_property
     def owned(self) -> frozenset[str]:
         """The outputs that were written by earlier runs."""
         # What a process had written when it died is not known. A conversion that failed has left nothing.
-        return self.begun | {
+        return self.unfinished | {
             record.output
             for record in self.records.values()
             if record.output and (record.output in self.left or record.outcome == "died")
@@ -128,18 +115,18 @@ class Step:
         Why it is refused.
     """
 
-    found: Found
+    found: Recording
     action: str
     why: str
     choice: Choice
     output: str = ""
     owned: FileRecord | None = None
-    record: Record | None = None
+    record: ManifestRecord | None = None
     error: Pc2ScanError | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class BatchPlan:
     """What is done with every recording, in the order of their keys."""
 
     steps: tuple[Step, ...]
@@ -150,7 +137,7 @@ class Plan:
         return [step for step in self.steps if step.action == action]
 
 
-def destinations(found: Sequence[Found], choices: Mapping[str, Choice]) -> dict[str, str]:
+def destinations(found: Sequence[Recording], choices: Mapping[str, Choice]) -> dict[str, str]:
     """Return the paths of the results, by key: the folders of the sources, with the names that `convert` gives.
 
     Exported files go into a folder with the name of the recording.
@@ -174,7 +161,7 @@ def _clashes(outputs: Mapping[str, str]) -> dict[str, list[str]]:
     # File systems may ignore case, or the form of Unicode.
     owners: dict[str, list[str]] = {}
     for key, output in outputs.items():
-        for name in (Path(output), *working_names(Path(whole(output)))):
+        for name in (Path(output), *working_names(Path(unnumbered_name(output)))):
             owners.setdefault(name_key(name.as_posix()), []).append(key)
     return {
         key: others
@@ -190,7 +177,7 @@ def _clashes(outputs: Mapping[str, str]) -> dict[str, list[str]]:
     }
 
 
-def _result_name(found: Found, request: Request, *, distinct: bool = False) -> str:
+def _result_name(found: Recording, request: Request, *, distinct: bool = False) -> str:
     source = Path(found.key)
     suffix = f"_{source.suffix[1:] or 'folder'}" if distinct else ""
     mark, to = ("", "rosbag2") if request.export is not None else ("_scan", request.output.to)
@@ -200,16 +187,16 @@ def _result_name(found: Found, request: Request, *, distinct: bool = False) -> s
 
 
 def make_plan(
-    found: Sequence[Found],
+    found: Sequence[Recording],
     choices: Mapping[str, Choice],
     history: History,
     *,
     out: Path,
     forbidden: Callable[[str], Pc2ScanError | None] = lambda _: None,
     present: Callable[[str], Identity],
-    checksum: Callable[[Found], str] | None = None,
+    checksum: Callable[[Recording], str] | None = None,
     force: bool = False,
-) -> Plan:
+) -> BatchPlan:
     """Decide what is done with each recording.
 
     Parameters
@@ -253,14 +240,14 @@ def make_plan(
         if why:
             others = clashes.get(each.key)
             error = _clash(each.key, others[0], outputs, out) if others else forbidden(output)
-            error = error or _foreign(step, out, there)
+            error = error or _ownership_error(step, out, there)
         if error is not None:
             steps.append(replace(step, action="refuse", why=error.message, error=error))
             continue
         steps.append(replace(step, action="convert" if why else "keep", why=why or "unchanged"))
         if record is not None and record.output and record.output != output and present(record.output).files:
             left[record.output] = output
-    return Plan(tuple(steps), tuple(_left_warning(left)))
+    return BatchPlan(tuple(steps), tuple(_left_warning(left)))
 
 
 def _clash(key: str, other: str, outputs: Mapping[str, str], out: Path) -> Pc2ScanError:
@@ -275,7 +262,7 @@ def _clash(key: str, other: str, outputs: Mapping[str, str], out: Path) -> Pc2Sc
     )
 
 
-def _foreign(step: Step, out: Path, there: Identity) -> Pc2ScanError | None:
+def _ownership_error(step: Step, out: Path, there: Identity) -> Pc2ScanError | None:
     """Return the error of an output that exists and that no record names; None if it may be replaced."""
     assert step.choice.request is not None
     if not there.files or step.owned is not None or step.choice.request.output.overwrite:
@@ -296,22 +283,22 @@ def _left_warning(left: Mapping[str, str]) -> Iterator[str]:
 
 
 def _reason(
-    found: Found,
+    found: Recording,
     choice: Choice,
     output: str,
     history: History,
     there: Identity,
-    checksum: Callable[[Found], str] | None,
+    checksum: Callable[[Recording], str] | None,
 ) -> str:
     """Return why a recording is converted; empty if its result is up to date."""
     record = history.records.get(found.key)
     if record is None:
-        return "interrupted before" if output in history.begun else "new"
+        return "interrupted before" if output in history.unfinished else "new"
     if record.version != __version__:
         return f"converted by pc2scan {record.version}"
     if record.options != choice.digest:
         return "other options"
-    if changed := _changed(found, record, checksum):
+    if changed := _change_of(found, record, checksum):
         return changed
     if not record.is_written:
         message = str((record.error or {}).get("message", ""))
@@ -327,7 +314,7 @@ def _reason(
     return ""
 
 
-def _changed(found: Found, record: Record, checksum: Callable[[Found], str] | None) -> str:
+def _change_of(found: Recording, record: ManifestRecord, checksum: Callable[[Recording], str] | None) -> str:
     before, now = record.identity, found.identity
     if not now.has_sizes_of(before):
         return f"the source was changed: it has {size(now.size_bytes)}, it had {size(before.size_bytes)}"
@@ -337,3 +324,48 @@ def _changed(found: Found, record: Record, checksum: Callable[[Found], str] | No
         return ""
     of_store = any(isinstance(version, str) for _, _, version in now.files)
     return f"the source was changed: another {'version' if of_store else 'time of modification'}"
+
+
+def refusal_record(step: Step, shown: Callable[[Path], str]) -> ManifestRecord:
+    """Return the line of a recording that is refused; ``shown`` returns a path as users know it."""
+    assert step.error is not None
+    earlier = step.record.output if step.record is not None else ""
+    status = step.error.exit_status
+    return _record(
+        step,
+        shown,
+        identity=step.found.identity,
+        outcome="failed",
+        exit_status=status,
+        error=step.error.as_dict(),
+        output=earlier,
+    )
+
+
+def result_record(step: Step, result: JobResult, shown: Callable[[Path], str]) -> ManifestRecord:
+    """Return the line of a recording whose conversion has ended; ``shown`` returns a path as users know it."""
+    names = (
+        "identity",
+        "sha256",
+        "outcome",
+        "exit_status",
+        "error",
+        "output_identity",
+        "started",
+        "seconds",
+        "attempts",
+    )
+    return _record(
+        step, shown, **{name: getattr(result, name) for name in names}, output=step.output, report=result.report
+    )
+
+
+def have_same_outcome(record: ManifestRecord, other: ManifestRecord) -> bool:
+    """Whether two lines of a recording differ at most in times and attempts."""
+    names = ("outcome", "error", "identity", "options", "version", "output", "sources")
+    return all(getattr(record, name) == getattr(other, name) for name in names)
+
+
+def _record(step: Step, shown: Callable[[Path], str], **known: Any) -> ManifestRecord:
+    found, paths = step.found, tuple(map(shown, step.found.paths))
+    return ManifestRecord(key=found.key, sources=paths, container=found.container, options=step.choice.digest, **known)

@@ -1,4 +1,7 @@
-"""Reads the options of a conversion in a batch, from the call and a dataset file, and computes a digest of them."""
+"""The options of each recording: those of the call override those of the dataset file. All are checked beforehand.
+
+A digest of them shows whether a result is up to date.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import UsageError
+from pc2scan.errors import ParameterError, UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
+from pc2scan.pipeline.parameters import RIVALS
+from pc2scan.pipeline.redaction import may_quote, redact_file
 from pc2scan.remote.urls import is_url
 from pc2scan.requests import conversion_of, output_of
 from pc2scan.result import json_value
@@ -21,9 +26,13 @@ from pc2scan.result import json_value
 from .identity import Identity, identity_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from pc2scan.export.run import ExportOptions
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.run_files import OutputOptions
+
+    from .dataset_file import DatasetFile
 
 #: Attributes that do not affect the output: where options come from.
 _PLACES = frozenset({"origins", "place"})
@@ -164,3 +173,111 @@ def _canonical(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return str(value) if isinstance(value, Path) else repr(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The options of a recording. Recordings with the same options share one object.
+
+    Attributes
+    ----------
+    request
+        The conversion that is requested; None if the recording is skipped.
+    digest
+        The digest of the request.
+    """
+
+    request: Request | None
+    digest: str = ""
+
+
+class Choices:
+    """Finds the options of recordings.
+
+    Parameters
+    ----------
+        dataset
+            The dataset file.
+        keywords
+        Options of the call. They override those of the file.
+        origins
+            Where each option comes from, for errors.
+    """
+
+    def __init__(self, dataset: DatasetFile, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
+        self._dataset = dataset
+        self._keywords = keywords
+        self._origins = origins
+        self._made: dict[tuple[int, ...], Choice] = {}
+
+    def check(self) -> None:
+        """Raise if the options of the call alone, or with the defaults of the file, are wrong."""
+        defaults = tuple(number for number, entry in enumerate(self._dataset.entries) if not entry.patterns)
+        self._choice(defaults)
+
+    def of(self, keys: Iterable[str]) -> dict[str, Choice]:
+        """Return the options of recordings, by key.
+
+        Raises
+        ------
+        UsageError
+            If options are wrong; the message names the line of the dataset file.
+        """
+        return {key: self._choice(self._dataset.matching(key)) for key in keys}
+
+    def warnings(self, keys: Iterable[str]) -> list[str]:
+        """Return warnings about the dataset file and the options."""
+        listed = list(keys)
+        unused = [
+            f"{self._dataset.path}, line {entry.line}: matches no recording: {', '.join(entry.patterns)}"
+            for entry in self._dataset.entries
+            if not any(map(entry.matches, listed))
+        ]
+        notes = [note for choice in self._made.values() if choice.request for note in choice.request.notes]
+        return [*unused, *dict.fromkeys(notes)]
+
+    def _choice(self, numbers: tuple[int, ...]) -> Choice:
+        if numbers not in self._made:
+            keywords, origins, skip = self._dataset.combined(numbers)
+            for name in self._keywords:
+                keywords.pop(RIVALS.get(name, ""), None)
+            keywords |= self._keywords
+            origins = {name: origin for name, origin in origins.items() if name not in self._keywords} | dict(
+                self._origins
+            )
+            if skip:
+                self._made[numbers] = Choice(None)
+            else:
+                try:
+                    request = request_of(keywords, origins)
+                    self._made[numbers] = Choice(request, request.digest())
+                except UsageError as err:
+                    self._refuse_to_quote(err, keywords, origins)
+                    self._add_origin(err, numbers, origins)
+                    raise
+        return self._made[numbers]
+
+    def _refuse_to_quote(self, err: UsageError, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
+        """Raise another error if one is about a file that the dataset file names, and may quote it."""
+        for name in ("params_file", "static_tf_file", "scans"):
+            if name in keywords and name not in self._keywords and may_quote(err, keywords[name]):
+                raise redact_file(err, keywords[name], origins[name], name) from None
+
+    def _add_origin(self, err: UsageError, numbers: tuple[int, ...], origins: Mapping[str, str]) -> None:
+        """Add the line of the dataset file that has the wrong option to the message."""
+        if not numbers or any(origin in err.message for origin in origins.values()):
+            return
+        text = f"{err.message} {err.hint or ''}"
+        named = [name for name in origins if f"`{name}`" in text or f"`{name}=" in text]
+        if isinstance(err, ParameterError) and err.name in origins:
+            named.insert(0, err.name)
+        # Some messages quote the wrong value (a transform, a topic) instead of the option.
+        keywords = self._dataset.combined(numbers)[0]
+        named += [
+            name
+            for name, value in keywords.items()
+            if any(repr(text) in err.message for text in (value if isinstance(value, tuple) else (value,)))
+        ]
+        entry = self._dataset.entries[numbers[-1]]
+        where = next((origins[name] for name in named if name in origins), f"{self._dataset.path}, line {entry.line}")
+        err.message = f"{err.message} (from {where})"

@@ -17,36 +17,33 @@ from pc2scan.files.records import Record as FileRecord
 from pc2scan.files.recovery import completed_parts
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
-from pc2scan.pipeline.scheduler import cores as all_cores
 from pc2scan.remote.urls import UrlText, is_url, shown_path, url_of
+from pc2scan.threads import cores as all_cores
 
-from .choices import Choices
 from .dataset_file import DatasetFile, load_dataset_file
-from .estimate import estimated_seconds
-from .executors import count_of, local, on_dask
+from .executors import available_bytes, dask_executor, estimate_seconds, local_executor, process_count, workers_for
 from .find import find
-from .folder import begun_noted, check_folder, locked
+from .folder import check_folder, is_numbered, lock_folder, read_unfinished, track_outputs, unnumbered_name
 from .identity import checksum_of, identity_of
-from .manifest import MANIFEST, Manifest, Record, read_begun, read_lines
-from .plan import History, make_plan
-from .records import recorded, refused, says_the_same
-from .resources import available_bytes, workers_for
-from .results import is_numbered, whole
+from .jobs import Job
+from .manifest import MANIFEST, Manifest, ManifestRecord, read_records
+from .options import BatchCallbacks, ProgressSum
+from .plan import History, have_same_outcome, make_plan, refusal_record, result_record
+from .processes import Information, JobEnd, JobProgress, JobStart, ProcessDeath
+from .request import Choices
 from .stores import Stores
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
-from .watch import Progress, Watch
-from .work import Job
-from .workers import Began, Died, Ended, Information, Progressed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from .find import Found, Known
+    from .find import Known, Recording
     from .identity import Identity
     from .options import BatchOptions
-    from .plan import Choice, Plan, Step
-    from .stores import Output
-    from .workers import Executor
+    from .plan import BatchPlan, Step
+    from .processes import Executor
+    from .request import Choice
+    from .stores import StoreFolder
 
 
 def run_batch(
@@ -57,7 +54,7 @@ def run_batch(
     *,
     origins: Mapping[str, str] | None = None,
     executor: Callable[..., Executor] | None = None,
-    watch: Watch | None = None,
+    watch: BatchCallbacks | None = None,
 ) -> BatchReport:
     """Convert every recording of a dataset; see `pc2scan.batch`.
 
@@ -79,14 +76,14 @@ def run_batch(
         Callbacks for what happens.
     """
     began = time.monotonic()
-    watch = watch or Watch()
+    watch = watch or BatchCallbacks()
     if not sources:
         raise UsageError("no source given")
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
     choices = Choices(dataset, keywords, origins or {})
     choices.check()
     if options.dask and not options.dry_run:
-        executor = executor or on_dask("" if options.dask is True else str(options.dask))
+        executor = executor or dask_executor("" if options.dask is True else str(options.dask))
     with ExitStack() as stack:
         stores = Stores(options.scratch)
         stack.callback(stores.close)
@@ -101,7 +98,7 @@ def run_batch(
             check_folder(out)
         else:
             stack.enter_context(output_folder(out))
-            lock = stack.enter_context(locked(out))
+            lock = stack.enter_context(lock_folder(out))
         folder = Path(os.path.realpath(out)) if store is None else store.folder
         batch = _Batch(sources, folder, options, choices, watch, stores, store)
         batch.report.destination = out if store is None else UrlText(shown_path(out))
@@ -110,7 +107,7 @@ def run_batch(
         watch.planned(batch.made)
         if not options.dry_run:
             batch.clean_up()
-        batch.convert(lock, executor or local)
+        batch.convert(lock, executor or local_executor)
         batch.conclude(began)
         if deliver is not None and options.report is not None:
             deliver(report_text(batch.report, options.report.suffix.lower()))
@@ -126,9 +123,9 @@ class _Batch:
         out: Path,
         options: BatchOptions,
         choices: Choices,
-        watch: Watch,
+        watch: BatchCallbacks,
         stores: Stores,
-        store: Output | None,
+        store: StoreFolder | None,
     ) -> None:
         self._sources = sources
         self._out = out
@@ -138,12 +135,12 @@ class _Batch:
         self._stores = stores
         #: The folder in the store if the destination is a URL; then `_out` has the files of it that are uploaded.
         self._store = store
-        begun = read_begun(out)
-        self._history = History.read(read_lines(out / MANIFEST), begun.outputs)
+        unfinished = read_unfinished(out)
+        self._history = History.read(read_records(out / MANIFEST), unfinished.outputs)
         #: What killed runs have noted, without what is in the manifest.
-        self._begun = begun._replace(outputs=self._history.begun)
-        self._records: dict[str, Record] = {}
-        self.made: Plan
+        self._unfinished = unfinished._replace(outputs=self._history.unfinished)
+        self._records: dict[str, ManifestRecord] = {}
+        self.made: BatchPlan
         self.report = BatchReport(out, dry_run=options.dry_run)
 
     def open_report(self, stack: ExitStack) -> Callable[[str], None] | None:
@@ -152,7 +149,10 @@ class _Batch:
         if path is None:
             return None
         real = Path(os.path.realpath(path))
-        if real == self._out / MANIFEST or (real.is_relative_to(self._out) and self._is_output(real)):
+        is_inside = real.is_relative_to(self._out)
+        if real == self._out / MANIFEST or (
+            is_inside and real.relative_to(self._out).as_posix() in self._history.owned
+        ):
             raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
         beginning = BEGINNINGS[path.suffix.lower()]
         try:
@@ -163,9 +163,6 @@ class _Batch:
         except (DestinationError, OutputError) as err:
             err.message = f"the report cannot be written there: {err.message}"
             raise
-
-    def _is_output(self, path: Path) -> bool:
-        return path.relative_to(self._out).as_posix() in self._history.owned
 
     def plan(self) -> None:
         """Find the recordings, and decide what is done with each."""
@@ -194,10 +191,10 @@ class _Batch:
             if step.error is not None:
                 self._stores.names.error(step.error)
         self._stores.forget()
-        self._refuse_idle()
+        self._refuse_useless_options()
         self.report.warnings += [*self._choices.warnings(keys), *self.made.warnings]
 
-    def _refuse_idle(self) -> None:
+    def _refuse_useless_options(self) -> None:
         """Raise for options that have no effect with URLs, or without URLs."""
         if self._stores.are_used:
             if self._options.checksum:
@@ -218,9 +215,13 @@ class _Batch:
         if not is_numbered(output):
             return [path]
         left = self._history.left.get(output)
-        return parts_beside(self._out / whole(output)) if left is None else [path.with_name(f[0]) for f in left.files]
+        return (
+            parts_beside(self._out / unnumbered_name(output))
+            if left is None
+            else [path.with_name(f[0]) for f in left.files]
+        )
 
-    def _inputs(self, found: Sequence[Found], choices: Iterable[Choice]) -> Iterator[InputPath]:
+    def _inputs(self, found: Sequence[Recording], choices: Iterable[Choice]) -> Iterator[InputPath]:
         """Yield everything that the batch reads."""
         yield from (InputPath(path) for each in found for path in each.paths)
         if self._options.dataset is not None:
@@ -233,7 +234,7 @@ class _Batch:
         read = cache(lambda: Inputs(inputs))
 
         def forbidden(output: str) -> DestinationError | None:
-            path = self._out / whole(output)
+            path = self._out / unnumbered_name(output)
             try:
                 read().refuse(OutputPath(path, numbered=is_numbered(output)))
             except DestinationError as err:
@@ -248,7 +249,7 @@ class _Batch:
         planned = [step.output for action in ("convert", "keep") for step in self.made.of(action)]
         for output in {*self._history.owned, *planned}:
             if first_link(self._out, output) is None:
-                path = self._out / whole(output)
+                path = self._out / unnumbered_name(output)
                 done, noted = completed_parts(path), self._history.record(output)
                 recorded = done is None or (noted is not None and noted.files == done.files)
                 clean_up(path, recorded=recorded)
@@ -259,23 +260,23 @@ class _Batch:
         steps = sorted(self.made.of("convert"), key=lambda step: (-step.found.identity.size_bytes, step.found.key))
         by_key = {step.found.key: step for step in self.made.steps}
         jobs = [self._job(step, self._out) for step in steps]
-        count = count_of(jobs)
+        count = process_count(jobs)
         wanted = min(self._options.jobs or workers_for(count, all_cores(), available_bytes()), max(1, count))
         self.report.workers = wanted
         executor = make(workers=wanted, retries=self._options.retries, lock=lock)
         if self._options.dry_run:
             for step in self.made.of("refuse"):
-                self._note(refused(step, self._stores.shown))
+                self._note(refusal_record(step, self._stores.shown))
             with TemporaryDirectory(prefix="pc2scan-") as folder:
                 # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
                 self._run(executor, [self._job(step, Path(folder), flat=True) for step in steps], by_key, self._note)
-            self.report.estimate_seconds = estimated_seconds(jobs, list(self._history.records.values()), wanted)
+            self.report.estimate_seconds = estimate_seconds(jobs, list(self._history.records.values()), wanted)
             return
         with ExitStack() as stack:
             stack.callback(self._push, at_once=True)
             manifest: Manifest | None = None
 
-            def note(record: Record) -> None:
+            def note(record: ManifestRecord) -> None:
                 nonlocal manifest
                 if manifest is None:
                     manifest = stack.enter_context(Manifest(self._out / MANIFEST))
@@ -284,15 +285,15 @@ class _Batch:
                 self._note(record)
 
             for step in self.made.of("refuse"):
-                record = refused(step, self._stores.shown)
-                if step.record is None or not says_the_same(step.record, record):
+                record = refusal_record(step, self._stores.shown)
+                if step.record is None or not have_same_outcome(step.record, record):
                     note(record)
                 else:
                     self._note(record)
             if self._options.fail_fast and self.made.of("refuse"):
                 jobs = []
             outputs = {step.output for step in steps} if jobs else set()
-            with begun_noted(self._out, outputs, self._begun, self._is_there) as begin:
+            with track_outputs(self._out, outputs, self._unfinished, self._is_there) as begin:
                 if jobs:
                     self._push(at_once=True)
                     self._run(executor, jobs, by_key, note, begin)
@@ -305,7 +306,7 @@ class _Batch:
     def _is_there(self, output: str) -> bool:
         return os.path.lexists(self._out / output) if self._store is None else self._store.exists(output)
 
-    def _note(self, record: Record) -> None:
+    def _note(self, record: ManifestRecord) -> None:
         self._records[record.key] = record
         self._watch.done(record)
 
@@ -314,32 +315,32 @@ class _Batch:
         executor: Executor,
         jobs: Sequence[Job],
         steps: Mapping[str, Step],
-        note: Callable[[Record], None],
+        note: Callable[[ManifestRecord], None],
         begin: Callable[[str, bool], None] = lambda _output, _begins: None,
     ) -> None:
         """Run jobs, and handle their events in the order in which they come."""
-        progress = Progress({job.key: job.size_bytes for job in jobs}, self._watch)
+        progress = ProgressSum({job.key: job.size_bytes for job in jobs}, self._watch)
         events = executor(jobs)
         try:
             for event in events:
                 match event:
-                    case Began(key):
+                    case JobStart(key):
                         begin(steps[key].output, True)
                         progress.at(key, 0.0)
-                    case Progressed(key, done, total):
+                    case JobProgress(key, done, total):
                         progress.at(key, done / total if total else 0.0)
-                    case Died(key, why):
+                    case ProcessDeath(key, why):
                         progress.at(key, 0.0)
                         self._watch.warn(f"{key}: {why}; it is tried again")
                     case Information(text):
                         self._watch.inform(text)
-                    case Ended(result):
-                        record = recorded(steps[result.key], result, self._stores.shown)
+                    case JobEnd(result):
+                        record = result_record(steps[result.key], result, self._stores.shown)
                         if record.is_written and self._store is None:
                             note_written(self._out / record.output)
                         note(record)
                         if is_numbered(record.output) and self._store is None and not self._options.dry_run:
-                            clean_up(self._out / whole(record.output), recorded=True)
+                            clean_up(self._out / unnumbered_name(record.output), recorded=True)
                         if result.text and self._watch.shown is not None:
                             self._watch.shown(result.text)
                         begin(steps[result.key].output, False)
@@ -355,7 +356,7 @@ class _Batch:
         return Job(
             key=step.found.key,
             sources=tuple(self._stores.url_of(path) for path in step.found.paths),
-            destination=self._stores.url_of(folder / whole(Path(step.output).name if flat else step.output)),
+            destination=self._stores.url_of(folder / unnumbered_name(Path(step.output).name if flat else step.output)),
             request=step.choice.request,
             size_bytes=step.found.identity.size_bytes,
             owned=step.owned or FileRecord({}),
@@ -396,7 +397,7 @@ def _known_recordings(history: History, stores: Stores) -> Known:
     return lambda path, identity: containers.get((stores.shown(path), identity.files), "")
 
 
-def _source_checksum(found: Found) -> str:
+def _source_checksum(found: Recording) -> str:
     try:
         return checksum_of(found.paths)
     except OSError:

@@ -23,9 +23,9 @@ from pc2scan.files.places import parts_among
 from pc2scan.files.source import on_demand
 from pc2scan.remote.urls import UrlNames, is_url, shown_url, url_of
 
+from .folder import UNFINISHED, is_numbered, unnumbered_name
 from .identity import Identity, versions
-from .manifest import BEGUN, MANIFEST
-from .results import is_numbered, whole
+from .manifest import MANIFEST
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -138,7 +138,7 @@ class Stores:
             path.unlink(missing_ok=True)
         self._made.clear()
 
-    def output(self, url: str) -> Output:
+    def output(self, url: str) -> StoreFolder:
         """Return the folder of the results at a URL."""
         from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
 
@@ -147,7 +147,7 @@ class Stores:
             raise DestinationError(f"{place.scheme}:// can only be read", path=place.shown)
         self._out = self._path_of(place, url)
         self._out.mkdir(parents=True, exist_ok=True)
-        return Output(place, self._out)
+        return StoreFolder(place, self._out)
 
     def folder(self) -> Path:
         """Return a folder for local copies."""
@@ -212,7 +212,7 @@ class Stores:
             raise UsageError(f"`scratch`: {self._scratch or 'the folder'} cannot be written: {err.strerror}") from err
 
 
-class Output:
+class StoreFolder:
     """The folder of the results in a store.
 
     The manifest and the note of outputs that are being written are local files. They are uploaded from time to time
@@ -234,7 +234,7 @@ class Output:
 
     def pull(self) -> None:
         """Fetch the files of the last run."""
-        for name in (MANIFEST, BEGUN):
+        for name in (MANIFEST, UNFINISHED):
             data = self._place.child(name).read()
             if data is not None:
                 self._pushed[name] = data
@@ -268,7 +268,7 @@ class Output:
         began = time.monotonic()
         if began < self._next and not at_once:
             return
-        for name in (BEGUN, MANIFEST):
+        for name in (UNFINISHED, MANIFEST):
             place, path = self._place.child(name), self.folder / name
             data = path.read_bytes() if path.exists() else None
             if data is None and name in self._pushed:
@@ -346,7 +346,7 @@ def identity_in(objects: Mapping[str, StoredObject], output: str, left: Identity
     ``left`` says which files a numbered output has; without it, all with such names are listed.
     """
     if is_numbered(output):
-        folder, _, name = whole(output).rpartition("/")
+        folder, _, name = unnumbered_name(output).rpartition("/")
         here = {key.rpartition("/")[2]: found for key, found in objects.items() if key.rpartition("/")[0] == folder}
         names = parts_among(here, name) if left is None else [file for file, _, _ in left.files if file in here]
         return Identity(tuple((name, *here[name]) for name in names))

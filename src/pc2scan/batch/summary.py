@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from .manifest import Record
+    from .manifest import ManifestRecord
     from .plan import Step
 
 #: Outcomes from bad to good. Recordings are shown in this order.
@@ -92,7 +92,7 @@ class Outcome:
     why
         The reason.
     outcome
-        As in a `pc2scan.batch.manifest.Record`; or ``skipped``; or ``not begun``, if the run ended before that.
+        As in a `pc2scan.batch.manifest.ManifestRecord`; or ``skipped``; or ``not begun``, if the run ended before that.
     exit_status
         The exit status that `pc2scan convert` would have had.
     output
@@ -125,7 +125,7 @@ class Outcome:
     error: str = ""
 
     @classmethod
-    def of(cls, step: Step, record: Record | None) -> Outcome:
+    def of(cls, step: Step, record: ManifestRecord | None) -> Outcome:
         """Return the outcome of a step of the plan, given its line of the manifest."""
         if step.action == "skip":
             return cls(key=step.found.key, action="skip", why=step.why, outcome="skipped")

@@ -3,12 +3,16 @@
 It is a new interpreter that does not import the parent's program, so that a notebook, or a script without
 ``if __name__ == "__main__"``, can start it. Its input ends when the parent closes it or dies. Then the conversion is
 interrupted, its unfinished output is removed, and the process ends.
+
+A message between the two is the length of a pickled object, then the object.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
 import signal
+import struct
 import sys
 import threading
 import time
@@ -18,8 +22,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.memory import keep_freed_memory
 from pc2scan.version import __version__
 
-from .frames import receive, send
-from .work import convert_one
+from .jobs import convert_one
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -31,8 +34,10 @@ _PROGRESS_SECONDS = 0.1
 #: Seconds after which the process is ended even if its conversion does not react to the interrupt.
 _END_SECONDS = 10.0
 
+_LENGTH = struct.Struct(">Q")
 
-class _Ending:
+
+class _Shutdown:
     """Ends this process when its input ends: the parent has closed it or died."""
 
     def __init__(self) -> None:
@@ -57,7 +62,7 @@ class _Ending:
             raise KeyboardInterrupt
 
 
-def _receive_jobs(stream: BinaryIO, jobs: SimpleQueue[Any], ending: _Ending) -> None:
+def _receive_jobs(stream: BinaryIO, jobs: SimpleQueue[Any], ending: _Shutdown) -> None:
     try:
         while True:
             jobs.put(receive(stream))
@@ -68,7 +73,7 @@ def _receive_jobs(stream: BinaryIO, jobs: SimpleQueue[Any], ending: _Ending) -> 
         jobs.put(err)
 
 
-class _Progress:
+class _ProgressSender:
     """Sends the progress of a conversion to the parent from time to time."""
 
     def __init__(self, stream: BinaryIO, key: str) -> None:
@@ -89,12 +94,12 @@ def _serve(jobs: SimpleQueue[Any], answers: BinaryIO) -> None:
         if isinstance(job, Exception):
             send(answers, ("unreadable", f"{type(job).__name__}: {job}"))
             return
-        send(answers, ("result", convert_one(job, _Progress(answers, job.key))))
+        send(answers, ("result", convert_one(job, _ProgressSender(answers, job.key))))
 
 
 def main() -> None:
     """Convert the jobs that the parent sends."""
-    ending = _Ending()
+    ending = _Shutdown()
     # Answers use a copy of standard output. What libraries print goes to standard error, so it cannot mix with them.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
@@ -108,3 +113,36 @@ def main() -> None:
         pass
     # Does not wait for threads: their work is not needed any more, and all output is complete or removed.
     os._exit(0)
+
+
+def send(stream: BinaryIO, message: object) -> None:
+    """Write a message.
+
+    Raises
+    ------
+    OSError
+        If the other process has closed the pipe.
+    """
+    data = pickle.dumps(message)
+    stream.write(_LENGTH.pack(len(data)))
+    stream.write(data)
+    stream.flush()
+
+
+def receive(stream: BinaryIO) -> Any:
+    """Read a message.
+
+    Raises
+    ------
+    EOFError
+        If the other process has ended, or died while it wrote a message.
+    """
+    head = stream.read(_LENGTH.size)
+    if len(head) < _LENGTH.size:
+        raise EOFError
+    (length,) = _LENGTH.unpack(head)
+    data = stream.read(length)
+    if len(data) < length:
+        raise EOFError
+    # Safe: the data comes from a process that this program started, through a pipe that no other process has.
+    return pickle.loads(data)  # noqa: S301

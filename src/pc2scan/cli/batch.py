@@ -18,9 +18,9 @@ from .spelling import as_typed
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pc2scan.batch.manifest import Record
-    from pc2scan.batch.plan import Plan
-    from pc2scan.batch.watch import BatchProgress
+    from pc2scan.batch.manifest import ManifestRecord
+    from pc2scan.batch.options import BatchProgress
+    from pc2scan.batch.plan import BatchPlan
 
 
 def batch(
@@ -50,11 +50,11 @@ def batch(
     failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command again.
     """
     from pc2scan import commands
-    from pc2scan.batch.watch import Watch
+    from pc2scan.batch.options import BatchCallbacks
 
     quiet, verbose = options.quiet, options.verbose
     with _progress_bar(enabled=not quiet) as progress:
-        watch = Watch(
+        watch = BatchCallbacks(
             planned=lambda plan: _show_plan(plan, quiet=quiet),
             progress=progress,
             done=lambda record: _show_record(record, quiet=quiet, dry_run=options.dry_run),
@@ -71,7 +71,7 @@ def batch(
     raise typer.Exit(report.exit_status)
 
 
-def _show_plan(plan: Plan, *, quiet: bool) -> None:
+def _show_plan(plan: BatchPlan, *, quiet: bool) -> None:
     """Show what will be done, in one line."""
     if quiet:
         return
@@ -91,7 +91,7 @@ def _show_plan(plan: Plan, *, quiet: bool) -> None:
     say(": ".join((parts[0], ", ".join(parts[1:]))), err=True)
 
 
-def _show_record(record: Record, *, quiet: bool, dry_run: bool) -> None:
+def _show_record(record: ManifestRecord, *, quiet: bool, dry_run: bool) -> None:
     """Show a line for a recording that is finished."""
     if record.error is not None:
         hint = f" (hint: {record.error['hint']})" if record.error.get("hint") else ""

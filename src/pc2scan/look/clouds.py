@@ -11,7 +11,7 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.errors import TransformError
 from pc2scan.options.table import PARAMETERS
 
-from .packed import described, packed
+from .html import compress, description_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -57,7 +57,7 @@ def clouds_page(
         As `pc2scan.look.html.html` takes them.
     """
     notes = list(taken.notes)
-    step, blobs = _packed_to_fit(taken.shots)
+    step, blobs = _compress_to_fit(taken.shots)
     if step > 1:
         notes.append(
             f"To keep this page small, only 1 of {step} points is shown; counts and ranges are those of the thinned "
@@ -73,11 +73,11 @@ def clouds_page(
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
         columns = {name: column[::step] for name, column in shot.columns.items()}
-        entry = {**_shot_as_dict(shot, buffer), "data": described(_name(number), columns), "filtered": None}
+        entry = {**_shot_as_dict(shot, buffer), "data": description_of(_name(number), columns), "filtered": None}
         if shot.filtered is not None:
             named = {"filtered": shot.filtered[::step]}
-            entry["filtered"] = described(f"filtered-{number}", named)
-            blobs[f"filtered-{number}"] = packed(named)
+            entry["filtered"] = description_of(f"filtered-{number}", named)
+            blobs[f"filtered-{number}"] = compress(named)
         topics.setdefault(shot.topic, []).append(entry)
     base = ProjectionParams(**PRESETS[preset]) if preset else ProjectionParams()  # type: ignore[arg-type]
     description = {
@@ -140,12 +140,12 @@ def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[di
             yield {"name": name, "x": x, "y": y, "z": z}
 
 
-def _packed_to_fit(shots: Sequence[Shot]) -> tuple[int, dict[str, bytes]]:
+def _compress_to_fit(shots: Sequence[Shot]) -> tuple[int, dict[str, bytes]]:
     """Compress the clouds: all points, or every n-th if they are too many. Return n and the bytes."""
     step = 1
     while True:
         blobs = {
-            _name(number): packed({name: column[::step] for name, column in shot.columns.items()})
+            _name(number): compress({name: column[::step] for name, column in shot.columns.items()})
             for number, shot in enumerate(shots)
         }
         size = sum(map(len, blobs.values()))

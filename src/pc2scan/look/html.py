@@ -13,9 +13,12 @@ import base64
 import hashlib
 import json
 import re
+import zlib
 from collections.abc import Mapping
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pc2scan.errors import UsageError, visible
 
@@ -24,11 +27,16 @@ if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
 #: The first bytes of every page; a file that begins like this may be replaced by another page.
 BEGINNING = b"<!doctype html>\n<!-- pc2scan view -->\n"
 
 _IMPORT = re.compile(r'^import (?P<names>\{[^}]*\}) from "\./(?P<module>\w+)\.mjs";$', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?=(?:async )?(?:function|const|let|class) (?P<name>\w+))", re.MULTILINE)
+
+#: The level of compression; higher ones take longer and gain almost nothing for measured values.
+_LEVEL = 6
 
 
 def check_page_name(path: Path) -> None:
@@ -122,3 +130,26 @@ def _digest(text: str) -> str:
 
 def _folder() -> Traversable:
     return files("pc2scan.look") / "page"
+
+
+def compress(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """Compress arrays of one length; `description_of` describes the result.
+
+    The first bytes of all values of a field come first, then their second bytes, and so on. Exponents and leading
+    digits are similar, so measured floats compress a quarter better like this.
+    """
+    planes = b"".join(_planes(column) for column in columns.values())
+    compressor = zlib.compressobj(_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+    return compressor.compress(planes) + compressor.flush()
+
+
+def description_of(name: str, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Return the page's description of compressed arrays; ``name`` is the id of their bytes."""
+    length = len(next(iter(columns.values())))
+    fields = [{"name": field, "type": column.dtype.str[1:]} for field, column in columns.items()]
+    return {"id": name, "length": length, "fields": fields}
+
+
+def _planes(column: NDArray[Any]) -> bytes:
+    values = np.ascontiguousarray(column, column.dtype.newbyteorder("<"))
+    return values.view(np.uint8).reshape(-1, values.itemsize).T.tobytes()

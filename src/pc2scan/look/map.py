@@ -23,7 +23,7 @@ from pc2scan.tf.reading import read_transforms
 from .map_drawing import Drawing
 from .map_files import map_paths
 from .map_result import contents_of
-from .opened import opened
+from .recording import open_with_transforms
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.stream import Progress
 
-    from .map_options import MapOptions
+    from .map_drawing import MapOptions
     from .map_result import Map
 
 
@@ -112,7 +112,7 @@ def map_of(
     """
     if options.scan.reverse:
         raise UsageError("`reverse` makes clouds, but a map is made of scans")
-    with opened(sources, options) as recording:
+    with open_with_transforms(sources, options) as recording:
         buffer, notes = read_transforms([recording.reader, *recording.others], options.frames)
         topics, converted = _topics(recording.reader, options)
         further = recording.damage

@@ -13,8 +13,7 @@ from pc2scan.files.text_output import files_output
 from pc2scan.result import Part, Remark, Result, skipped_remarks
 from pc2scan.text import duration
 
-from .map_files import image_of, map_paths, yaml_of
-from .map_picture import picture_of
+from .map_files import image_of, map_paths, picture_of, yaml_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -19,7 +19,7 @@ from pc2scan.files.text_output import file_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
-from .opened import opened, title_of
+from .recording import open_with_transforms, title_of
 from .shots import take_shots
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def plot(
     )
     with (
         file_output(destination, beginning=None, overwrite=overwrite) as deliver,
-        opened(sources, options) as recording,
+        open_with_transforms(sources, options) as recording,
     ):
         at_ns = recording.log_times(at)
         taken = take_shots(
@@ -164,7 +164,7 @@ def _figure(taken: Shots, title: str, kind: str) -> bytes:
     with warnings.catch_warnings(), mpl.rc_context({"svg.hashsalt": "pc2scan", "text.parse_math": False}):
         # No warnings about letters that the font lacks.
         warnings.simplefilter("ignore", UserWarning)
-        placed = [_placed(shot) for shot in taken.shots]
+        placed = [_place_points(shot) for shot in taken.shots]
         limits = [_limits(values) for values in zip(*placed, strict=True)]
         across, *heights = (high - low for low, high in limits)
         inches = [min(_HIGHEST, max(_LOWEST, _WIDTH * height / across)) for height in heights]
@@ -258,7 +258,7 @@ def _limits(values: Sequence[NDArray[Any]]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _placed(shot: Shot) -> Sequence[NDArray[np.float32]]:
+def _place_points(shot: Shot) -> Sequence[NDArray[np.float32]]:
     """Return the coordinates in the scan's frame, in float32 like in the projection."""
     x, y, z = (shot.columns[axis] for axis in "xyz")
     rigid = shot.place.target_from_source

@@ -10,8 +10,8 @@ from pc2scan.errors import MessageError, RecordingError, TopicError, TransformEr
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.text import counted
 
-from .moments import moment, spread
-from .packed import described, packed
+from .html import compress, description_of
+from .recording import moment_text, spread_messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -99,7 +99,7 @@ def scans_page(
             try:
                 scan = decode_laserscan(message.data, message.connection.serialization)
             except MessageError as err:
-                failed.append(f"{topic} at {moment(message.log_time_ns)}: {err.message}")
+                failed.append(f"{topic} at {moment_text(message.log_time_ns)}: {err.message}")
                 continue
             common = common or scan.frame_id
             pose = _pose(buffer, common, scan.frame_id, scan.stamp_ns)
@@ -107,7 +107,7 @@ def scans_page(
             stamps.append(scan.stamp_ns or message.log_time_ns)
             layers.append(layer(f"{topic} ({where})", number, scan, blobs, pose=pose or _HERE))
         if layers:
-            moments.append({"moment": moment(stamps[0]), "layers": layers})
+            moments.append({"moment": moment_text(stamps[0]), "layers": layers})
     if not moments:
         why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
@@ -133,7 +133,7 @@ def _messages(
             for time_ns in sorted(at_ns)
         ]
     taken: dict[str, list[RawMessage]] = {topic: [] for topic in topics}
-    for message in spread(reader, topics, options, count):
+    for message in spread_messages(reader, topics, options, count):
         taken[message.connection.topic].append(message)
     most = max(map(len, taken.values()))
     return [{topic: some[n] for topic, some in taken.items() if n < len(some)} for n in range(most)]
@@ -171,7 +171,7 @@ def layer(
     if len(scan.intensities) == len(scan.ranges) > 0:
         columns["intensities"] = scan.intensities.astype("<f4")
     key = f"scan-{len(blobs)}"
-    blobs[key] = packed(columns)
+    blobs[key] = compress(columns)
     return {
         "name": name,
         "colour": colour,
@@ -181,7 +181,7 @@ def layer(
         "rangeMin": _finite(scan.range_min),
         "rangeMax": _finite(scan.range_max, math.inf),
         "differing": list(differing),
-        "data": described(key, columns),
+        "data": description_of(key, columns),
     }
 
 

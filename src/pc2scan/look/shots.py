@@ -12,18 +12,18 @@ import numpy as np
 
 from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.pipeline.levelling import Ups
-from pc2scan.pipeline.measure import measure
+from pc2scan.pipeline.levelling import UpSources
+from pc2scan.pipeline.measurements import measure
 from pc2scan.pipeline.plan import make_plan
+from pc2scan.pipeline.point_times import measure_turns
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.deskew import Deskew, PointTime
-from pc2scan.pipeline.stages.select import Select
-from pc2scan.pipeline.turning import measured_turns
+from pc2scan.pipeline.stages.selection import SelectStage
 from pc2scan.text import counted
 from pc2scan.tf.placing import Placer
 
-from .moments import moment, spread
+from .recording import moment_text, spread_messages
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -138,7 +138,7 @@ def take_shots(
         try:
             shots.append(_shot(message, options, frames, deskew))
         except MessageError as err:
-            failed.append(f"{message.connection.topic} at {moment(message.log_time_ns)}: {err.message}")
+            failed.append(f"{message.connection.topic} at {moment_text(message.log_time_ns)}: {err.message}")
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
@@ -156,7 +156,7 @@ def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: S
     tolerance_ns = params.tolerance_ns
     up = None
     if spec.level and levelled is not None:
-        up = Ups(levelled, buffer, Report([], "", (spec,))).of(spec, tolerance_ns)
+        up = UpSources(levelled, buffer, Report([], "", (spec,))).of(spec, tolerance_ns)
     return Placer(params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
 
 
@@ -181,7 +181,7 @@ def _messages(
     at_ns: Sequence[int],
 ) -> Iterator[RawMessage]:
     if not at_ns:
-        yield from spread(reader, topics, options, count)
+        yield from spread_messages(reader, topics, options, count)
         return
     seen: set[tuple[str, int]] = set()
     for time_ns in sorted(at_ns):
@@ -201,7 +201,7 @@ def _deskew(
     asked = options.scan
     where = PointTime.parse(asked.point_time) if asked.point_time else PointTime()
     connections = [each for found in topics.values() for each in found]
-    turns, _ = measured_turns(reader, connections, asked.point_time)
+    turns, _ = measure_turns(reader, connections, asked.point_time)
     return Deskew(frames, asked.fixed_frame, where, asked.stamp, turns)
 
 
@@ -216,16 +216,16 @@ def _shot(message: RawMessage, options: ConvertOptions, frames: Placer, deskew: 
     place = frames.place(points.frame_id, stamp_ns)
     return Shot(
         connection.topic,
-        moment(stamp_ns or message.log_time_ns),
+        moment_text(stamp_ns or message.log_time_ns),
         stamp_ns,
         options.frames.source_frame or points.frame_id,
         place,
         _columns(points, xyz),
-        _filtered(points, place, options, frames, None if deskew is None else deskew.within(frames)),
+        _filter_mask(points, place, options, frames, None if deskew is None else deskew.within(frames)),
     )
 
 
-def _filtered(
+def _filter_mask(
     points: Points, place: Placement, options: ConvertOptions, frames: Placer, deskew: Deskew | None
 ) -> NDArray[np.uint8] | None:
     """Return a mask of the points that the filters reject, and of those that cannot be deskewed."""
@@ -236,7 +236,7 @@ def _filtered(
     shape = points.xyz()[0].shape
     numbers = np.arange(math.prod(shape)).reshape(shape)
     numbered = replace(points, fields={**points.fields, _NUMBER: numbers})
-    kept = Select(options.scan.filters, frames).apply(numbered, place, moving).points.field(_NUMBER)
+    kept = SelectStage(options.scan.filters, frames).apply(numbered, place, moving).points.field(_NUMBER)
     filtered = np.ones(numbers.size, np.uint8)
     filtered[kept.reshape(-1)] = 0
     return filtered

@@ -17,8 +17,7 @@ from pc2scan.tf.options import FrameOptions
 
 from .clouds import clouds_page
 from .html import BEGINNING, check_page_name, html
-from .moments import moment
-from .opened import opened, title_of
+from .recording import moment_text, open_with_transforms, title_of
 from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
 
@@ -176,7 +175,7 @@ def page_of(
     """
     if not 1 <= clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
-    with opened(sources, options) as recording:
+    with open_with_transforms(sources, options) as recording:
         reader, _, buffer = recording
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
@@ -200,4 +199,4 @@ def _subtitle(reader: Reader) -> str:
     summary = reader.summary
     if summary.start_ns is None or summary.end_ns is None:
         return ""
-    return f"{moment(summary.start_ns)}, {(summary.end_ns - summary.start_ns) / 1e9:.1f} s"
+    return f"{moment_text(summary.start_ns)}, {(summary.end_ns - summary.start_ns) / 1e9:.1f} s"

@@ -10,10 +10,10 @@ from pc2scan.core.presets import PRESETS
 
 from .option import FRAME_NAMES, Names, Option, Path, Progress, Quantity, Time, Tolerance, topics_of
 from .running import MAX_JOBS
-from .values import Count, Flag, Moment, Moments, Number, Object, PathName, Switch, Text, Texts, Tolerances
+from .values import Count, Flag, Instance, Moment, Moments, Number, PathName, Switch, Text, Texts, Tolerances
 
 
-class Exporting(TypedDict, total=False):
+class ExportFormat(TypedDict, total=False):
     """An export."""
 
     format: Annotated[
@@ -155,16 +155,16 @@ class BatchScreen(TypedDict, total=False):
     ]
 
 
-class BatchWatched(TypedDict, total=False):
+class BatchRunProgress(TypedDict, total=False):
     """Progress of a batch."""
 
     progress: Annotated[
         Progress | None,
-        Option(Object(called=True), "A function that is called from time to time with the progress.", typed=""),
+        Option(Instance(called=True), "A function that is called from time to time with the progress.", typed=""),
     ]
 
 
-class ShownClouds(TypedDict, total=False):
+class PageClouds(TypedDict, total=False):
     """Which clouds a page shows."""
 
     clouds: Annotated[
@@ -182,7 +182,7 @@ class ShownClouds(TypedDict, total=False):
     ]
 
 
-class Browsing(TypedDict, total=False):
+class PageOutput(TypedDict, total=False):
     """The page on the disk; only the command has it."""
 
     open_page: Annotated[
@@ -196,7 +196,7 @@ class Browsing(TypedDict, total=False):
     ]
 
 
-class DrawnClouds(TypedDict, total=False):
+class FigureClouds(TypedDict, total=False):
     """Which clouds a figure shows."""
 
     clouds: Annotated[
@@ -273,7 +273,7 @@ class MapFiles(TypedDict, total=False):
     overwrite: Annotated[bool, Option(Flag(), "Replace files of these names.", common=True, command_only=True)]
 
 
-class Checking(TypedDict, total=False):
+class CheckRules(TypedDict, total=False):
     """A check."""
 
     consumers: Annotated[
@@ -316,7 +316,7 @@ class Checking(TypedDict, total=False):
     ]
 
 
-class Describing(TypedDict, total=False):
+class InfoSamples(TypedDict, total=False):
     """A description of a recording."""
 
     samples: Annotated[
@@ -335,7 +335,7 @@ class Describing(TypedDict, total=False):
     ]
 
 
-class Repairing(TypedDict, total=False):
+class RepairContainer(TypedDict, total=False):
     """A repair."""
 
     storage: Annotated[
@@ -354,7 +354,7 @@ class RepairScreen(TypedDict, total=False):
     quiet: Annotated[bool, Option(Flag(), "Show damage, warnings and errors only.", short="-q", command_only=True)]
 
 
-class Comparing(TypedDict, total=False):
+class ComparisonRules(TypedDict, total=False):
     """A comparison."""
 
     topics: Annotated[

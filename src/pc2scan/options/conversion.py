@@ -24,13 +24,13 @@ from .option import (
     Transforms,
     topics_of,
 )
-from .values import Duration, Flag, Moment, Number, Object, PathName, PathNames, Share, Text, Texts
+from .values import Duration, Flag, Instance, Moment, Number, PathName, PathNames, Share, Text, Texts
 
 if TYPE_CHECKING:
     from pc2scan.tf.options import FrameOptions
 
 
-class ConvertedTopics(TypedDict, total=False):
+class SourceTopics(TypedDict, total=False):
     """Which topics are converted."""
 
     topics: Annotated[
@@ -47,7 +47,7 @@ class ConvertedTopics(TypedDict, total=False):
     ]
 
 
-class Reading(TypedDict, total=False):
+class TimeRange(TypedDict, total=False):
     """What is read of a recording, and how."""
 
     start: Annotated[
@@ -94,7 +94,7 @@ class BadMessages(TypedDict, total=False):
     ]
 
 
-class Points(TypedDict, total=False):
+class PointSelection(TypedDict, total=False):
     """Which points and beams are used."""
 
     remove: Annotated[
@@ -145,7 +145,7 @@ class Points(TypedDict, total=False):
         ),
     ]
     filters: Annotated[
-        Any, Option(Object(), "Further filters of points, as objects.", panel=PYTHON, typed="", scope=SINGLE)
+        Any, Option(Instance(), "Further filters of points, as objects.", panel=PYTHON, typed="", scope=SINGLE)
     ]
 
 
@@ -182,7 +182,8 @@ class TransformSources(TransformTopics, total=False):
 
     tf_from: Annotated[Paths | None, Option(PathNames(is_recording=True), "Read the transforms of this recording too.")]
     frames: Annotated[
-        "FrameOptions | None", Option(Object(), "All options about transforms in one object.", panel=PYTHON, typed="")
+        "FrameOptions | None",
+        Option(Instance(), "All options about transforms in one object.", panel=PYTHON, typed=""),
     ]
 
 
@@ -200,13 +201,13 @@ class SourceFrame(TypedDict, total=False):
     ]
 
 
-class Frames(StaticTransforms, TransformSources, SourceFrame, total=False):
+class ConversionFrames(StaticTransforms, TransformSources, SourceFrame, total=False):
     """Frames and transforms of a conversion."""
 
     static_tf_file: Annotated[Path | None, Option(PathName(), "A YAML list of transforms like those of `static_tf`.")]
 
 
-class Motion(TypedDict, total=False):
+class RobotMotion(TypedDict, total=False):
     """The robot's motion."""
 
     deskew: Annotated[
@@ -270,7 +271,7 @@ class Motion(TypedDict, total=False):
     ]
 
 
-class Combination(TypedDict, total=False):
+class CloudCombination(TypedDict, total=False):
     """Scans of several messages."""
 
     lead: Annotated[
@@ -313,7 +314,7 @@ class Reversal(TypedDict, total=False):
     reverse: Annotated[bool, Option(Flag(), "Convert LaserScan to PointCloud2, as laserscan_to_pointcloud does.")]
 
 
-class ReverseOptions(Reversal, total=False):
+class CloudContent(Reversal, total=False):
     """What the clouds of scans have."""
 
     channels: Annotated[
@@ -329,7 +330,7 @@ class ReverseOptions(Reversal, total=False):
     ]
 
 
-class WrittenTopics(TypedDict, total=False):
+class OtherTopics(TypedDict, total=False):
     """What a recording has besides the scans."""
 
     keep: Annotated[
@@ -360,7 +361,7 @@ class WrittenTopics(TypedDict, total=False):
     write_static_tf: Annotated[bool, Option(Flag(), "Write the added transforms to DST's /tf_static.", panel=FRAMES)]
 
 
-class Demands(TypedDict, total=False):
+class FailureConditions(TypedDict, total=False):
     """When a run fails."""
 
     fail_on: Annotated[

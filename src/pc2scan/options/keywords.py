@@ -92,9 +92,8 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
         for option in ordered
     ]
     checked.__signature__ = inspect.signature(function).replace(parameters=[*own, *listed])  # type: ignore[attr-defined]
-    checked.__doc__ = (function.__doc__ or "").replace(
-        _PLACE, "".join(_described(option, types[option.name]) for option in ordered)
-    )
+    entries = "".join(_describe(option, types[option.name]) for option in ordered)
+    checked.__doc__ = (function.__doc__ or "").replace(_PLACE, entries)
     return checked
 
 
@@ -102,7 +101,7 @@ def takes_options(function: Callable[_Arguments, _Result]) -> Callable[_Argument
 _PLACE = "    **options\n"
 
 
-def _described(option: Option, kind: Any) -> str:
+def _describe(option: Option, kind: Any) -> str:
     """Return an option's entry in a docstring, with the type of its values."""
     words = f"{option.help} {option.value.note}".split()
     if option.default_text:

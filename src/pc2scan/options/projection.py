@@ -22,7 +22,7 @@ from .option import (
     Path,
     Quantity,
 )
-from .values import Count, Flag, Number, Object, Outputs, PathName, Preset, Text, Texts
+from .values import Count, Flag, Instance, Number, Outputs, PathName, Preset, Text, Texts
 
 
 class Projection(TypedDict, total=False):
@@ -236,7 +236,7 @@ class ParameterSources(TypedDict, total=False):
     params: Annotated[
         ProjectionParams | None,
         Option(
-            Object(),
+            Instance(),
             "The parameters of the projection, instead of `preset` and `params_file`.",
             panel=PYTHON,
             typed="",

@@ -6,7 +6,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 from typing import Annotated, TypedDict
 
 from .option import Option, Path, Progress
-from .values import Count, Flag, Object, PathName, Size, Text
+from .values import Count, Flag, Instance, PathName, Size, Text
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
 MAX_JOBS = 1024
@@ -69,7 +69,7 @@ class Container(TypedDict, total=False):
     ]
 
 
-class Overwriting(TypedDict, total=False):
+class Replacement(TypedDict, total=False):
     """Whether a recording is replaced."""
 
     overwrite: Annotated[bool, Option(Flag(), "Replace DST, and the file of `report`, if they exist.", common=True)]
@@ -108,7 +108,7 @@ class RunReport(TypedDict, total=False):
     ]
 
 
-class Threads(TypedDict, total=False):
+class ThreadCount(TypedDict, total=False):
     """Threads of a run."""
 
     jobs: Annotated[
@@ -123,20 +123,20 @@ class Threads(TypedDict, total=False):
     ]
 
 
-class Watched(TypedDict, total=False):
+class RunProgress(TypedDict, total=False):
     """Progress of a run."""
 
     progress: Annotated[
         Progress | None,
         Option(
-            Object(called=True),
+            Instance(called=True),
             "A function that is called from time to time with bytes read, bytes in total, and messages read.",
             typed="",
         ),
     ]
 
 
-class Screen(TypedDict, total=False):
+class ScreenOutput(TypedDict, total=False):
     """What a run shows on the screen; only commands have it."""
 
     quiet: Annotated[bool, Option(Flag(), "Show warnings and errors only.", short="-q", command_only=True)]
@@ -145,13 +145,13 @@ class Screen(TypedDict, total=False):
     ]
 
 
-class Json(TypedDict, total=False):
+class JsonOutput(TypedDict, total=False):
     """Results as JSON; only commands have it."""
 
     as_json: Annotated[bool, Option(Flag(), "Print JSON.", typed="--json", common=True, command_only=True)]
 
 
-class JUnit(TypedDict, total=False):
+class JUnitOutput(TypedDict, total=False):
     """Results as JUnit XML; only commands have it."""
 
     junit: Annotated[

@@ -16,39 +16,39 @@ from pc2scan.core.params import ProjectionParams
 from .commands import (
     BatchExport,
     BatchRun,
+    BatchRunProgress,
     BatchScreen,
-    BatchWatched,
-    Browsing,
-    Checking,
+    CheckRules,
     CompareScreen,
-    Comparing,
-    Describing,
-    DrawnClouds,
-    Exporting,
+    ComparisonRules,
+    ExportFormat,
+    FigureClouds,
     GoldenCases,
     GoldenScreen,
+    InfoSamples,
     MapDrawing,
     MapFiles,
-    Repairing,
+    PageClouds,
+    PageOutput,
+    RepairContainer,
     RepairScreen,
-    ShownClouds,
 )
 from .conversion import (
     BadMessages,
-    Combination,
-    ConvertedTopics,
-    Demands,
-    Frames,
-    Motion,
-    Points,
-    Reading,
+    CloudCombination,
+    CloudContent,
+    ConversionFrames,
+    FailureConditions,
+    OtherTopics,
+    PointSelection,
     Reversal,
-    ReverseOptions,
+    RobotMotion,
     SourceFrame,
+    SourceTopics,
     StaticTransforms,
+    TimeRange,
     TransformSources,
     TransformTopics,
-    WrittenTopics,
 )
 from .option import (
     BATCH,
@@ -73,30 +73,41 @@ from .option import (
     Parameter,
 )
 from .projection import ParameterSources, Projection, SeveralOutputs
-from .running import Container, DryRun, Json, JUnit, Overwriting, RunReport, Scratch, Screen, Threads, Watched
-from .values import Object
+from .running import (
+    Container,
+    DryRun,
+    JsonOutput,
+    JUnitOutput,
+    Replacement,
+    RunProgress,
+    RunReport,
+    Scratch,
+    ScreenOutput,
+    ThreadCount,
+)
+from .values import Instance
 
 # Which command takes which groups; the order is that of the help's sections.
 
 
-class _Clouds(ParameterSources, Projection, Reading, Points, Frames, Motion, total=False):
+class _Clouds(ParameterSources, Projection, TimeRange, PointSelection, ConversionFrames, RobotMotion, total=False):
     """How a cloud becomes a scan, and what is read."""
 
 
-class _Scans(_Clouds, Combination, total=False):
+class _Scans(_Clouds, CloudCombination, total=False):
     """How clouds become scans, and what is read."""
 
 
 class _Conversion(
-    ConvertedTopics,
+    SourceTopics,
     _Scans,
     SeveralOutputs,
     BadMessages,
-    ReverseOptions,
-    WrittenTopics,
-    Demands,
+    CloudContent,
+    OtherTopics,
+    FailureConditions,
     Container,
-    Overwriting,
+    Replacement,
     DryRun,
     Scratch,
     total=False,
@@ -104,35 +115,35 @@ class _Conversion(
     """A conversion to a recording."""
 
 
-class Convert(_Conversion, RunReport, Threads, Watched, total=False):
+class Convert(_Conversion, RunReport, ThreadCount, RunProgress, total=False):
     """``convert``."""
 
 
-class Batch(BatchRun, BatchExport, _Conversion, BatchWatched, total=False):
+class Batch(BatchRun, BatchExport, _Conversion, BatchRunProgress, total=False):
     """``batch``."""
 
 
-class Export(Exporting, ConvertedTopics, _Scans, BadMessages, Watched, total=False):
+class Export(ExportFormat, SourceTopics, _Scans, BadMessages, RunProgress, total=False):
     """``export``."""
 
 
-class View(ShownClouds, ConvertedTopics, _Clouds, SeveralOutputs, Reversal, total=False):
+class View(PageClouds, SourceTopics, _Clouds, SeveralOutputs, Reversal, total=False):
     """``view``."""
 
 
-class Plot(DrawnClouds, ConvertedTopics, _Clouds, SeveralOutputs, total=False):
+class Plot(FigureClouds, SourceTopics, _Clouds, SeveralOutputs, total=False):
     """``plot``."""
 
 
-class Map(MapDrawing, ConvertedTopics, _Scans, SeveralOutputs, BadMessages, Watched, total=False):
+class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, BadMessages, RunProgress, total=False):
     """``map``."""
 
 
-class Check(Checking, TransformSources, total=False):
+class Check(CheckRules, TransformSources, total=False):
     """``check``."""
 
 
-class Info(Describing, StaticTransforms, TransformSources, SourceFrame, total=False):
+class Info(InfoSamples, StaticTransforms, TransformSources, SourceFrame, total=False):
     """``info``."""
 
 
@@ -140,11 +151,11 @@ class Tf(TransformTopics, StaticTransforms, total=False):
     """``tf``."""
 
 
-class Repair(Repairing, Overwriting, RunReport, Watched, total=False):
+class Repair(RepairContainer, Replacement, RunReport, RunProgress, total=False):
     """``repair``."""
 
 
-class Diff(Comparing, total=False):
+class Diff(ComparisonRules, total=False):
     """``diff``."""
 
 
@@ -156,25 +167,25 @@ class Scans(_Scans, BadMessages, total=False):
     """``pc2scan.scans``."""
 
 
-class Clouds(Reading, BadMessages, total=False):
+class Clouds(TimeRange, BadMessages, total=False):
     """``pc2scan.clouds``."""
 
 
 #: For each command, the groups that its function takes too, and those that only the command has; then the functions
 #: without a command.
 GROUPS: Mapping[str, tuple[Any, ...]] = {
-    "convert": (Convert, Screen),
+    "convert": (Convert, ScreenOutput),
     "batch": (Batch, BatchScreen),
-    "export": (Export, Json),
-    "view": (View, Browsing),
+    "export": (Export, JsonOutput),
+    "view": (View, PageOutput),
     "plot": (Plot,),
-    "map": (Map, MapFiles, Json),
-    "check": (Check, JUnit, Json),
-    "info": (Info, Json),
-    "tf": (Tf, Json),
+    "map": (Map, MapFiles, JsonOutput),
+    "check": (Check, JUnitOutput, JsonOutput),
+    "info": (Info, JsonOutput),
+    "tf": (Tf, JsonOutput),
     "repair": (Repair, RepairScreen),
-    "diff": (Diff, JUnit, Json, CompareScreen),
-    "golden": (Golden, JUnit, Json, GoldenScreen),
+    "diff": (Diff, JUnitOutput, JsonOutput, CompareScreen),
+    "golden": (Golden, JUnitOutput, JsonOutput, GoldenScreen),
     "scans": (Scans,),
     "clouds": (Clouds,),
 }
@@ -185,30 +196,30 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     Projection: (PARAMS, ONE_OUTPUT),
     ParameterSources: (PARAMS, ONE_OUTPUT),
     SeveralOutputs: (TOPICS, CONVERSION),
-    ConvertedTopics: (TOPICS, SINGLE),
-    Reading: (TOPICS, CONVERSION),
+    SourceTopics: (TOPICS, SINGLE),
+    TimeRange: (TOPICS, CONVERSION),
     BadMessages: (RUN, CONVERSION),
-    Points: (POINTS, ONE_OUTPUT),
-    Frames: (FRAMES, CONVERSION),
+    PointSelection: (POINTS, ONE_OUTPUT),
+    ConversionFrames: (FRAMES, CONVERSION),
     SourceFrame: (FRAMES, CONVERSION),
-    Motion: (MOVING, ONE_OUTPUT),
-    Combination: (MOVING, ONE_OUTPUT),
-    ReverseOptions: (REVERSE, SINGLE),
-    WrittenTopics: (TOPICS, CONVERSION),
-    Demands: (RUN, CONVERSION),
+    RobotMotion: (MOVING, ONE_OUTPUT),
+    CloudCombination: (MOVING, ONE_OUTPUT),
+    CloudContent: (REVERSE, SINGLE),
+    OtherTopics: (TOPICS, CONVERSION),
+    FailureConditions: (RUN, CONVERSION),
     Container: (OUTPUT, CONVERSION),
-    Overwriting: (OUTPUT, CALL_ONLY),
+    Replacement: (OUTPUT, CALL_ONLY),
     DryRun: (OUTPUT, CALL_ONLY),
     Scratch: (OUTPUT, CALL_ONLY),
     RunReport: (REPORT, CALL_ONLY),
-    Threads: (RUN, CALL_ONLY),
-    Watched: (PYTHON, CALL_ONLY),
-    Screen: (REPORT, CALL_ONLY),
+    ThreadCount: (RUN, CALL_ONLY),
+    RunProgress: (PYTHON, CALL_ONLY),
+    ScreenOutput: (REPORT, CALL_ONLY),
     BatchExport: (EXPORT, CONVERSION),
     BatchRun: (BATCH, CALL_ONLY),
     BatchScreen: (BATCH, CALL_ONLY),
-    BatchWatched: (PYTHON, CALL_ONLY),
-    Comparing: (RULES, CALL_ONLY),
+    BatchRunProgress: (PYTHON, CALL_ONLY),
+    ComparisonRules: (RULES, CALL_ONLY),
     GoldenCases: (NEW_CASE, CALL_ONLY),
 }
 
@@ -278,7 +289,7 @@ def instead_of(command: str, name: str) -> str:
     others = [other for other in GROUPS if name in options_of(other) and not options_of(other)[name].command_only]
     if not others:
         return ""
-    if command in ("view", "plot") and name in Combination.__annotations__:
+    if command in ("view", "plot") and name in CloudCombination.__annotations__:
         return "pages and figures make each scan of one cloud; convert with this option, and use what it writes"
     if "convert" in others and command in ("export", "map", "plot", "scans", "view"):
         of_recordings = any(name in group.__annotations__ for group in _OF_RECORDINGS)
@@ -288,7 +299,7 @@ def instead_of(command: str, name: str) -> str:
 
 
 #: What is about a recording that is written.
-_OF_RECORDINGS: tuple[Any, ...] = (WrittenTopics, Demands, Container, ReverseOptions, DryRun, RunReport)
+_OF_RECORDINGS: tuple[Any, ...] = (OtherTopics, FailureConditions, Container, CloudContent, DryRun, RunReport)
 
 
 def conversion_options() -> Mapping[str, Option]:
@@ -303,7 +314,7 @@ def dataset_options() -> Mapping[str, Option]:
     return {
         name: option
         for name, option in conversion_options().items()
-        if name != "overwrite" and not isinstance(option.value, Object)
+        if name != "overwrite" and not isinstance(option.value, Instance)
     }
 
 

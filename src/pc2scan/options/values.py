@@ -11,7 +11,7 @@ from numbers import Integral, Real
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from pc2scan.arguments import names_in, path_of, paths_in, shown
+from pc2scan.arguments import names_in, path_of, paths_in, value_and_type
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
 from pc2scan.text import did_you_mean
@@ -101,7 +101,7 @@ class Flag(Value):
     def read(self, name: str, value: Any) -> bool:
         """Return the value; text is refused, so that ``overwrite="no"`` replaces nothing."""
         if not isinstance(value, bool):
-            raise TypeError(f"{name} is {shown(value)}, it must be True or False")
+            raise TypeError(f"{name} is {value_and_type(value)}, it must be True or False")
         return value
 
     def accept(self, value: object) -> bool | None:
@@ -135,7 +135,7 @@ class Text(Value):
     def read(self, name: str, value: Any) -> str:
         """Return the text."""
         if not isinstance(value, str):
-            raise TypeError(f"{name} is {shown(value)}, it must be a str, or None")
+            raise TypeError(f"{name} is {value_and_type(value)}, it must be a str, or None")
         if self.words and value and value not in self.words and not self._is_open:
             raise UsageError(
                 f"`{name}` is {value!r}, it must be one of {', '.join(self.words)}",
@@ -266,7 +266,7 @@ class Count(Value):
     def read(self, name: str, value: Any) -> int:
         """Return the number."""
         if not isinstance(value, Integral) or isinstance(value, bool):
-            raise TypeError(f"{name} is {shown(value)}, it must be a whole number")
+            raise TypeError(f"{name} is {value_and_type(value)}, it must be a whole number")
         number = int(value)
         if number < self.low or (self.high is not None and number > self.high):
             limits = f"{self.low} or more" if self.high is None else f"from {self.low} to {self.high:,}"
@@ -308,7 +308,7 @@ class Number(Value):
             with suppress(ValueError):
                 return float(value)
         elif not _is_number(value):
-            raise TypeError(f"{name} is {shown(value)}, it must be a number")
+            raise TypeError(f"{name} is {value_and_type(value)}, it must be a number")
         number = self.accept(value)
         if number is None:
             from pc2scan.core.quantities import EXAMPLES  # noqa: PLC0415  # only for errors
@@ -374,7 +374,7 @@ class Duration(Value):
     note = "Also a timedelta."
 
     def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
-        """Return the value as it is: `pc2scan.pipeline.combine.asked.Combining` reads it."""
+        """Return the value as it is: `pc2scan.pipeline.combine.options.Combining` reads it."""
         return value
 
     def admits(self, value: object) -> bool:
@@ -486,7 +486,7 @@ class Tolerances(Value):
         return found
 
 
-class Object(Value):
+class Instance(Value):
     """An object of Python, which only functions take."""
 
     def __init__(self, *, called: bool = False) -> None:
@@ -496,7 +496,7 @@ class Object(Value):
     def read(self, name: str, value: Any) -> Any:
         """Return the object."""
         if self._called and not callable(value):
-            raise TypeError(f"{name} is {shown(value)}, it must be a function, or None")
+            raise TypeError(f"{name} is {value_and_type(value)}, it must be a function, or None")
         return value
 
 

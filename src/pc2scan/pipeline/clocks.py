@@ -52,7 +52,7 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
 
 
-def doubtful_clocks(
+def clock_warnings(
     reader: Reader, sources: Iterable[Connection], others: Iterable[Connection], span: Span
 ) -> Iterator[str]:
     """Yield a warning for each source topic whose stamps are probably of another clock than those of other topics.

@@ -16,9 +16,9 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan
 from pc2scan.messages.outputs import OF_CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
-from .conversion import Conversion, Measured, Result
+from .conversion import Conversion, ConvertedMessage, Measurements
 from .first_clouds import Candidate
-from .stages.place import Place
+from .stages.placement import PlaceStage
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from .stages.beams import BeamFilter
     from .stages.deskew import Deskew
     from .stages.filters import Filter
-    from .stages.place import Placed
+    from .stages.placement import PlacedCloud
 
 
 class _Beams:
@@ -80,7 +80,7 @@ class CloudToScan(Conversion):
         self,
         params: ProjectionParams,
         frames: Placer,
-        timings: Mapping[str, Measured] | None = None,
+        timings: Mapping[str, Measurements] | None = None,
         filters: Sequence[Filter] = (),
         deskew: Deskew | None = None,
         output_type: str = LASERSCAN,
@@ -96,25 +96,25 @@ class CloudToScan(Conversion):
         self.params = params
         self._frames = frames
         self._first_clouds = first_clouds
-        self._default = Measured(
+        self._default = Measurements(
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
         with np.errstate(over="ignore"):
             # Rounded here once instead of for every scan; upstream's default is the largest float64.
             self._range_max = float(np.float32(params.range_max))
-        self._place = Place(frames, deskew)
-        self._select: Callable[[Placed], Placed] | None = None
+        self._place = PlaceStage(frames, deskew)
+        self._select: Callable[[PlacedCloud], PlacedCloud] | None = None
         if filters or deskew is not None:
-            from .stages.select import Select  # noqa: PLC0415  # only where something is selected
+            from .stages.selection import SelectStage  # noqa: PLC0415  # only where something is selected
 
-            self._select = Select(filters, frames, numbered=keeps_used)
+            self._select = SelectStage(filters, frames, numbered=keeps_used)
         self._keeps_used = keeps_used
         self._remove: tuple[Step, ...] = ()
         if remove:
-            from .remove import Remove  # noqa: PLC0415  # few scans are filtered
+            from .beam_removal import RemoveStage  # noqa: PLC0415  # few scans are filtered
 
-            self._remove = (Remove(remove, params.empty_range),)
+            self._remove = (RemoveStage(remove, params.empty_range),)
         self._beams = _Beams(params) if params.beams != "auto" else None
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:
@@ -126,12 +126,14 @@ class CloudToScan(Conversion):
         measured = self._timings.get(topic, self._default)
         beams = self._beams or _Beams(measured.resolve(self.params))
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
-        project = partial(self._scan, measured, beams, firsts)
+        project = partial(self._make_scan, measured, beams, firsts)
         select = () if self._select is None else (self._select,)
         return (self._place.of(topic), *select, project, *self._remove)
 
-    def _scan(self, timing: Measured, beams: _Beams, firsts: TopicClouds | None, placed: Placed) -> Result:
-        scan = self._projected(placed, beams.project)
+    def _make_scan(
+        self, timing: Measurements, beams: _Beams, firsts: TopicClouds | None, placed: PlacedCloud
+    ) -> ConvertedMessage:
+        scan = self._project(placed, beams.project)
         params, layout, stamp_ns = self.params, beams.layout, placed.stamp_ns
         if timing.first_beam_ns:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
@@ -154,10 +156,10 @@ class CloudToScan(Conversion):
         sample = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
-        used = self._used(placed, beams.project) if self._keeps_used else None
-        return Result(message, scan.counts, empty, motion, sample, level, used=used, removed=scan.removed)
+        used = self._gather_used(placed, beams.project) if self._keeps_used else None
+        return ConvertedMessage(message, scan.counts, empty, motion, sample, level, used=used, removed=scan.removed)
 
-    def _used(self, placed: Placed, project: Projector) -> UsedPoints:
+    def _gather_used(self, placed: PlacedCloud, project: Projector) -> UsedPoints:
         """Return which of the decoded points the beams read."""
         from pc2scan.messages.used_points import UsedPoints  # noqa: PLC0415  # only where they are kept
 
@@ -167,7 +169,7 @@ class CloudToScan(Conversion):
             numbers = points.field(NUMBER).reshape(-1)[numbers]
         return UsedPoints(placed.whole, numbers, beams)
 
-    def _projected(self, placed: Placed, project: Projector) -> ProjectedScan:
+    def _project(self, placed: PlacedCloud, project: Projector) -> ProjectedScan:
         """Project the points; a transform that is not applied yet is applied in the same loop."""
         points, name = placed.points, self.params.intensity_field
         scan = project(*points.xyz(), _transform(placed), points.field(name) if name else None)
@@ -177,7 +179,7 @@ class CloudToScan(Conversion):
         return scan
 
 
-def _transform(placed: Placed) -> Transform | MovingTransform | None:
+def _transform(placed: PlacedCloud) -> Transform | MovingTransform | None:
     """Return the transform that is not applied to the points yet."""
     transform = placed.target_from_source
     return placed.motion if transform is None else transform.as_float32()

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import LevelTransform
 
-    from .combine.rebinned import Rebinned
-    from .first_clouds import Candidate, Sampled
+    from .combine.rebinning import Rebinning
+    from .first_clouds import Candidate, SharedSample
     from .motion import Motion
 
     #: One step between the decoded message and the result.
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # Instances are never changed. They are neither frozen nor named tuples, because creating those takes two to three times
 # as long, for every message.
 @dataclass(slots=True, eq=False)
-class Result:
+class ConvertedMessage:
     """The result of the stages for one message: the new message as arrays, which the output's encoder serialises.
 
     ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
@@ -45,24 +45,24 @@ class Result:
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: Candidate | Sampled | None = None
+    sample: Candidate | SharedSample | None = None
     level: LevelTransform | None = None
-    rebinned: Rebinned | None = None
+    rebinned: Rebinning | None = None
     used: UsedPoints | None = None
     removed: Mapping[str, int] | None = None
 
 
 @dataclass(slots=True, eq=False)
-class Converted:
-    """A `Result` whose message is serialised."""
+class EncodedMessage:
+    """A `ConvertedMessage` whose message is serialised."""
 
     data: bytes
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: Candidate | Sampled | None = None
+    sample: Candidate | SharedSample | None = None
     level: LevelTransform | None = None
-    rebinned: Rebinned | None = None
+    rebinned: Rebinning | None = None
     used: bytes | None = None
     removed: Mapping[str, int] | None = None
 
@@ -72,7 +72,7 @@ class Converted:
         return len(self.data) + len(self.used or b"")
 
 
-class Measured(NamedTuple):
+class Measurements(NamedTuple):
     """What was measured in the first clouds of a topic before the conversion.
 
     Attributes
@@ -129,7 +129,7 @@ class Conversion(ABC):
 
     @abstractmethod
     def stages(self, topic: str) -> tuple[Step, ...]:
-        """Return the stages between decoding and encoding of one topic's messages: the last one returns a `Result`.
+        """Return the stages between decoder and encoder of one topic's messages: the last returns a `ConvertedMessage`.
 
         Conversions that begin with equal stages share the work of these on each message.
 
@@ -139,7 +139,9 @@ class Conversion(ABC):
         converted.
         """
 
-    def for_topic(self, topic: str, source: str, target: str, source_type: str = "") -> Callable[[Buffer], Converted]:
+    def for_topic(
+        self, topic: str, source: str, target: str, source_type: str = ""
+    ) -> Callable[[Buffer], EncodedMessage]:
         """Return the whole conversion of one source topic's messages.
 
         Parameters
@@ -154,14 +156,14 @@ class Conversion(ABC):
     def _steps(self, topic: str, source: str, target: str, source_type: str) -> tuple[Step, ...]:
         return self.decoder(source, source_type), *self.stages(topic), self.encoder(target)
 
-    def encoder(self, target: str) -> Callable[[Result], Converted]:
+    def encoder(self, target: str) -> Callable[[ConvertedMessage], EncodedMessage]:
         """Return the encoder that serialises results as ``ros1`` or ``cdr``."""
         return partial(_encoded, self.output.encode, target)
 
 
 def converter(
     conversions: Sequence[Conversion], topic: str, source: str, target: str, source_type: str = ""
-) -> Callable[[Buffer], Sequence[Converted | MessageError]]:
+) -> Callable[[Buffer], Sequence[EncodedMessage | MessageError]]:
     """Return the function that converts one source topic's messages, with one result for each conversion.
 
     Parameters
@@ -203,7 +205,7 @@ class _StepNode(NamedTuple):
 
 def _all(
     decode: Callable[[Buffer], Any], tree: Sequence[_StepNode], count: int, data: Buffer
-) -> list[Converted | MessageError]:
+) -> list[EncodedMessage | MessageError]:
     found: list[Any] = [None] * count
     _follow(tree, decode(data), found)
     return found
@@ -237,10 +239,10 @@ def _alone(steps: Sequence[Step], value: Any) -> tuple[Any]:
     return (value,)
 
 
-def _encoded(encode: Callable[[Any, str], bytes], target: str, result: Result) -> Converted:
+def _encoded(encode: Callable[[Any, str], bytes], target: str, result: ConvertedMessage) -> EncodedMessage:
     data = encode(result.message, target)
     used = None if result.used is None else result.used.encode(target)
-    return Converted(
+    return EncodedMessage(
         data,
         result.counts,
         result.empty,

@@ -53,7 +53,7 @@ class Declarations:
             topics.setdefault((plain.topic, msgtype, plain.serialization), []).append(place)
         handles = [-1] * len(self._connections)
         for group in sorted(group for places in topics.values() for group in self._by_layout(places)):
-            handle = writer.add_connection(_merged_connection([self._connections[place] for place in group]))
+            handle = writer.add_connection(_merge_connections([self._connections[place] for place in group]))
             for place in group:
                 handles[place] = handle
         return handles
@@ -97,7 +97,7 @@ def _layout(connection: Connection) -> str:
         return b" ".join(re.sub(_COMMENT, b"", definition.data).split()).decode("utf-8", "replace")
 
 
-def _merged_connection(publishers: Sequence[Connection]) -> Connection:
+def _merge_connections(publishers: Sequence[Connection]) -> Connection:
     """Return one connection for several publishers: the first, with the QoS profiles of all."""
     first = publishers[0]
     if len(publishers) == 1:

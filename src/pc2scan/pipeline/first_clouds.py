@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _CLOUDS = 3
 
 
-class Sampled(NamedTuple):
+class SharedSample(NamedTuple):
     """A sample of a cloud, and the clouds that it belongs to."""
 
     clouds: TopicClouds
@@ -49,7 +49,7 @@ class Candidate(NamedTuple):
     points: Points
     place: Placement
 
-    def sample(self, log_time_ns: int) -> Sampled | None:
+    def sample(self, log_time_ns: int) -> SharedSample | None:
         """Return a sample of the cloud's points; None if it is not among the first. On any thread."""
         clouds = self.clouds
         return clouds.sample(self.points, self.place) if clouds.may_be_first(log_time_ns) else None
@@ -137,9 +137,9 @@ class TopicClouds:
         self._earliest = sorted([*earliest, log_time_ns])[:_CLOUDS]
         return True
 
-    def sample(self, points: Points, place: Placement) -> Sampled:
+    def sample(self, points: Points, place: Placement) -> SharedSample:
         """Return a sample of a cloud's points; on any thread."""
-        return Sampled(self, sample_of(points, place))
+        return SharedSample(self, sample_of(points, place))
 
     def add(self, sample: Sample, counts: PointCounts) -> None:
         """Add the next cloud, in the order of writing."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from pc2scan.errors import MessageError
 from pc2scan.result import Skipped
 
-from .beforehand import Unconnected
+from .checks import TransformCheck
 from .declarations import Declarations
 from .first_clouds import Candidate
 from .routes import count_skipped, open_routes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
 
-    from .conversion import Conversion, Converted
+    from .conversion import Conversion, EncodedMessage
     from .first_clouds import FirstClouds
     from .options import ConvertOptions
     from .plan import Combination, Plan
@@ -42,7 +42,7 @@ _DECLARED = 1_500
 _FRAME = 4_000
 
 
-class _Size(NamedTuple):
+class _MeanSizes(NamedTuple):
     """The mean size of a connection's messages: as read, as passed on, and as converted."""
 
     read: float
@@ -76,7 +76,7 @@ def forecast(
     declared = Declarations()
     routes = open_routes(plan.routes, conversions, target, target.same_kind(reader.summary), options, declared, report)
     routes = count_skipped(routes, reader, start_ns, stop_ns)
-    sizes: dict[int, _Size] = _converted_sizes(
+    sizes: dict[int, _MeanSizes] = _converted_sizes(
         reader, routes, options, start_ns, stop_ns, report, firsts, is_packed=target.compression != "none"
     )
     firsts.finish()
@@ -101,18 +101,18 @@ def _converted_sizes(
     firsts: FirstClouds,
     *,
     is_packed: bool,
-) -> dict[int, _Size]:
+) -> dict[int, _MeanSizes]:
     """Convert the first messages of each topic."""
     converting = {key: route for key, route in routes.items() if route.convert is not None}
-    unconnected = Unconnected(firsts.warn)
-    sizes: dict[int, _Size] = {}
+    unconnected = TransformCheck(firsts.warn)
+    sizes: dict[int, _MeanSizes] = {}
     for key, route in converting.items():
         connection, read, sizes_made = route.connection, list[int](), list[int]()
         with closing(reader.messages([connection], start_ns, stop_ns)) as messages:
             for message in messages:
                 read.append(len(message.data))
                 assert route.convert is not None  # only such routes are chosen
-                converted: Sequence[Converted | MessageError]
+                converted: Sequence[EncodedMessage | MessageError]
                 try:
                     converted = route.convert(message.data)
                 except MessageError as err:
@@ -130,12 +130,12 @@ def _converted_sizes(
                 for output in route.outputs:
                     output.report.messages_in += 1
                     result = converted[output.place]
-                    if output.joint is not None and not isinstance(result, MessageError):
+                    if output.combiner is not None and not isinstance(result, MessageError):
                         if output.handle < 0:
                             # Its size counts with the topic that leads the scan.
                             output.report.messages_out += 1
                             continue
-                        result = output.joint.alone(cast("Any", result))
+                        result = output.combiner.alone(cast("Any", result))
                     if not isinstance(result, MessageError):
                         data = (result.used or b"") if output.used else result.data
                         size += _compressed_size(data) if is_packed else len(data)
@@ -152,12 +152,12 @@ def _converted_sizes(
                 if len(sizes_made) == _CONVERTED or (len(read) >= _LOOKED_AT and not unconnected.is_possible):
                     break
         kept = _mean(read) if route.passing_handle >= 0 else 0.0
-        sizes[key] = _Size(_mean(read), kept, _mean(sizes_made))
+        sizes[key] = _MeanSizes(_mean(read), kept, _mean(sizes_made))
     unconnected.finish()
     return sizes
 
 
-def _judge(result: Converted, log_time_ns: int) -> None:
+def _judge(result: EncodedMessage, log_time_ns: int) -> None:
     """Add a cloud to the checks of the first ones, once if it is written to several topics."""
     sample, result.sample = result.sample, None
     if isinstance(sample, Candidate):
@@ -173,14 +173,14 @@ def _compressed_size(data: bytes) -> int:
     return len(zlib.compress(data, 1))
 
 
-def _other_sizes(reader: Reader, connections: Sequence[Connection]) -> dict[int, _Size]:
+def _other_sizes(reader: Reader, connections: Sequence[Connection]) -> dict[int, _MeanSizes]:
     """Return the mean sizes of messages that are not converted, from the first messages of the recording."""
     found: dict[int, list[int]] = {connection.id: [] for connection in connections}
     if connections:
         with closing(reader.messages(connections)) as messages:
             for _, message in zip(range(_MEASURED), messages, strict=False):
                 found[message.connection.id].append(len(message.data))
-    return {key: _Size(_mean(sizes), _mean(sizes), 0.0) for key, sizes in found.items()}
+    return {key: _MeanSizes(_mean(sizes), _mean(sizes), 0.0) for key, sizes in found.items()}
 
 
 def _mean(values: Sequence[int]) -> float:
@@ -208,20 +208,20 @@ def _fill_in(routes: Mapping[int, OpenRoute], counts: Mapping[int, int], report:
 def _correct_intervals(
     reader: Reader,
     routes: Mapping[int, OpenRoute],
-    sizes: Mapping[int, _Size],
+    sizes: Mapping[int, _MeanSizes],
     start_ns: int | None,
     stop_ns: int | None,
-) -> dict[int, _Size]:
+) -> dict[int, _MeanSizes]:
     """Correct the number of scans, and their mean size, if there is one scan for each interval of time."""
     first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
-    found: dict[int, _Size] = {}
+    found: dict[int, _MeanSizes] = {}
     if first_ns is None or last_ns is None:
         return found
     duration_ns = min(last_ns, stop_ns or last_ns) - max(first_ns, start_ns or first_ns)
     for key, route in routes.items():
         for output in route.outputs:
             spec, entry = output.report.spec, output.report
-            if output.joint is None or output.handle < 0 or spec is None or not spec.combining.every_ns:
+            if output.combiner is None or output.handle < 0 or spec is None or not spec.combining.every_ns:
                 continue
             scans = min(entry.messages_out, duration_ns // spec.combining.every_ns + 1)
             found[key] = sizes[key]._replace(made=sizes[key].made * scans / max(1, entry.messages_in))
@@ -234,7 +234,7 @@ def _written_size(
     target: Destination,
     routes: Mapping[int, OpenRoute],
     counts: Mapping[int, int],
-    sizes: Mapping[int, _Size],
+    sizes: Mapping[int, _MeanSizes],
 ) -> int:
     """Return an estimate of the destination's size in bytes, by the compression ratio of the source."""
     whole = sum((route.connection.message_count or 0) * sizes[key].read for key, route in routes.items())

@@ -150,7 +150,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         more than one.
     """
     reader = _LaunchReader(path, dict(arguments))
-    nodes = list(reader.nodes(_parsed(text, path)))
+    nodes = list(reader.nodes(_parse(text, path)))
     if not nodes:
         raise ParameterError(
             f"{path}: no node of pointcloud_to_laserscan in it",
@@ -185,7 +185,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     return found
 
 
-def _parsed(text: str, path: Path) -> _Element:
+def _parse(text: str, path: Path) -> _Element:
     """Return the root element. ElementTree is not used: it has no line numbers, and always expands entities."""
     from xml.parsers import expat  # noqa: PLC0415  # only for launch files
 

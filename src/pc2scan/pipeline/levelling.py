@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
 
-class Ups:
+class UpSources:
     """The source of the direction of up, for each level output. Each IMU is read once.
 
     Parameters

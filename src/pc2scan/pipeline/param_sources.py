@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
 
     from .parameters import Direction, Setting
-    from .params_file import Hidden
+    from .params_file import HiddenPlace
 
 
 class ResolvedSources(NamedTuple):
@@ -42,12 +42,12 @@ class ResolvedSources(NamedTuple):
 
     @property
     def topics(self) -> tuple[str, ...]:
-        """The topics that a launch file remaps, in the notation of `pc2scan.pipeline.options.TopicRequest`."""
+        """The topics that a launch file remaps, in the notation of `pc2scan.pipeline.scan_spec.TopicRequest`."""
         if not self.remaps:
             return ()
-        from .remaps import remapped  # noqa: PLC0415  # only where a launch file is given
+        from .nodes import read_remaps  # noqa: PLC0415  # only where a launch file is given
 
-        return remapped(self.remaps, reverse=self.reverse).topics
+        return read_remaps(self.remaps, reverse=self.reverse).topics
 
 
 def resolve_sources(
@@ -67,7 +67,7 @@ def resolve_sources(
     settings
         Parameters that are given as options or keywords.
     assignments
-        Texts for `pc2scan.pipeline.param_assignment.parse_param`; a later one overrides an earlier one.
+        Texts for `pc2scan.pipeline.yaml_nodes.parse_param`; a later one overrides an earlier one.
     file, node
         A parameter file or a launch file, and the node whose section of it is read.
     launch_args
@@ -94,9 +94,9 @@ def resolve_sources(
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
-    hidden: tuple[Hidden, ...] = ()
+    hidden: tuple[HiddenPlace, ...] = ()
     if assignments:
-        from .param_assignment import parse_param  # noqa: PLC0415
+        from .yaml_nodes import parse_param  # noqa: PLC0415
 
         found += [parse_param(text) for text in reversed(assignments)]
     if file is not None:
@@ -114,13 +114,11 @@ def resolve_sources(
     try:
         resolved = resolve(found, direction=direction)
     except ParameterError as err:
-        from .concealed import is_about, without_content, without_value  # noqa: PLC0415  # only for errors
+        from .redaction import may_quote, redact_file, redact_value  # noqa: PLC0415  # only for errors
 
         for place, written, named_in in hidden:
-            if is_about(err, place):
-                raise (
-                    without_value(err, place, written) if written else without_content(err, place, named_in)
-                ) from None
+            if may_quote(err, place):
+                raise (redact_value(err, place, written) if written else redact_file(err, place, named_in)) from None
         raise
     return ResolvedSources(resolved.params, resolved.origin, reverse, ignored, remaps, files)
 

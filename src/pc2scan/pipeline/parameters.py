@@ -127,7 +127,7 @@ def expected(name: str) -> str:
     return kind
 
 
-def shown(value: object) -> str:
+def value_text(value: object) -> str:
     """Return a value as text for a message, at most 80 characters."""
     if value is None:
         return "nothing"
@@ -149,7 +149,7 @@ def _typed_value(parameter: Parameter, setting: Setting) -> float | bool | str:
     if found is not None:
         return found
     raise ParameterError(
-        expected_message(setting.name, shown(setting.value), setting.origin),
+        expected_message(setting.name, value_text(setting.value), setting.origin),
         name=parameter.name,
         hint=_type_hint(parameter, setting.value),
     )
@@ -282,7 +282,9 @@ def preset_settings(consumer: str) -> list[Setting]:
         near = did_you_mean(consumer, PRESETS)
         meant = f"; {near}" if near else ""
         raise ParameterError(
-            f"there is no preset {shown(consumer)}{meant}", name="preset", hint=f"the presets are {', '.join(PRESETS)}"
+            f"there is no preset {value_text(consumer)}{meant}",
+            name="preset",
+            hint=f"the presets are {', '.join(PRESETS)}",
         )
     return [Setting(name, value, f"--preset {consumer}", "preset") for name, value in PRESETS[consumer].items()]
 

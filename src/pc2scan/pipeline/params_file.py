@@ -1,4 +1,4 @@
-"""Reads parameter files of ROS 2 and ROS 1, and launch files; writes parameter files of ROS 2."""
+"""Reads parameter files of ROS 2 and ROS 1, and launch files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from pc2scan.files.source import open_bytes
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 
-from .concealed import is_about, without_content
 from .launch_file import is_launch_xml, launch_node
 from .parameters import (
     ALIASES,
@@ -24,13 +23,12 @@ from .parameters import (
     names_of,
     unknown_parameter,
 )
+from .redaction import may_quote, redact_file
 from .ros_scalars import plain_scalar
 from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scalar_value
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
-
-    from pc2scan.core.params import ProjectionParams
 
     from .launch_file import LaunchNode, LaunchParam
 
@@ -44,7 +42,7 @@ MAX_DEPTH = 50
 _EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
 
 
-class Hidden(NamedTuple):
+class HiddenPlace(NamedTuple):
     """A place whose content errors must not show.
 
     Attributes
@@ -93,7 +91,7 @@ class ParamsFile:
     ignored: tuple[str, ...] = ()
     remaps: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
-    hidden: tuple[Hidden, ...] = ()
+    hidden: tuple[HiddenPlace, ...] = ()
 
 
 def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[str, str] | None = None) -> ParamsFile:
@@ -158,8 +156,8 @@ def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
     sections = _ros1_sections(leaves) if ros1 else _ros2_sections(leaves, path)
     target = _node_to_read(sections, node, path)
     if ros1:
-        sections = _with_nested(sections, target)
-    return _merged_sections(sections, target, ros1=ros1)
+        sections = _add_nested(sections, target)
+    return _merge_sections(sections, target, ros1=ros1)
 
 
 def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str, str]) -> ParamsFile:
@@ -168,13 +166,13 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
     settings: dict[str, Setting] = {}
     ignored = list(found.ignored)
     files: list[Path] = []
-    hidden: list[Hidden] = []
+    hidden: list[HiddenPlace] = []
     for param in found.params:
         place = f"{path}, line {param.line}"
         if param.kind == "file":
             loaded = _named_file(param, place, found)
             files.append(Path(param.value))
-            hidden.append(Hidden(param.value.shown, named_in=place))
+            hidden.append(HiddenPlace(param.value.shown, named_in=place))
             # Their names are content of the file.
             ignored += [re.sub(r"(, line \d+), .*", r"\1", origin) for origin in loaded.ignored]
             settings |= {setting.name: setting for setting in loaded.settings}
@@ -187,7 +185,7 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
                 called = name if name in PARAMETERS else "<rosparam>"
             origin = f"{place}, {called}"
             if param.value.is_hidden:
-                hidden.append(Hidden(origin, "$(env ...)" if param.kind == "yaml" else param.value.shown.strip()))
+                hidden.append(HiddenPlace(origin, "$(env ...)" if param.kind == "yaml" else param.value.shown.strip()))
             if name in names_of(found.direction):
                 settings[name] = Setting(name, _as_bool(name, value), origin, "file")
             elif written in TOPICS:
@@ -213,8 +211,8 @@ def _named_file(param: LaunchParam, place: str, node: LaunchNode) -> ParamsFile:
         if not is_launch_xml(text):
             return _section_for(node.name, text, shown)
     except ParameterError as err:
-        if is_about(err, shown):
-            raise without_content(err, shown, place) from None
+        if may_quote(err, shown):
+            raise redact_file(err, shown, place) from None
         raise
     raise ParameterError(f"{shown}: is a launch file, where parameters are expected (from {place})")
 
@@ -371,7 +369,7 @@ def _ros1_sections(leaves: Iterable[_Leaf]) -> _Sections:
     return sections
 
 
-def _with_nested(sections: _Sections, target: str) -> _Sections:
+def _add_nested(sections: _Sections, target: str) -> _Sections:
     """Add to a ROS 1 node the parameters in namespaces below it, whose names have slashes."""
     below = target.rstrip("/") + "/"
     own = dict(sections[target])
@@ -491,7 +489,7 @@ def _most_specific(patterns: Collection[str]) -> list[str]:
     ]
 
 
-def _merged_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
+def _merge_sections(sections: _Sections, target: str, *, ros1: bool) -> ParamsFile:
     """Merge the sections that apply to a node, wildcards below, and check the names."""
     # The sort is stable, so that the later one of two equally specific sections is used, like in ROS 2.
     applying = sorted((s for s in sections if _matches(s, target)), key=_vagueness, reverse=True)
@@ -528,53 +526,3 @@ def _file_setting(name: str, leaf: _Leaf, *, ros1: bool) -> Setting:
     value = scalar_value(leaf.node, name, leaf.origin, ros1=ros1)
     # roscpp reads 0 and 1 as a bool, rclcpp does not.
     return Setting(name, _as_bool(name, value) if ros1 else value, leaf.origin, "file")
-
-
-def render_params_file(params: ProjectionParams, *, direction: Direction = "pointcloud_to_laserscan") -> str:
-    """Write a ROS 2 parameter file that reproduces a run, here or with upstream's node.
-
-    Parameters
-    ----------
-    params
-        Every value is written, except: a ``queue_size`` of 0, which is pc2scan's default (upstream's default is the
-        number of processor cores); the defaults of parameters that upstream does not have; and of two parameters for
-        the same thing the one that is not used (``beams`` became an increment, ``no_return`` overrides ``use_inf``).
-    direction
-        The node; only its parameters are written.
-
-    Returns
-    -------
-    str
-        YAML with the same meaning in YAML 1.1 and 1.2; floats keep every bit.
-    """
-    lines = [f"{direction}:", "  ros__parameters:"]
-    for name in names_of(direction):
-        value, parameter = getattr(params, name), PARAMETERS[name]
-        left_out = (
-            (name == "queue_size" and not value)
-            or (not parameter.upstreams and value == parameter.default)
-            or name == "beams"
-            or (name == "use_inf" and params.no_return)
-        )
-        if not left_out:
-            unit = parameter.unit
-            lines.append(f"    {name}: {_rendered(value)}{f'  # {unit}' if unit else ''}")
-    return "\n".join(lines) + "\n"
-
-
-def _rendered(value: float | bool | str) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return f'"{"".join(map(_escaped, value))}"'
-    text = repr(value)
-    if "inf" in text:
-        return text.replace("inf", ".inf")
-    # Without a dot, YAML 1.1 reads 1e+300 as text.
-    return text.replace("e", ".0e") if "e" in text and "." not in text else text
-
-
-def _escaped(character: str) -> str:
-    if character in '"\\':
-        return f"\\{character}"
-    return character if character.isprintable() else f"\\U{ord(character):08x}"

@@ -23,8 +23,8 @@ from pc2scan.errors import OutputError
 from pc2scan.result import MAX_LISTED
 from pc2scan.tf.reading import store_transforms
 
-from .run import opened_plan, span_of
-from .tally import conclude
+from .conclusion import conclude
+from .run import open_plan, span_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -34,12 +34,12 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.splitting import Cut
 
+    from .conclusion import Tally
     from .options import ConvertOptions
-    from .piece import Made, Piece
     from .plan import Plan
     from .report import Report
+    from .split import Piece, PieceResult
     from .stream import Span
-    from .tally import Tally
     from .topic_report import TopicReport
 
 #: Maximum number of files that are counted one by one.
@@ -95,7 +95,7 @@ def stretches_of(sources: Sequence[Path], options: ConvertOptions, cut: Cut, *, 
     if any(source.name.lower().endswith(SUFFIXES) for source in sources):
         return None
     with ExitStack() as stack:
-        reader, _, plan = opened_plan(sources, options, stack)
+        reader, _, plan = open_plan(sources, options, stack)
         span = span_of(reader, options)
         end_ns = reader.summary.end_ns
         if reader.damage or plan.combinations or end_ns is None:
@@ -141,7 +141,7 @@ def read_stretch(
         return list(reader.damage)
 
 
-def join(folder: Path, pieces: Sequence[Piece], made: Sequence[Made]) -> None:
+def join(folder: Path, pieces: Sequence[Piece], made: Sequence[PieceResult]) -> None:
     """Move the files of pieces into one directory, and write its metadata.yaml.
 
     Parameters
@@ -173,7 +173,7 @@ def join(folder: Path, pieces: Sequence[Piece], made: Sequence[Made]) -> None:
     write_info(folder, info)
 
 
-def joined_report(made: Sequence[Made], damage: Iterable[Damage], options: ConvertOptions) -> Report:
+def join_reports(made: Sequence[PieceResult], damage: Iterable[Damage], options: ConvertOptions) -> Report:
     """Join the reports of the pieces.
 
     Parameters
@@ -204,7 +204,7 @@ def joined_report(made: Sequence[Made], damage: Iterable[Damage], options: Conve
     places = {(each.path, each.offset) for each in report.damage}
     report.damage += (each for each in damage if each.offset is None or (each.path, each.offset) not in places)
     report.damage = list(dict.fromkeys(report.damage))
-    conclude(report, _whole(each.tally for each in made), options)
+    conclude(report, _join_tallies(each.tally for each in made), options)
     return report
 
 
@@ -218,7 +218,7 @@ def _by_key(report: Report) -> dict[tuple[object, ...], TopicReport]:
     }
 
 
-def _whole(tallies: Iterable[Tally]) -> Tally:
+def _join_tallies(tallies: Iterable[Tally]) -> Tally:
     """Return the tallies of all pieces as one."""
     first, *others = tallies
     counts = list(first.counts)

@@ -42,7 +42,7 @@ class Combination:
         self.target = target
 
 
-class Task(NamedTuple):
+class RouteTask(NamedTuple):
     """One conversion of a message, and the topics that its result goes to.
 
     ``combination`` are the topics that the message becomes a scan with; None if it becomes a scan by itself.
@@ -70,7 +70,7 @@ class Route(NamedTuple):
     """
 
     connection: Connection
-    tasks: tuple[Task, ...]
+    tasks: tuple[RouteTask, ...]
     passes: bool
 
     @property
@@ -124,17 +124,17 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     _refuse_collisions(routes)
     converted = {topic for found in targets.values() for topic in found}
     everything = tuple(each for found in combined.values() for each in found)
-    return Plan(tuple(routes), specs, everything, tuple(_idle_patterns(connections, options, converted)))
+    return Plan(tuple(routes), specs, everything, tuple(_pattern_warnings(connections, options, converted)))
 
 
 def _tasks(
     spec: ScanSpec, topic: str, kind: str, targets: Sequence[str], combinations: Sequence[Combination]
-) -> list[Task]:
+) -> list[RouteTask]:
     """Return the conversions of the messages of a type on a topic."""
     joined = [each for each in combinations if topic in each.sources]
     alone = tuple(target for target in targets if all(target != each.target for each in joined))
-    tasks = [Task(spec, alone)] if alone and kind in spec.source_types else []
-    return tasks + [Task(spec, (each.target,), each) for each in joined if kind in spec.named_types]
+    tasks = [RouteTask(spec, alone)] if alone and kind in spec.source_types else []
+    return tasks + [RouteTask(spec, (each.target,), each) for each in joined if kind in spec.named_types]
 
 
 def _combinations(
@@ -168,11 +168,11 @@ def _combined_topics(
                 hint="such as `target_frame=base_link`; `fixed_frame=odom` corrects the robot's motion between their "
                 "stamps",
             )
-        found.append(Combination(spec, tuple(_led(topics, spec, types)), target))
+        found.append(Combination(spec, tuple(_leading_topics(topics, spec, types)), target))
     return found
 
 
-def _led(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> list[str]:
+def _leading_topics(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[str]]) -> list[str]:
     """Return the topics of a scan, beginning with the one that leads."""
     if not spec.combining.lead:
         return list(topics)
@@ -209,7 +209,7 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, options: Convert
     if spec.topics:
         requests: dict[str, list[str | None]] = {}
         for request in spec.topics:
-            for topic in _asked(request.source, types, candidates, spec):
+            for topic in _matching_topics(request.source, types, candidates, spec):
                 target = request.target and fill_glob(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
@@ -238,7 +238,7 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, options: Convert
     }
 
 
-def _asked(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
+def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
     """Return the topics that a name or a glob matches."""
     try:
         return find_topics(name, types, candidates, *spec.named_types)
@@ -269,7 +269,7 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     return None
 
 
-def _refuse_used(task: Task, routes: Sequence[Route]) -> None:
+def _refuse_used(task: RouteTask, routes: Sequence[Route]) -> None:
     """Raise if `keep_used` cannot be applied."""
     topic = task.spec.keep_used
     if not topic:
@@ -281,7 +281,7 @@ def _refuse_used(task: Task, routes: Sequence[Route]) -> None:
 def _refuse_collisions(routes: Sequence[Route]) -> None:
     """Raise if a scan would share a topic with another scan, or with messages that pass through."""
     passing = {route.connection.topic for route in routes if route.passes}
-    origin: dict[str, tuple[str, Task]] = {}
+    origin: dict[str, tuple[str, RouteTask]] = {}
     made = [
         (route.connection.topic, task, target)
         for route in routes
@@ -314,7 +314,7 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
             )
 
 
-def _idle_patterns(
+def _pattern_warnings(
     connections: Sequence[Connection], options: ConvertOptions, converted: AbstractSet[str]
 ) -> list[str]:
     """Return warnings about patterns that match no topic: they are nearly always typing errors."""

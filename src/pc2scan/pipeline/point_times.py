@@ -1,4 +1,4 @@
-"""Checks the times of points in the first clouds of each topic: a wrong unit, another clock, no order."""
+"""The times of points in the first clouds of each topic: checks them, or measures how a lidar without them turns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns, offse
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.clouds import CLOUDS
 
-from .stages.deskew import without_zeros
+from .stages.deskew import PointTime, mask_zero_times
+from .stages.turn import FIRST_CLOUDS, Turn, measure_turn, turn_sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.model import Connection
 
-    from .stages.deskew import PointTime
     from .stream import Span
+
 
 #: How many clouds of a topic are read, and how many stamps are needed to know its period.
 _CLOUDS = 4
@@ -50,7 +51,7 @@ _APART = 0.15
 _FOLLOWS, _NEAR = 0.9, 0.5
 
 
-class _Times(NamedTuple):
+class _PointTimes(NamedTuple):
     """The times of a cloud's points.
 
     Attributes
@@ -75,7 +76,7 @@ class _Times(NamedTuple):
     ordered: bool
 
 
-def doubtful_times(
+def time_warnings(
     reader: Reader, connections: Iterable[Connection], point_time: PointTime, span: Span
 ) -> Iterator[str]:
     """Yield warnings about times of points that are probably wrong, and would deskew a cloud wrongly.
@@ -99,7 +100,7 @@ def doubtful_times(
         decoders: dict[int, Callable[[Any], Points]] = {
             each.id: CLOUDS[each.ros_type](each.serialization) for each in sources
         }
-        clouds: list[_Times] = []
+        clouds: list[_PointTimes] = []
         with closing(reader.messages(sources, span.start_ns, span.stop_ns)) as messages:
             for message in islice(messages, _CLOUDS):
                 try:
@@ -112,11 +113,11 @@ def doubtful_times(
         yield from _doubts(topic, clouds)
 
 
-def _times(points: Points, point_time: PointTime) -> _Times | None:
+def _times(points: Points, point_time: PointTime) -> _PointTimes | None:
     """Return the times of a cloud's points; None if it has none."""
     name = point_time.field_of(points)
     whole = points.field(name).dtype.kind in "iu"
-    points = without_zeros(points, name, point_time.unit)
+    points = mask_zero_times(points, name, point_time.unit)
     x, y, values = points.field("x"), points.field("y"), points.field(name)
     if values.shape != x.shape:
         raise DecodeError(f"{name} has several values a point")
@@ -132,11 +133,11 @@ def _times(points: Points, point_time: PointTime) -> _Times | None:
         seconds = (values[chosen].astype(np.float64) - offset) * unit
         with np.errstate(invalid="ignore"):
             angles = np.arctan2(y[chosen].astype(np.float64), x[chosen].astype(np.float64))
-        ordered = _ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
-    return _Times(points.stamp_ns, name, low, high, unit, ordered)
+        ordered = _are_ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
+    return _PointTimes(points.stamp_ns, name, low, high, unit, ordered)
 
 
-def _ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
+def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
     """Whether times follow the order of the points, or a turning lidar; (runs, points of a run)."""
     steps = np.abs(np.diff(seconds, axis=1))
     steps = steps[np.isfinite(steps)]
@@ -150,7 +151,7 @@ def _ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: f
     return bool((off < _NEAR).mean() >= _FOLLOWS)
 
 
-def _doubts(topic: str, clouds: list[_Times]) -> Iterator[str]:
+def _doubts(topic: str, clouds: list[_PointTimes]) -> Iterator[str]:
     if not clouds:
         return
     name, unit = clouds[0].field, clouds[0].unit
@@ -181,3 +182,56 @@ def _doubts(topic: str, clouds: list[_Times]) -> Iterator[str]:
             f"{topic}: the points are measured {first:.3g} to {last:.3g} s {where} the stamp of their cloud, by field "
             f"{name}, but {every}: if their clocks differ, deskewing moves the points wrongly"
         )
+
+
+def measure_turns(
+    reader: Reader,
+    connections: Iterable[Connection],
+    point_time: str,
+    start_ns: int | None = None,
+    stop_ns: int | None = None,
+) -> tuple[dict[str, Turn], list[str]]:
+    """Measure the rotation of the lidars, if points' times come from azimuths and the time of a turn is not given.
+
+    Parameters
+    ----------
+    connections
+        Those with clouds are used; others are ignored.
+    point_time
+        See `PointTime.parse`.
+    start_ns, stop_ns
+        The cut, by log time; None: no limit.
+
+    Returns
+    -------
+    dict, list of str
+        The turn of each topic that has clouds, and notes for the user.
+
+    Raises
+    ------
+    ParameterError
+        If a turn cannot be measured in the first clouds of a topic.
+    """
+    asked = PointTime.parse(point_time).turn if point_time else None
+    if asked is None or asked.period:
+        return {}, []
+    topics: dict[str, list[Connection]] = {}
+    for connection in connections:
+        if connection.ros_type in CLOUDS:
+            topics.setdefault(connection.topic, []).append(connection)
+    turns: dict[str, Turn] = {}
+    notes: list[str] = []
+    for topic, sources in topics.items():
+        decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in sources}
+        clouds = []
+        with closing(reader.messages(sources, start_ns, stop_ns)) as messages:
+            for message in islice(messages, FIRST_CLOUDS):
+                try:
+                    clouds.append(turn_sample(decoders[message.connection.id](message.data), message.log_time_ns))
+                except MessageError:
+                    # Messages that cannot be decoded are reported when they are converted.
+                    continue
+        if clouds:
+            turns[topic], note = measure_turn(topic, asked, clouds)
+            notes.append(note)
+    return turns, notes

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, Definition, Writer
     from pc2scan.tf.options import FrameOptions
 
-    from .combine.joint import Joint
-    from .conversion import Conversion, Converted
+    from .combine.combiner import Combiner
+    from .conversion import Conversion, EncodedMessage
     from .declarations import Declarations
     from .options import ConvertOptions
-    from .plan import Combination, Route, Task
+    from .plan import Combination, Route, RouteTask
     from .report import Report
     from .scan_spec import ScanSpec
 
@@ -39,13 +39,13 @@ _MAX_COMPILED_FIELDS = 20_000
 
 
 @dataclass(slots=True)
-class Output:
+class TargetTopic:
     """A topic of the destination that the converted messages of a route are written to.
 
     ``handle`` is the writer's; -1 if another topic leads the scans. ``place`` is the index of its messages in the
     result of ``convert``. ``used`` is whether its messages are the points that give scans their ranges. ``sample`` is
-    the first message; all others have the same geometry. ``joint`` makes one scan of several messages; None if each
-    message is one scan. ``points`` is the output of the points behind the scans that ``joint`` makes.
+    the first message; all others have the same geometry. ``combiner`` makes one scan of several messages; None if each
+    message is one scan. ``points`` is the output of the points behind the scans that ``combiner`` makes.
     """
 
     handle: int
@@ -53,8 +53,8 @@ class Output:
     place: int
     used: bool = False
     sample: bytes = b""
-    joint: Joint | None = None
-    points: Output | None = None
+    combiner: Combiner | None = None
+    points: TargetTopic | None = None
 
 
 @dataclass(slots=True)
@@ -69,9 +69,9 @@ class OpenRoute:
 
     connection: Connection
     report: TopicReport | None = None
-    convert: Callable[[Buffer], Sequence[Converted | MessageError]] | None = None
+    convert: Callable[[Buffer], Sequence[EncodedMessage | MessageError]] | None = None
     encode: Callable[[Buffer], Buffer] | None = None
-    outputs: list[Output] = field(default_factory=list)
+    outputs: list[TargetTopic] = field(default_factory=list)
     passing_handle: int = -1
     shrinks_from: int = sys.maxsize
     messages: int = 0
@@ -109,7 +109,7 @@ def open_routes(
     opened: dict[int, OpenRoute] = {}
     compiled: dict[tuple[str, Definition], int] = {}
     entries: dict[tuple[object, ...], TopicReport] = {}
-    joints: dict[Combination, Joint] = {}
+    combiners: dict[Combination, Combiner] = {}
 
     def shared(entry: TopicReport) -> TopicReport:
         """Return the report's entry; publishers of one topic share it if their messages are handled alike."""
@@ -131,41 +131,44 @@ def open_routes(
         made.convert = converter(chosen, topic, source, written, msgtype)
         made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
         for place, (task, conversion) in enumerate(zip(route.tasks, chosen, strict=True)):
-            joint = joint_of(joints, task, conversion, written)
+            combiner = combiner_of(combiners, task, conversion, written)
             leads = task.combination is None or task.combination.sources[0] == topic
+            kind = conversion.output_type, conversion.output.define
             for name in task.targets:
-                handle = declared.add(_converted_connection(connection, name, conversion, target)) if leads else -1
+                handle = declared.add(_publisher_like(connection, name, *kind, target)) if leads else -1
                 kept = made.passing_handle >= 0
                 action = "converted" if leads else "joined"
                 entry = TopicReport(topic, msgtype, name, action, clouds_kept=kept, spec=task.spec)
                 if passing is not None and passing.lost:
                     entry.note, entry.lost = passing.note, True
-                made.outputs.append(Output(handle, shared(entry), place, joint=joint))
-                if joint is not None and task.combination is not None:
-                    joint.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
+                made.outputs.append(TargetTopic(handle, shared(entry), place, combiner=combiner))
+                if combiner is not None and task.combination is not None:
+                    combiner.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
             if (name := task.spec.keep_used) and leads:
-                handle = declared.add(_published_as(connection, name, POINTCLOUD2, definition, target))
+                handle = declared.add(_publisher_like(connection, name, POINTCLOUD2, definition, target))
                 note = f"the points that the beams of {', '.join(task.targets)} read"
                 entry = TopicReport(topic, msgtype, name, "added", note)
-                points = Output(handle, shared(entry), place, used=True, joint=joint)
+                points = TargetTopic(handle, shared(entry), place, used=True, combiner=combiner)
                 made.outputs[-1].points = points
                 made.outputs.append(points)
     report.topics += entries.values()
     return opened
 
 
-def joint_of(joints: dict[Combination, Joint], task: Task, conversion: Conversion, serialization: str) -> Joint | None:
-    """Return the `Joint` that makes one scan of several messages; all routes of a combination share it."""
+def combiner_of(
+    combiners: dict[Combination, Combiner], task: RouteTask, conversion: Conversion, serialization: str
+) -> Combiner | None:
+    """Return the `Combiner` that makes one scan of several messages; all routes of a combination share it."""
     if task.combination is None:
         return None
-    from .combine.conversion import CombineToScan  # noqa: PLC0415  # few scans are made of several messages
-    from .combine.joint import Joint  # noqa: PLC0415
+    from .combine.combiner import Combiner  # noqa: PLC0415
+    from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
 
-    if not isinstance(conversion, CombineToScan) or conversion.grouper is None:
+    if not isinstance(conversion, MessagesToScan) or conversion.grouper is None:
         return None
-    if task.combination not in joints:
-        joints[task.combination] = Joint(conversion, serialization)
-    return joints[task.combination]
+    if task.combination not in combiners:
+        combiners[task.combination] = Combiner(conversion, serialization)
+    return combiners[task.combination]
 
 
 def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:
@@ -265,12 +268,7 @@ def _holding_any() -> str:
     return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)
 
 
-def _converted_connection(source: Connection, topic: str, conversion: Conversion, target: Destination) -> Connection:
-    """Return the connection of converted messages, with the QoS profile and latching of their source."""
-    return _published_as(source, topic, conversion.output_type, conversion.output.define, target)
-
-
-def _published_as(
+def _publisher_like(
     source: Connection,
     topic: str,
     msgtype: str,
@@ -303,7 +301,7 @@ def chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Wri
     return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1])
 
 
-def carry_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:
+def copy_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:
     """Copy MCAP's attachments and metadata records if the destination can store them."""
     carries = target.file_format.has_extras
     lost = 0

@@ -37,44 +37,41 @@ from pc2scan.remote.urls import is_url, shown_path
 from pc2scan.result import Failure
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
-from pc2scan.threads import Threads
+from pc2scan.threads import Threads, cores
 
-from .acceptance import ghosts
-from .beforehand import Unconnected, idle_cut, refuse_no_messages
+from .checks import TransformCheck, cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
+from .conclusion import conclude, tally_of
 from .declarations import Declarations
 from .first_clouds import FirstClouds
-from .idle import doubts, refuse_unusable
 from .plan import make_plan
-from .prepare import prepared
+from .preparation import prepare_conversions
 from .report import Report
 from .routes import (
     bind,
-    carry_extras,
     chunk_rule,
+    copy_extras,
     count_skipped,
     open_routes,
     static_connection,
     write_static,
 )
 from .run_files import OutputOptions, RunFiles, report_file
-from .scheduler import cores
 from .stream import Progress, Span, stream
-from .tally import conclude, tally_of
 from .topic_report import TopicReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection, Summary
+    from pc2scan.model import Summary
     from pc2scan.tf.buffer import TransformBuffer
 
     from .levelling import LevelFrames
     from .options import ConvertOptions
-    from .piece import Made, Piece
     from .plan import Plan
+    from .split import Piece, PieceResult
 
 
 def run(
@@ -105,7 +102,7 @@ def run(
     if output.scratch is not None or output.scratch_size is not None:
         raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
     began = time.monotonic()
-    report = _begun(sources, destination, options)
+    report = _new_report(sources, destination, options)
     with ExitStack() as stack:
         files = RunFiles(sources, destination, options.frames, also_read or {}, output)
         try:
@@ -129,7 +126,7 @@ def run_piece(
     *,
     also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
-) -> Made:
+) -> PieceResult:
     """Convert one of the pieces that a recording is cut into; see `pc2scan.pipeline.pieces`.
 
     Parameters
@@ -139,7 +136,7 @@ def run_piece(
     piece
         The piece, with the folder of its files.
     """
-    report = _begun(sources, destination, options)
+    report = _new_report(sources, destination, options)
     with ExitStack() as stack:
         files = RunFiles(sources, destination, options.frames, also_read or {}, output)
         made = _run(files, options, output, stack, report, progress, None, piece)
@@ -147,14 +144,14 @@ def run_piece(
         return made
 
 
-def _begun(sources: Sequence[Path], destination: Path | None, options: ConvertOptions) -> Report:
+def _new_report(sources: Sequence[Path], destination: Path | None, options: ConvertOptions) -> Report:
     """Return a report without results yet."""
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
     return report
 
 
-def opened_plan(
+def open_plan(
     sources: Sequence[Path], options: ConvertOptions, stack: ExitStack
 ) -> tuple[Reader, Sequence[Reader], Plan]:
     """Open the sources, each and all as one, and plan the conversion.
@@ -235,10 +232,10 @@ def _run(
     progress: Progress | None,
     warn: Callable[[str], None] | None,
     piece: Piece | None = None,
-) -> Made | None:
+) -> PieceResult | None:
     """Convert, without writing the report's file; for a piece, without what depends on the other pieces."""
     _refuse_missing_destination(files.sources, files.destination, output)
-    reader, readers, plan = opened_plan(files.sources, options, stack)
+    reader, readers, plan = open_plan(files.sources, options, stack)
     report.bytes_read = reader.summary.size_bytes
     converted = [route.connection for route in plan.routes if route.targets]
     summaries = [opened.summary for opened in readers]
@@ -254,7 +251,7 @@ def _run(
         from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
 
         report.warnings += overlap_warnings(readers)
-    report.warnings += (*plan.warnings, *doubts(options))
+    report.warnings += (*plan.warnings, *option_warnings(options))
     in_parts = files.numbered = output.cut is not None and not target.storage
     if in_parts:
         from pc2scan.files.parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
@@ -273,7 +270,7 @@ def _run(
     if in_parts:
         staging = staged_parts(path, overwrite=output.overwrite, owned=output.owned, warn=report.warnings.append)
     elif piece is not None:
-        # A process that was taken for lost may have completed it.
+        # Another process may have completed it, although it seemed to be dead.
         staging = staged_output(piece.folder, overwrite=True, record_in=recorded_in)
     else:
         staging = staged_output(path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
@@ -281,11 +278,11 @@ def _run(
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         if piece is None:
-            report.warnings += idle_cut(reader, options.start, options.end)
+            report.warnings += cut_warnings(reader, options.start, options.end)
         is_first = piece is None or piece.is_first
         firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span)) if is_first else None
         transforms = () if piece is None else piece.transforms
-        conversions, others = prepared(reader, plan, options, span, stack, report, firsts, transforms)
+        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts, transforms)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
         begin_ns = span.first_ns
         if piece is not None:
@@ -312,7 +309,7 @@ def _run(
                 levels.handle = handles[levels.handle]
             routes = count_skipped(routes, reader, span.start_ns, span.stop_ns, latched=span.latched)
             if not options.only_scans and is_first:
-                carry_extras(reader, target, writer, report)
+                copy_extras(reader, target, writer, report)
             if added is not None and is_first:
                 earliest_ns, latest_ns = target.times_ns
                 begin_ns = max(earliest_ns, min(begin_ns, latest_ns))
@@ -326,7 +323,7 @@ def _run(
 
                 rule = narrow_rule(rule, cut, reader.connections)
             # Only the messages of all pieces show that nothing can be converted.
-            unconnected = Unconnected(firsts.warn) if firsts is not None and piece is None else None
+            unconnected = TransformCheck(firsts.warn) if firsts is not None and piece is None else None
             stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
             if unconnected is not None:
                 unconnected.finish()
@@ -334,7 +331,7 @@ def _run(
                 firsts.finish()
             for spec in plan.specs:
                 if spec.made_type == LASERSCAN:
-                    report.warnings += (each for each in ghosts(spec.params) if each not in report.warnings)
+                    report.warnings += (each for each in ghost_warnings(spec.params) if each not in report.warnings)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
             tally = tally_of(reader, routes, target.serialization)
@@ -347,13 +344,13 @@ def _run(
         if piece is not None:
             from pc2scan.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415  # loaded by now
 
-            from .piece import Made  # noqa: PLC0415  # most recordings are converted in one piece
+            from .split import PieceResult  # noqa: PLC0415  # most recordings are converted in one piece
 
             assert isinstance(writer, Rosbag2Writer)
-            return Made(report, tally, writer.info)
+            return PieceResult(report, tally, writer.info)
         report.bytes_written = _size_on_disk(unfinished)
         if cut is not None:
-            from .parts import files_in  # noqa: PLC0415  # most recordings are one file
+            from .split import files_in  # noqa: PLC0415  # most recordings are one file
 
             report.files = files_in(unfinished, path)
     return None
@@ -375,16 +372,16 @@ def _estimate(
     span = span_of(reader, options)
     converted = [route.connection for route in plan.routes if route.targets]
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-    report.warnings += idle_cut(reader, options.start, options.end)
+    report.warnings += cut_warnings(reader, options.start, options.end)
     firsts = FirstClouds(report, None, partial(robot_transforms, files.read, options, span))
-    conversions, _ = prepared(reader, plan, options, span, stack, report, firsts)
+    conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
     levels = _level_frames(reader, plan, target, options, Declarations(), report)
     size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report, firsts)
     if levels is not None:
         made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
         levels.report.messages_out = max(made, default=0)
     if output.cut is not None:
-        from .parts import expected_files  # noqa: PLC0415  # most recordings are one file
+        from .split import expected_files  # noqa: PLC0415  # most recordings are one file
 
         last_ns = min(span.stop_ns or MAX_ROSBAG2_NS, reader.summary.end_ns or span.first_ns)
         report.files = expected_files(replace(output.cut, begin_ns=span.first_ns), target, last_ns, size)
@@ -435,10 +432,12 @@ def _target(
     output: OutputOptions,
 ) -> Destination:
     """Decide the destination's format; a repaired recording has its source's format if its name allows it."""
-    ros_version = _ros_version(reader.connections)
+    # None for a source without ROS messages.
+    ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
     storage, compression = default_storage(path, summaries) if not is_named else None, None
     if options.repair:
         storage, compression = source_form(path, summaries)
+    names_directory = output.to is not None and destinations()[output.to].is_directory
     target = plan_destination(
         path,
         storage=output.storage or storage,
@@ -446,7 +445,7 @@ def _target(
         profile=output.profile,
         metadata_version=output.metadata_version,
         source_ros_version=ros_version,
-        is_directory=not is_named or output.storage is not None or _is_directory(output.to),
+        is_directory=not is_named or output.storage is not None or names_directory,
     )
     # A recording without ROS messages has no ROS profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
@@ -466,16 +465,6 @@ def _level_frames(
     entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
     report.topics.append(entry)
     return LevelFrames(declared.add(connection), target.serialization, entry)
-
-
-def _is_directory(to: str | None) -> bool:
-    """Whether the option `to` names a format whose recordings are directories."""
-    return to is not None and destinations()[to].is_directory
-
-
-def _ros_version(connections: Iterable[Connection]) -> int | None:
-    """Return the source's ROS version; None for a source without ROS messages."""
-    return next((c.ros_version for c in connections if c.ros_version is not None), None)
 
 
 def _threads(options: ConvertOptions, stack: ExitStack) -> Threads | None:

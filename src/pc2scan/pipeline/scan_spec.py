@@ -13,7 +13,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.outputs import OF_CLOUDS, OF_SCANS
 
-from .combine.asked import Combining
+from .combine.options import Combining
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -15,7 +15,7 @@ from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.outputs import OF_SCANS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud
 
-from .conversion import Conversion, Result
+from .conversion import Conversion, ConvertedMessage
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,10 +60,10 @@ class ScanToCloud(Conversion):
 
     def stages(self, topic: str) -> tuple[Step, ...]:  # noqa: ARG002
         """Return the only stage, which is the same for all topics; see `Conversion`."""
-        return (self._cloud,)
+        return (self._make_cloud,)
 
-    def _cloud(self, scan: LaserScan) -> Result:
-        header, points = self._placed(scan, unproject_scan(scan, self.channels))
+    def _make_cloud(self, scan: LaserScan) -> ConvertedMessage:
+        header, points = self._place(scan, unproject_scan(scan, self.channels))
         message = StructuredCloud(header.sequence, header.stamp_ns, header.frame_id, points.points)
         rejected = points.rejected
         counts = PointCounts(
@@ -72,12 +72,12 @@ class ScanToCloud(Conversion):
             nan=rejected.nan,
             range=rejected.infinite + rejected.below_min + rejected.beyond_max,
         )
-        return Result(message, counts, empty=not len(points.points))
+        return ConvertedMessage(message, counts, empty=not len(points.points))
 
-    def _placed(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_Header, UnprojectedScan]:
+    def _place(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:
         """Return the cloud's header, and the points in its frame."""
         place = self._frames.place(scan.frame_id, scan.stamp_ns)
-        own = _Header(scan.sequence, scan.stamp_ns, place.frame_id)
+        own = _CloudHeader(scan.sequence, scan.stamp_ns, place.frame_id)
         start = place.target_from_source
         if self._deskewed:
             # laser_geometry looks up the identity if both frames are the same, and multiplies by it.
@@ -88,7 +88,7 @@ class ScanToCloud(Conversion):
         # Source of the rule: tf2_sensor_msgs gives a cloud the header of the transform, which has no sequence number.
         stamp_ns = self._frames.transform_stamp(scan.frame_id, scan.stamp_ns)
         moved = points.with_xyz(start.apply(points.xyz), start.translation)
-        return _Header(0, stamp_ns, place.frame_id), moved
+        return _CloudHeader(0, stamp_ns, place.frame_id), moved
 
     def _end(self, scan: LaserScan) -> Rigid | None:
         """Return the transform at the time of the last beam."""
@@ -105,7 +105,7 @@ class ScanToCloud(Conversion):
         return self._frames.place(scan.frame_id, end_ns).target_from_source
 
 
-class _Header(NamedTuple):
+class _CloudHeader(NamedTuple):
     """The header of a cloud."""
 
     sequence: int

@@ -13,10 +13,10 @@ from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import Texts
 from pc2scan.text import did_you_mean
 
-from .combine.asked import Combining
-from .concealed import is_about, without_content
+from .combine.options import Combining
 from .param_sources import resolve_sources
-from .parameters import ALIASES, Setting, names_of, shown
+from .parameters import ALIASES, Setting, names_of, value_text
+from .redaction import may_quote, redact_file
 from .scan_spec import ScanSpec, TopicRequest
 from .stages.filter_options import filters_from
 
@@ -87,7 +87,7 @@ def load_scans(asked: Path | Mapping[str, Any] | Sequence[Any], overriding: Sequ
     if isinstance(asked, Path):
         root, base = _read_file(asked), asked.parent
     else:
-        root, base = _of_python(asked, "scans", 0), Path()
+        root, base = _entry_of(asked, "scans", 0), Path()
         if isinstance(root.value, list) or (isinstance(root.value, dict) and not root.value.keys() & set(_TOP)):
             root = _Entry({"scans": root}, root.place)
     if not isinstance(root.value, dict):
@@ -160,16 +160,16 @@ class _EntryReader:
         return _Entry(found, place)
 
 
-def _of_python(value: Any, place: str, depth: int) -> _Entry:
+def _entry_of(value: Any, place: str, depth: int) -> _Entry:
     if depth > _MAX_DEPTH:
         raise UsageError(f"{place}: nested more than {_MAX_DEPTH} levels deep")
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise TypeError(f"{place} has the key {key!r}, it must be text")
-        return _Entry({key: _of_python(each, f"{place}[{key!r}]", depth + 1) for key, each in value.items()}, place)
+        return _Entry({key: _entry_of(each, f"{place}[{key!r}]", depth + 1) for key, each in value.items()}, place)
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return _Entry([_of_python(each, f"{place}[{n}]", depth + 1) for n, each in enumerate(value)], place)
+        return _Entry([_entry_of(each, f"{place}[{n}]", depth + 1) for n, each in enumerate(value)], place)
     plain = value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
     return _Entry(plain, place)
 
@@ -225,7 +225,7 @@ def _spec(
                     f"{found.place}: unknown key {key!r}",
                     hint=near or f"an output has {', '.join(_KEYS)}, and the parameters of pointcloud_to_laserscan",
                 )
-    values = {key: _checked_value(key, found) for key, found in chosen.items()}
+    values = {key: _check_value(key, found) for key, found in chosen.items()}
     file = Path(base, values["params_file"]) if "params_file" in values else None
     with _naming_place(entry, topic, chosen, file):
         resolved = resolve_sources(settings, file=file, node=values.get("node"), preset=values.get("preset"))
@@ -235,7 +235,7 @@ def _spec(
         spec = ScanSpec(
             name=topic,
             place=entry.place,
-            topics=tuple(TopicRequest(_checked_topic(source), topic) for source in sources),
+            topics=tuple(TopicRequest(_check_topic(source), topic) for source in sources),
             origins=resolved.origin,
             params=resolved.params,
             combining=Combining.of(**values),
@@ -254,7 +254,7 @@ def _beam_filters(texts: Sequence[str]) -> tuple[Any, ...]:
     return tuple(map(beam_filter, texts))
 
 
-def _checked_topic(source: str) -> str:
+def _check_topic(source: str) -> str:
     if ":=" in source or not source:
         raise UsageError(f"'sources' has {source!r}, which is not a topic", hint="an output's topic is its key")
     return source
@@ -266,8 +266,8 @@ def _naming_place(entry: _Entry, topic: str, chosen: Mapping[str, _Entry], file:
     try:
         yield
     except UsageError as err:
-        if file is not None and is_about(err, file):
-            raise without_content(err, file, f"{entry.place}, {topic}") from None
+        if file is not None and may_quote(err, file):
+            raise redact_file(err, file, f"{entry.place}, {topic}") from None
         # If the error names a key, the line of this key is shown.
         named_keys = ((f"`{key}`", f"'{key}'", found) for key, found in chosen.items())
         named = next((found for *names, found in named_keys if any(name in err.message for name in names)), entry)
@@ -282,7 +282,7 @@ def _scalar(entry: _Entry, key: str) -> Any:
     return entry.value
 
 
-def _checked_value(key: str, entry: _Entry) -> Any:
+def _check_value(key: str, entry: _Entry) -> Any:
     """Return the value of a key; raise if it is not of the key's type."""
     kind, value = _KEYS[key], entry.value
     each = value if isinstance(value, list) and kind.repeats else [entry]
@@ -296,7 +296,7 @@ def _checked_value(key: str, entry: _Entry) -> Any:
 
 
 def _found(entry: _Entry) -> str:
-    return "a mapping" if isinstance(entry.value, dict) else shown(entry.value)
+    return "a mapping" if isinstance(entry.value, dict) else value_text(entry.value)
 
 
 def refuse_beside(names: Sequence[str]) -> None:

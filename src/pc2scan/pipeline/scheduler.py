@@ -6,14 +6,13 @@ core's own cache, and the memory of a chunk is released as soon as its scans exi
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from pc2scan.bags.lazy_items import LazyItems
 from pc2scan.bags.units import Handle, load_unit, load_when_due, merge_by_time
-from pc2scan.model import RawMessage, StoredChunk, owned
+from pc2scan.model import RawMessage, StoredChunk, own_message
 from pc2scan.threads import InOrder
 
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ LARGEST_AHEAD = 20 << 20
 _PIECE_BYTES = 1 << 20
 
 
-class Later(NamedTuple):
+class DeferredMessage(NamedTuple):
     """A message that a callback postpones until its turn, because its result takes more memory."""
 
     message: RawMessage
@@ -52,14 +51,9 @@ class Later(NamedTuple):
         return self.message.size
 
 
-def cores() -> int:
-    """Return how many processor cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def schedule(
     units: Iterable[Unit],
-    callback: Callable[[RawMessage], Item | Later],
+    callback: Callable[[RawMessage], Item | DeferredMessage],
     threads: Threads | None,
     *,
     window: int | None = None,
@@ -86,18 +80,18 @@ def schedule(
         Sorted by log time, whatever the number of threads. An exception of the callback is raised in the place of its
         item.
     """
-    loading = load_when_due if threads is None else partial(_ahead, threads, window)
+    loading = load_when_due if threads is None else partial(_load_ahead, threads, window)
     items = merge_by_time(units, callback, loading=loading, path=path)
     try:
         for item in items:
-            yield item.work(item.message) if isinstance(item, Later) else item
+            yield item.work(item.message) if isinstance(item, DeferredMessage) else item
             # Released here, so that the item is not in memory while the next one is made.
             del item
     finally:
         items.close()
 
 
-def _ahead(
+def _load_ahead(
     threads: Threads, window: int | None, units: Iterable[Unit], callback: Callable[[RawMessage], Item]
 ) -> Generator[Handle]:
     """Load units ahead, on other threads."""
@@ -109,7 +103,7 @@ def _ahead(
             while waiting and (too_large or not _may_wait(unit, results, threads.jobs)):
                 yield Handle(waiting.popleft(), results.take)
             if too_large:
-                yield Handle(unit, partial(_together, threads, unit, callback))
+                yield Handle(unit, partial(_load_together, threads, unit, callback))
             else:
                 load = partial(load_unit, unit, callback, whole=unit.may_be_whole)
                 results.put(load, unit.size, at_its_turn=unit.is_quick)
@@ -125,9 +119,9 @@ def _may_wait(unit: Unit, results: InOrder[Loaded[Any]], jobs: int) -> bool:
     return results.has_room(unit.size) and (len(results) < jobs or not unit.is_in_memory)
 
 
-def _together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
+def _load_together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
     """Load a unit on this thread, and work on its messages on all threads."""
-    found = load_unit(unit, owned, whole=unit.may_be_whole)
+    found = load_unit(unit, own_message, whole=unit.may_be_whole)
     if isinstance(found, StoredChunk):
         return found
     if isinstance(found, LazyItems):

@@ -7,28 +7,31 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from pc2scan.errors import MessageError, UnwritableError
-from pc2scan.model import StoredChunk, own, owned
+from pc2scan.bags.latching import NewestItems, is_static
+from pc2scan.bags.units import Unit
+from pc2scan.errors import DecodeError, MessageError, UnwritableError
+from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.model import StoredChunk, own_data, own_message
 from pc2scan.result import Skipped
 
-from .conversion import Converted
-from .first_clouds import Candidate, Sampled
-from .scheduler import Later, schedule
+from .conversion import EncodedMessage
+from .first_clouds import Candidate, SharedSample
+from .scheduler import DeferredMessage, schedule
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.bags.units import Unit
+    from pc2scan.bags.units import Item
     from pc2scan.model import Buffer, ChunkRule, RawMessage, Writer
     from pc2scan.threads import Threads
 
-    from .beforehand import Unconnected
-    from .combine.joint import Arrived, MadeScan
+    from .checks import TransformCheck
+    from .combine.combiner import Arrival, CombinedScan
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .report import Report
-    from .routes import OpenRoute, Output
+    from .routes import OpenRoute, TargetTopic
     from .topic_report import TopicReport
 
 #: Called regularly with the bytes read so far, the bytes in all, and the messages read so far.
@@ -38,14 +41,14 @@ Progress = Callable[[int, int, int], None]
 _PROGRESS_EVERY = 64
 
 
-class _Outcome(NamedTuple):
+class _MessageOutcome(NamedTuple):
     """The results of a message; a result that could not be made is replaced by its error."""
 
     route: OpenRoute
     log_time_ns: int
     publish_time_ns: int
     sequence: int
-    converted: Sequence[Converted | MessageError]
+    converted: Sequence[EncodedMessage | MessageError]
     passing: Buffer | None
     error: MessageError | None
 
@@ -88,26 +91,30 @@ def stream(
     report: Report,
     progress: Progress | None,
     levels: LevelFrames | None = None,
-    unconnected: Unconnected | None = None,
+    unconnected: TransformCheck | None = None,
 ) -> None:
     """Convert all messages of the cut, and write them in the order of reading.
 
     ``levels`` writes the frames of level scans; ``unconnected`` receives each message until one is converted.
     """
     total = reader.summary.size_bytes
-    outcomes: Generator[_Outcome | StoredChunk | MadeScan] = _outcomes(reader, routes, options, span, rule, pool)
-    joints = list(dict.fromkeys(o.joint for route in routes.values() for o in route.outputs if o.joint is not None))
-    if joints:
-        from .combine.joint import with_scans  # noqa: PLC0415  # few scans are made of several messages
+    outcomes: Generator[_MessageOutcome | StoredChunk | CombinedScan] = _outcomes(
+        reader, routes, options, span, rule, pool
+    )
+    combiners = list(
+        dict.fromkeys(o.combiner for route in routes.values() for o in route.outputs if o.combiner is not None)
+    )
+    if combiners:
+        from .combine.combiner import add_scans  # noqa: PLC0415  # few scans are made of several messages
 
-        outcomes = with_scans(outcomes, _arrivals, joints, pool)
+        outcomes = add_scans(outcomes, _arrivals, combiners, pool)
     steps = 0
     # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
     with closing(outcomes):
         for outcome in outcomes:
             if isinstance(outcome, StoredChunk):
                 _write_chunk(outcome, routes, writer)
-            elif not isinstance(outcome, _Outcome):
+            elif not isinstance(outcome, _MessageOutcome):
                 _write_scan(outcome, writer, report, options.on_error, levels)
             else:
                 _write(outcome, writer, report, options.on_error, levels)
@@ -131,9 +138,9 @@ def _outcomes(
     span: Span,
     rule: ChunkRule | None,
     pool: Threads | None,
-) -> Generator[_Outcome | StoredChunk]:
+) -> Generator[_MessageOutcome | StoredChunk]:
     """Return the results of the messages in the cut, after those of latched messages from before it."""
-    work = partial(_outcome_or_later, routes)
+    work = partial(_outcome_or_deferral, routes)
     window = min((spec.params.queue_size for spec in options.scans if spec.params.queue_size), default=None)
     for units in _units_of_cut(reader, routes, span, rule, pool):
         yield from schedule(units, work, pool, window=window, path=reader.path)
@@ -147,37 +154,37 @@ def _units_of_cut(
     start, stop = span.start_ns, span.stop_ns
     lasting = [route.connection for route in routes.values() if route.lasts]
     if start is not None and lasting and span.latched:
-        from .latched import latched_at  # noqa: PLC0415  # most recordings are converted from their beginning
-
-        with closing(schedule(reader.units(lasting, None, start), owned, pool, path=reader.path)) as earlier:
+        with closing(schedule(reader.units(lasting, None, start), own_message, pool, path=reader.path)) as earlier:
             # No rule allows whole chunks here.
             yield [latched_at(cast("Iterator[RawMessage]", earlier), start)]
     yield reader.units(wanted, start, stop, rule)
 
 
-def _outcome_or_later(routes: Mapping[int, OpenRoute], message: RawMessage) -> _Outcome | Later:
+def _outcome_or_deferral(routes: Mapping[int, OpenRoute], message: RawMessage) -> _MessageOutcome | DeferredMessage:
     """Work on a message; postpone it if its result takes more memory than itself. Runs on any thread."""
     route = routes[message.connection.id]
     if route.convert is not None and len(message.data) < route.shrinks_from:
-        return Later(owned(message), partial(_outcome, route))
+        return DeferredMessage(own_message(message), partial(_outcome, route))
     return _outcome(route, message)
 
 
-def _outcome(route: OpenRoute, message: RawMessage) -> _Outcome:
+def _outcome(route: OpenRoute, message: RawMessage) -> _MessageOutcome:
     """Convert or re-encode one message."""
-    converted: Sequence[Converted | MessageError] = ()
+    converted: Sequence[EncodedMessage | MessageError] = ()
     passing = error = None
     try:
         if route.passing_handle >= 0:
-            passing = own(message.data) if route.encode is None else route.encode(message.data)
+            passing = own_data(message.data) if route.encode is None else route.encode(message.data)
         if route.convert is not None:
             converted = route.convert(message.data)
             for made in converted:
-                if isinstance(made, Converted) and isinstance(made.sample, Candidate):
+                if isinstance(made, EncodedMessage) and isinstance(made.sample, Candidate):
                     made.sample = made.sample.sample(message.log_time_ns)
     except MessageError as err:
         error = err
-    return _Outcome(route, message.log_time_ns, message.publish_time_ns, message.sequence, converted, passing, error)
+    return _MessageOutcome(
+        route, message.log_time_ns, message.publish_time_ns, message.sequence, converted, passing, error
+    )
 
 
 def _write_chunk(chunk: StoredChunk, routes: Mapping[int, OpenRoute], writer: Writer) -> None:
@@ -191,7 +198,7 @@ def _write_chunk(chunk: StoredChunk, routes: Mapping[int, OpenRoute], writer: Wr
         entry.messages_out += len(entries)
 
 
-def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, levels: LevelFrames | None) -> None:
+def _write(outcome: _MessageOutcome, writer: Writer, report: Report, on_error: str, levels: LevelFrames | None) -> None:
     """Write the results of a message, and count them."""
     route, log_time_ns, publish_time_ns, sequence, converted, passing, error = outcome
     if not route.writes:
@@ -215,13 +222,13 @@ def _write(outcome: _Outcome, writer: Writer, report: Report, on_error: str, lev
             made = converted[output.place]
             if isinstance(made, MessageError):
                 reason = made
-            elif output.joint is None:
+            elif output.combiner is None:
                 reason = _write_one(made, output, outcome, writer, levels)
-        _count(output.report, reason, is_written=output.joint is None)
+        _count(output.report, reason, is_written=output.combiner is None)
         if reason is not None:
             failed.append((reason, output.report))
     for made in converted:
-        if isinstance(made, Converted) and isinstance(made.sample, Sampled):
+        if isinstance(made, EncodedMessage) and isinstance(made.sample, SharedSample):
             made.sample.add(made.counts)
     if failed:
         _skip(route.connection.topic, log_time_ns, failed, report, on_error)
@@ -248,23 +255,23 @@ def _skip(
         )
 
 
-def _arrivals(outcome: _Outcome | StoredChunk | MadeScan) -> tuple[int, int, list[Arrived]]:
+def _arrivals(outcome: _MessageOutcome | StoredChunk | CombinedScan) -> tuple[int, int, list[Arrival]]:
     """Return the log time of an outcome, its bytes, and its parts of scans of several messages."""
-    from .combine.joint import Arrived  # noqa: PLC0415  # few scans are made of several messages
+    from .combine.combiner import Arrival  # noqa: PLC0415  # few scans are made of several messages
 
     if isinstance(outcome, StoredChunk):
         return outcome.span_ns()[1], len(outcome.stored), []
-    assert isinstance(outcome, _Outcome)
+    assert isinstance(outcome, _MessageOutcome)
     found = []
     for output in outcome.route.outputs:
-        if output.joint is not None and not output.used and outcome.error is None:
+        if output.combiner is not None and not output.used and outcome.error is None:
             made: Any = outcome.converted[output.place]
             if not isinstance(made, MessageError):
-                found.append(Arrived(output.joint, output, made, outcome.sequence))
+                found.append(Arrival(output.combiner, output, made, outcome.sequence))
     return outcome.log_time_ns, outcome.size, found
 
 
-def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, levels: LevelFrames | None) -> None:
+def _write_scan(scan: CombinedScan, writer: Writer, report: Report, on_error: str, levels: LevelFrames | None) -> None:
     """Write a scan of several messages, and count it."""
     output, log_time_ns, stamp_ns, sequence, made = scan
     error = made if isinstance(made, MessageError) else None
@@ -281,7 +288,7 @@ def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, l
         else:
             _account(made, output)
             output.report.messages_out += 1
-            if isinstance(made.sample, Sampled):
+            if isinstance(made.sample, SharedSample):
                 made.sample.add(made.counts)
     if error is None:
         return
@@ -293,7 +300,7 @@ def _write_scan(scan: MadeScan, writer: Writer, report: Report, on_error: str, l
 
 
 def _write_one(
-    made: Converted, output: Output, outcome: _Outcome, writer: Writer, levels: LevelFrames | None
+    made: EncodedMessage, output: TargetTopic, outcome: _MessageOutcome, writer: Writer, levels: LevelFrames | None
 ) -> MessageError | None:
     """Write the result of a message to one topic, and count it; return the error if that fails."""
     try:
@@ -311,7 +318,7 @@ def _write_one(
     return None
 
 
-def _account(made: Converted, output: Output) -> None:
+def _account(made: EncodedMessage, output: TargetTopic) -> None:
     """Count a message that was written."""
     output.sample = output.sample or made.data
     output.report.points += made.counts
@@ -330,3 +337,43 @@ def _count(entry: TopicReport, error: MessageError | None, *, is_written: bool =
     entry.messages_in += 1
     entry.messages_out += error is None and is_written
     entry.skipped += error is not None
+
+
+def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Unit:
+    """Return the messages that are valid when a cut begins, with its time.
+
+    These are the newest message of each connection, and of static transforms the newest message with each child frame:
+    publishers send frames one by one or all again. Several connections of a topic, which are publishers of their own,
+    each have theirs.
+
+    Parameters
+    ----------
+    messages
+        Those of latched connections from before the cut, in their order.
+    start_ns
+        The beginning of the cut: at their own log times, they would make the recording begin when they were logged.
+    """
+    newest: NewestItems[RawMessage] = NewestItems()
+    for message in messages:
+        # A view would keep a whole chunk in memory.
+        newest.add(_names(message), message._replace(data=bytes(message.data)))
+    found = [message._replace(log_time_ns=start_ns, publish_time_ns=start_ns) for message in newest]
+
+    def load(callback: Callable[[RawMessage], Item], *, whole: bool) -> list[Item]:  # noqa: ARG001  # no chunk
+        return [callback(message) for message in found]
+
+    size = sum(message.size for message in found)
+    return Unit(start_ns, (), size, load, is_quick=True, is_in_memory=True)
+
+
+def _names(message: RawMessage) -> Collection[Hashable]:
+    """Return what a message is the newest one of."""
+    connection = message.connection
+    if not is_static(connection.topic):
+        return [connection.id]
+    try:
+        if connection.ros_type in TF_TYPES:
+            return {(connection.id, row[1]) for row in decode_transforms(message.data, connection.serialization)}
+    except DecodeError:
+        pass
+    return [(connection.id, bytes(message.data))]

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from .combine.counts import SourceCounts
-    from .combine.rebinned import Rebinned
+    from .combine.rebinning import Rebinning
     from .scan_spec import ScanSpec
 
 
@@ -79,7 +79,7 @@ class TopicReport:
     tilts: list[float] = field(default_factory=list)
     joined: SourceCounts | None = None
     removed_beams: dict[str, int] = field(default_factory=dict)
-    rebinned: Rebinned | None = None
+    rebinned: Rebinning | None = None
     clouds_kept: bool = False
     lost: bool = False
     advice: str = ""
@@ -118,7 +118,7 @@ class TopicReport:
             "median_deg": math.degrees(median_low(self.tilts)),
         }
 
-    def count_rebinned(self, found: Rebinned) -> None:
+    def count_rebinned(self, found: Rebinning) -> None:
         """Add the beams of one more scan."""
         known = self.rebinned or (0, 0, 0)
         self.rebinned = type(found)(*(one + other for one, other in zip(known, found, strict=True)))

@@ -12,14 +12,13 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import MessageError, UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.pipeline.beforehand import Unconnected, idle_cut
-from pc2scan.pipeline.conversion import Converted
-from pc2scan.pipeline.first_clouds import Candidate, FirstClouds, Sampled
-from pc2scan.pipeline.idle import doubts, refuse_unusable
+from pc2scan.pipeline.checks import TransformCheck, cut_warnings, option_warnings, refuse_unusable
+from pc2scan.pipeline.conversion import EncodedMessage
+from pc2scan.pipeline.first_clouds import Candidate, FirstClouds, SharedSample
 from pc2scan.pipeline.plan import make_plan
-from pc2scan.pipeline.prepare import prepared
+from pc2scan.pipeline.preparation import prepare_conversions
 from pc2scan.pipeline.report import Report
-from pc2scan.pipeline.routes import joint_of
+from pc2scan.pipeline.routes import combiner_of
 from pc2scan.pipeline.run import robot_transforms, span_of
 from pc2scan.pipeline.topic_report import TopicReport
 
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, RawMessage
-    from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
+    from pc2scan.pipeline.combine.combiner import Arrival, CombinedScan, Combiner
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.plan import Combination, Route
 
@@ -211,22 +210,26 @@ class Scans(Stream[Scan]):
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
-        report.warnings += (*doubts(options), *idle_cut(reader, options.start, options.end), *plan.warnings)
+        report.warnings += (
+            *option_warnings(options),
+            *cut_warnings(reader, options.start, options.end),
+            *plan.warnings,
+        )
         early: list[str] = []
         transforms = partial(robot_transforms, self._selection.paths, options, span)
         firsts = FirstClouds(report, early.append, transforms)
-        conversions, others = prepared(reader, plan, options, span, stack, report, firsts)
+        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
         early[:0] = report.warnings
         self.notes = tuple(report.notes)
         routes: dict[int, list[_Task]] = {}
-        joints: dict[Combination, Joint] = {}
+        joints: dict[Combination, Combiner] = {}
         for route in plan.routes:
             connection = route.connection
             serial = connection.serialization
             for task in route.tasks:
                 conversion = conversions[task.key]
                 convert = conversion.for_topic(connection.topic, serial, serial, connection.ros_type)
-                joint = joint_of(joints, task, conversion, serial)
+                joint = combiner_of(joints, task, conversion, serial)
                 routes.setdefault(connection.id, []).append(_Task(convert, task.targets, joint))
 
         def read(message: RawMessage) -> MessageResult:
@@ -363,26 +366,26 @@ class _Task(NamedTuple):
 
     convert: Callable[[Buffer], Any]
     targets: Sequence[str]
-    joint: Joint | None
+    joint: Combiner | None
 
 
 def _convert(tasks: Sequence[_Task], message: RawMessage) -> MessageResult:
     connection, log_time_ns = message.connection, message.log_time_ns
     scans: list[Scan] = []
-    arrived: list[Arrived] = []
-    alone: Converted | None = None
+    arrived: list[Arrival] = []
+    alone: EncodedMessage | None = None
     try:
         for convert, targets, joint in tasks:
             made = convert(message.data)
-            if isinstance(made, Converted) and isinstance(made.sample, Candidate):
+            if isinstance(made, EncodedMessage) and isinstance(made.sample, Candidate):
                 made.sample = made.sample.sample(log_time_ns)
             if joint is None:
                 alone = made
                 scans += _scans_of(made, targets, log_time_ns, connection.serialization)
             else:
-                from pc2scan.pipeline.combine.joint import Arrived  # noqa: PLC0415  # few scans are of several messages
+                from pc2scan.pipeline.combine.combiner import Arrival  # noqa: PLC0415  # few scans are of several messages
 
-                arrived.append(Arrived(joint, (connection, targets), made, message.sequence))
+                arrived.append(Arrival(joint, (connection, targets), made, message.sequence))
     except MessageError as err:
         return MessageResult(connection, log_time_ns, 0, error=err)
     size = 0 if alone is None else len(alone.data)
@@ -390,7 +393,7 @@ def _convert(tasks: Sequence[_Task], message: RawMessage) -> MessageResult:
     return MessageResult(connection, log_time_ns, size, tuple(scans), converted=converted, arrived=tuple(arrived))
 
 
-def _joint_result(scan: MadeScan) -> MessageResult:
+def _joint_result(scan: CombinedScan) -> MessageResult:
     """Return a scan of several messages as the result of the message that leads it."""
     (connection, targets), log_time_ns, _, _, made = scan
     if isinstance(made, MessageError):
@@ -401,7 +404,7 @@ def _joint_result(scan: MadeScan) -> MessageResult:
     )
 
 
-def _scans_of(made: Converted, targets: Sequence[str], log_time_ns: int, serialization: str) -> list[Scan]:
+def _scans_of(made: EncodedMessage, targets: Sequence[str], log_time_ns: int, serialization: str) -> list[Scan]:
     first = _scan(targets[0], log_time_ns, made.data, serialization)
     return [first, *(replace(first, topic=target) for target in targets[1:])]
 
@@ -413,12 +416,12 @@ class _ConversionCounter:
         self,
         report: Report,
         routes: Sequence[Route],
-        joints: Mapping[Combination, Joint],
+        joints: Mapping[Combination, Combiner],
         firsts: FirstClouds,
         early: list[str],
     ) -> None:
         self._report, self._firsts, self._early = report, firsts, early
-        self._unconnected = Unconnected()
+        self._unconnected = TransformCheck()
         entries: dict[tuple[str, str], TopicReport] = {}
         #: The entries of each connection, and whether their scans are made of several messages.
         self._entries: dict[int, list[tuple[TopicReport, bool]]] = {}
@@ -440,7 +443,7 @@ class _ConversionCounter:
     def note(self, message: MessageResult) -> None:
         """Count a message; see `ResultCounter`."""
         made = message.converted
-        if made is not None and isinstance(made.sample, Sampled):
+        if made is not None and isinstance(made.sample, SharedSample):
             made.sample.add(made.counts)
         if not message.is_joint:
             self._unconnected.note(message.connection.topic, message.error)

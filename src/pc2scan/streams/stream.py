@@ -17,7 +17,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.bags.units import merge_by_time
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list, visible
-from pc2scan.pipeline.beforehand import refuse_no_messages
+from pc2scan.pipeline.checks import refuse_no_messages
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import span_of
 from pc2scan.result import MAX_LISTED, Skipped
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
     from pc2scan.options.moment import TimeBound
-    from pc2scan.pipeline.combine.joint import Arrived, Joint, MadeScan
-    from pc2scan.pipeline.conversion import Converted
+    from pc2scan.pipeline.combine.combiner import Arrival, CombinedScan, Combiner
+    from pc2scan.pipeline.conversion import EncodedMessage
     from pc2scan.pipeline.stream import Progress
 
 
@@ -191,8 +191,8 @@ class MessageResult(NamedTuple):
     size: int
     items: tuple[object, ...] = ()
     error: MessageError | None = None
-    converted: Converted | None = None
-    arrived: tuple[Arrived, ...] = ()
+    converted: EncodedMessage | None = None
+    arrived: tuple[Arrival, ...] = ()
     is_joint: bool = False
 
 
@@ -250,8 +250,8 @@ class StreamSource(NamedTuple):
     read: Callable[[RawMessage], MessageResult]
     latched: Collection[Connection] = ()
     account: ResultCounter | None = None
-    joints: Sequence[Joint] = ()
-    read_joint: Callable[[MadeScan], MessageResult] | None = None
+    joints: Sequence[Combiner] = ()
+    read_joint: Callable[[CombinedScan], MessageResult] | None = None
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -263,9 +263,9 @@ class StreamSource(NamedTuple):
         if self.read_joint is None:
             yield from self._results()
             return
-        from pc2scan.pipeline.combine.joint import with_scans  # noqa: PLC0415  # few scans are made of several messages
+        from pc2scan.pipeline.combine.combiner import add_scans  # noqa: PLC0415  # few scans are made of several messages
 
-        with closing(with_scans(self._results(), _arrivals, self.joints, None)) as found:
+        with closing(add_scans(self._results(), _arrivals, self.joints, None)) as found:
             for each in found:
                 yield each if isinstance(each, MessageResult) else self.read_joint(each)
                 del each
@@ -274,7 +274,7 @@ class StreamSource(NamedTuple):
         reader = self.readers[0]
         parts = [reader.units(self.connections, self.start_ns, self.stop_ns)]
         if self.latched and self.start_ns is not None:
-            from pc2scan.pipeline.latched import latched_at  # noqa: PLC0415  # few streams have them
+            from pc2scan.pipeline.stream import latched_at  # noqa: PLC0415  # few streams have them
 
             parts.insert(0, [latched_at(reader.messages(self.latched, None, self.start_ns), self.start_ns)])
         for units in parts:
@@ -283,7 +283,7 @@ class StreamSource(NamedTuple):
                 yield from found  # type: ignore[misc]
 
 
-def _arrivals(read: MessageResult | MadeScan) -> tuple[int, int, tuple[Arrived, ...]]:
+def _arrivals(read: MessageResult | CombinedScan) -> tuple[int, int, tuple[Arrival, ...]]:
     assert isinstance(read, MessageResult)
     return read.log_time_ns, read.size, read.arrived
 

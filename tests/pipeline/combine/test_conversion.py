@@ -17,13 +17,13 @@ from pc2scan.files.buffers import BorrowedBuffer, BufferPool
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.combine import conversion as combine
-from pc2scan.pipeline.combine.asked import Combining
-from pc2scan.pipeline.combine.conversion import CombineToScan, Prepared, kept_together
-from pc2scan.pipeline.combine.matching import Grouper
+from pc2scan.pipeline.combine.conversion import Contribution, MessagesToScan, common_memory
+from pc2scan.pipeline.combine.grouping import Grouper
+from pc2scan.pipeline.combine.options import Combining
 from pc2scan.pipeline.combine.rules import Nearest
-from pc2scan.pipeline.conversion import Measured, Result
+from pc2scan.pipeline.conversion import ConvertedMessage, Measurements
 from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
-from pc2scan.pipeline.stages.height_slope import MinHeightSlope
+from pc2scan.pipeline.stages.ground import MinHeightSlope
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.pipeline.stages.where import Where
 from pc2scan.tf.builder import TransformBuilder
@@ -44,9 +44,9 @@ def frames() -> Placer:
     return Placer("base_link", "", builder.build(), 0)
 
 
-def conversion(params: ProjectionParams, **options: Any) -> CombineToScan:
+def conversion(params: ProjectionParams, **options: Any) -> MessagesToScan:
     spec = ScanSpec(topics=tuple(TopicRequest(topic, "/scan") for topic in TOPICS), params=params, **options)
-    return CombineToScan(spec, TOPICS, frames(), Measured(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3))
+    return MessagesToScan(spec, TOPICS, frames(), Measurements(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3))
 
 
 def cloud(rng: np.random.Generator, frame: str, stamp_ns: int) -> Points:
@@ -56,9 +56,9 @@ def cloud(rng: np.random.Generator, frame: str, stamp_ns: int) -> Points:
     return Points(0, stamp_ns, frame, {"x": x, "y": y, "z": z, "intensity": intensity})
 
 
-def together(made: CombineToScan, clouds: list[Any]) -> Result:
-    prepared: list[Prepared] = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
-    return made.scan(prepared[0], prepared)
+def together(made: MessagesToScan, clouds: list[Any]) -> ConvertedMessage:
+    contribution: list[Contribution] = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    return made.scan(contribution[0], contribution)
 
 
 def concatenated(clouds: list[Points]) -> Points:
@@ -72,15 +72,15 @@ def concatenated(clouds: list[Points]) -> Points:
     return Points(0, clouds[0].stamp_ns, "base_link", fields)
 
 
-def scan_of(params: ProjectionParams, points: Points, filters: Any = ()) -> Result:
+def scan_of(params: ProjectionParams, points: Points, filters: Any = ()) -> ConvertedMessage:
     result: Any = points
-    for stage in CloudToScan(params, frames(), {"/a": Measured(0.1)}, filters).stages("/a"):
+    for stage in CloudToScan(params, frames(), {"/a": Measurements(0.1)}, filters).stages("/a"):
         result = stage(result)
-    assert isinstance(result, Result)
+    assert isinstance(result, ConvertedMessage)
     return result
 
 
-def same(one: Result, other: Result) -> None:
+def same(one: ConvertedMessage, other: ConvertedMessage) -> None:
     assert encode_laserscan(one.message, "cdr") == encode_laserscan(other.message, "cdr")
     assert one.counts == other.counts
     assert one.empty == other.empty
@@ -117,12 +117,12 @@ def test_preparing_keeps_nothing_of_the_message(choice: dict[str, Any], kept: se
     rng = np.random.default_rng(4)
     made = conversion(ProjectionParams(target_frame="base_link", min_height=-0.5, **choice))
     clouds = [cloud(rng, frame, T0) for frame in MOUNTS]
-    prepared = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
-    before = encode_laserscan(made.scan(prepared[0], prepared).message, "cdr")
+    contribution = [made.stages(topic)[0](each) for topic, each in zip(TOPICS, clouds, strict=True)]
+    before = encode_laserscan(made.scan(contribution[0], contribution).message, "cdr")
     for each in clouds:
         each.field("x")[:] = 1.0
-    assert encode_laserscan(made.scan(prepared[0], prepared).message, "cdr") == before
-    assert all(each.points.fields.keys() == kept for each in prepared)
+    assert encode_laserscan(made.scan(contribution[0], contribution).message, "cdr") == before
+    assert all(each.points.fields.keys() == kept for each in contribution)
 
 
 def moving_frames() -> Placer:
@@ -147,12 +147,12 @@ def test_messages_projected_for_another_scan_make_the_same(filters: Any, monkeyp
             fixed_frame="odom",
             filters=filters,
         )
-        made = CombineToScan(
-            spec, TOPICS, moving_frames(), Measured(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3)
+        made = MessagesToScan(
+            spec, TOPICS, moving_frames(), Measurements(0.1), lambda: Grouper(Nearest(windows_ns=(0, 0, 0)), 3)
         )
         stages = [made.stages(topic)[0] for topic in TOPICS]
         first, second = (stages[0](cloud(rng, "a", T0 + ms * 1_000_000)) for ms in (0, 200))
-        rear: Prepared = stages[1](cloud(rng, "b", T0 + 237_000_000))
+        rear: Contribution = stages[1](cloud(rng, "b", T0 + 237_000_000))
         last = stages[0](cloud(rng, "a", T0 + 240_000_000))
         found = [made.scan(lead, [lead, rear]) for lead in (first, second, last)]
         counts = [result.counts for result in found]
@@ -177,11 +177,11 @@ def test_only_points_that_stay_as_they_are_are_not_copied(wrapped: bool) -> None
     rows = np.frombuffer(
         memoryview(borrowed.buffer).toreadonly()[:960_000] if wrapped else borrowed.buffer, np.float32
     ).reshape(-1, 4)
-    memory = kept_together(rows[:, axis] for axis in range(3))
+    memory = common_memory(rows[:, axis] for axis in range(3))
     assert memory is not None
-    assert kept_together([rows[:, 0], np.zeros(len(rows), np.float32)]) is None
+    assert common_memory([rows[:, 0], np.zeros(len(rows), np.float32)]) is None
     # A copy of a small part takes less than all of it.
-    assert kept_together([rows[:1000, 0]]) is None
+    assert common_memory([rows[:1000, 0]]) is None
     del borrowed
     assert not buffers
     del memory
@@ -198,7 +198,7 @@ def test_heights_of_beams_count_only_if_they_are_asked_for() -> None:
     flat = LaserScan(0, T0, "a", -1.0, 1.0, 0.25, 0.0, 0.1, 0.1, 10.0, np.full(9, 2.0, np.float32))
     for params, kept in ((ProjectionParams(), 9), (ProjectionParams(min_height=0.1), 0)):
         spec = ScanSpec(params=params, combining=Combining(rebin=True))
-        made = CombineToScan(spec, ["/a"], Placer(), Measured(0.1), None)
+        made = MessagesToScan(spec, ["/a"], Placer(), Measurements(0.1), None)
         result: Any = flat
         for stage in made.stages("/a"):
             result = stage(result)

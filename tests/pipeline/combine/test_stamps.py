@@ -18,7 +18,7 @@ from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection
-from pc2scan.pipeline.combine import matching
+from pc2scan.pipeline.combine import grouping
 from support import ROOT, sampled
 from support.tables import rows
 
@@ -106,7 +106,7 @@ def made(source: Path, **options: Any) -> Made:
 def test_the_last_clouds_of_each_interval_are_all_that_is_held(
     jobs: int, fixed: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 120_000)
+    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 120_000)
     # Some 14 kB each.
     source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 15)), 1000, moving=16.0)
     found = made(source, topics="/front:=/scan", every=1, accumulate="2clouds", jobs=jobs, **fixed)
@@ -131,7 +131,7 @@ def test_scans_are_made_while_the_leading_lidar_speaks(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(matching, "MAX_HELD_BYTES", 700_000)
+    monkeypatch.setattr(grouping, "MAX_HELD_BYTES", 700_000)
     begin, end = speaks
     found = [*clouds("/front", tenths(begin, end)), *clouds("/rear", tenths(0, 15, 0.03))]
     source = recorded(tmp_path / "d.mcap", sorted(found, key=lambda each: each.at), 1000, moving=16.0)

@@ -12,7 +12,7 @@ import pytest
 from pc2scan.core.points import TIME, Points
 from pc2scan.core.rigid import Pose, Rigid
 from pc2scan.errors import DecodeError, TransformError
-from pc2scan.pipeline.stages.deskew import Deskew, Moving, PointTime
+from pc2scan.pipeline.stages.deskew import Deskew, MovingCloud, PointTime
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer
@@ -43,7 +43,7 @@ def points(xyz: Any, times: Any, name: str = "t", **fields: Any) -> Points:
     return Points(0, T0, "lidar", {"x": x, "y": y, "z": z, name: np.asarray(times), **fields})
 
 
-def moving_of(stage: Deskew, cloud: Points) -> Moving:
+def moving_of(stage: Deskew, cloud: Points) -> MovingCloud:
     found = stage(cloud)
     assert found is not None
     return found
@@ -285,7 +285,7 @@ def test_rows_with_gaps_keep_their_shape_and_other_fields() -> None:
 
 def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     """A box around a point of the robot rejects it whenever it was measured."""
-    from pc2scan.pipeline.stages.select import Select
+    from pc2scan.pipeline.stages.selection import SelectStage
 
     known = frames("base_link")
     assert known.buffer is not None
@@ -293,5 +293,5 @@ def test_what_is_fixed_to_the_robot_stays_where_it_is() -> None:
     cloud = points(np.repeat(inside, 3, axis=0), [0, 50_000_000, 100_000_000])
     moving = moving_of(Deskew(known, "odom", PointTime()), cloud)
     box = ExcludeBox("base_link", (0.49, 0.51), (0.19, 0.21), (0.09, 0.11))
-    selected = Select([box], known).apply(moving.points, known.place("lidar", T0), moving)
+    selected = SelectStage([box], known).apply(moving.points, known.place("lidar", T0), moving)
     assert selected.rejected["exclude_box"] == 3

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.core.points import Points
-from pc2scan.pipeline.stages.height_slope import MinHeightSlope
+from pc2scan.pipeline.stages.ground import MinHeightSlope
 from pc2scan.pipeline.stages.regions import ExcludeBox, ExcludePolygon
 from support import sampled
 

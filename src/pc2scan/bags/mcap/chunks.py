@@ -11,7 +11,7 @@ from pc2scan.bags.formats import and_list
 from pc2scan.files.compression import CompressionError, decompress
 from pc2scan.files.crc32 import crc32
 from pc2scan.files.limits import allowed_bytes
-from pc2scan.model import own
+from pc2scan.model import own_data
 
 from .records import CHUNK, COMPRESSIONS, OP_CHUNK, RECORD, UINT64
 
@@ -105,7 +105,7 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     RecordingError
         If bytes are missing, do not decompress to the declared size, or fail their CRC.
     """
-    return with_payload(file, segment, lambda data: memoryview(own(data)), verify=verify)
+    return with_payload(file, segment, lambda data: memoryview(own_data(data)), verify=verify)
 
 
 def with_payload(

@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.lazy_items import MAX_LISTED_ITEMS, LazyItems
-from pc2scan.model import RawMessage, own
+from pc2scan.model import RawMessage, own_data
 
 from .records import MESSAGE, OP_MESSAGE, RECORD
 
@@ -88,7 +88,7 @@ def _lazy_messages(
             times.append(log_time_ns)
             places.append(position)
         position += RECORD.size + length
-    return LazyItems(times, places, partial(message_at, memoryview(own(data)), wanted), len(data))
+    return LazyItems(times, places, partial(message_at, memoryview(own_data(data)), wanted), len(data))
 
 
 def _scan_stretch(

@@ -17,7 +17,7 @@ from pc2scan.bags.lazy_items import MAX_LISTED_ITEMS, LazyItems
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC, CompressionError, decompress
 from pc2scan.files.limits import allowed_bytes
-from pc2scan.model import RawMessage, own
+from pc2scan.model import RawMessage, own_data
 
 from .records import (
     CONNECTION,
@@ -292,7 +292,9 @@ def _lazy_messages(
             identity, stamp = uint32_field(fields, "conn"), time_field(fields, "time")
         if wanted[identity] is not None and start_ns <= stamp < stop_ns:
             found.add(identity, stamp, start, position)
-    return found.lazy_messages(memoryview(own(data)), {key: item for key, item in wanted.items() if item is not None})
+    return found.lazy_messages(
+        memoryview(own_data(data)), {key: item for key, item in wanted.items() if item is not None}
+    )
 
 
 class MessagePlaces:

@@ -25,7 +25,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.messages.outputs import OF_CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.pipeline.conversion import Conversion, Result
+from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
 from pc2scan.pipeline.motion import Motion
 from pc2scan.tf.placing import Placement
 
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
     from pc2scan.files.buffers import RetainedMemory
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
-    from pc2scan.pipeline.conversion import Converted, Measured, Step
-    from pc2scan.pipeline.first_clouds import Sampled, TopicClouds
+    from pc2scan.pipeline.conversion import EncodedMessage, Measurements, Step
+    from pc2scan.pipeline.first_clouds import SharedSample, TopicClouds
     from pc2scan.pipeline.scan_spec import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
-    from pc2scan.pipeline.stages.select import Select
+    from pc2scan.pipeline.stages.selection import SelectStage
     from pc2scan.tf.placing import LevelFrame, Placer
 
-    from .matching import Grouper
-    from .rebinned import Rebinned
+    from .grouping import Grouper
+    from .rebinning import Rebinning
 
 #: Bytes that a message takes besides its arrays.
 _OVERHEAD = 2_000
@@ -66,8 +66,8 @@ _NO_POINTS = Points(0, 0, "", {})
 _NOWHERE = Rigid.identity()
 
 
-class Prepared(NamedTuple):
-    """A message on its way to a scan that may have others in it.
+class Contribution(NamedTuple):
+    """What one message contributes to a scan of several messages.
 
     Attributes
     ----------
@@ -126,12 +126,12 @@ class Prepared(NamedTuple):
     nearest: ProjectedScan | None = None
     motion: Motion | None = None
     assumed: tuple[int, str] | None = None
-    sample: Sampled | None = None
+    sample: SharedSample | None = None
     size: int = 0
     memory: object = None
 
 
-class CombineToScan(Conversion):
+class MessagesToScan(Conversion):
     """Converts several messages to one scan.
 
     Parameters
@@ -157,8 +157,8 @@ class CombineToScan(Conversion):
         spec: ScanSpec,
         topics: Sequence[str],
         frames: Placer,
-        measured: Measured,
-        grouper: Callable[[], Grouper[Prepared]] | None,
+        measured: Measurements,
+        grouper: Callable[[], Grouper[Contribution]] | None,
         deskew: Deskew | None = None,
         first_clouds: Callable[[str], TopicClouds] | None = None,
     ) -> None:
@@ -182,25 +182,25 @@ class CombineToScan(Conversion):
         self._once = not spec.combining.accumulates
         #: The messages of the leading topic that were prepared last, in any order. The list is replaced, never changed,
         #: because threads share it.
-        self._leads: list[Prepared] = []
-        self._early: Select | None = None
-        self._late: Select | None = None
+        self._leads: list[Contribution] = []
+        self._early: SelectStage | None = None
+        self._late: SelectStage | None = None
         late: Sequence[Filter] = ()
         if spec.filters:
             from pc2scan.pipeline.stages.filters import Frame  # noqa: PLC0415  # most points are not filtered
-            from pc2scan.pipeline.stages.select import Select  # noqa: PLC0415
+            from pc2scan.pipeline.stages.selection import SelectStage  # noqa: PLC0415
 
             late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
             early = tuple(each for each in spec.filters if each not in late)
-            self._early = Select(early, frames) if early else None
-            self._late = Select(late, frames) if late else None
+            self._early = SelectStage(early, frames) if early else None
+            self._late = SelectStage(late, frames) if late else None
         self._keeps_used = bool(spec.keep_used)
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
-        self._remove: Callable[[Result], Result] | None = None
+        self._remove: Callable[[ConvertedMessage], ConvertedMessage] | None = None
         if spec.remove:
-            from pc2scan.pipeline.remove import Remove  # noqa: PLC0415  # few scans are filtered
+            from pc2scan.pipeline.beam_removal import RemoveStage  # noqa: PLC0415  # few scans are filtered
 
-            self._remove = Remove(spec.remove, params.empty_range)
+            self._remove = RemoveStage(spec.remove, params.empty_range)
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
         #: Upstream's default minimum, the smallest positive number, is meant for clouds: it rejects all beams of scans.
         self._any_height = params.min_height == _DEFAULTS.min_height
@@ -217,8 +217,8 @@ class CombineToScan(Conversion):
         number = self.topics.index(topic)
         deskew = None if self._deskew is None else self._deskew.of(topic)
 
-        def prepare(message: Points | LaserScan) -> Prepared:
-            return self._prepared(number, firsts, deskew, message)
+        def prepare(message: Points | LaserScan) -> Contribution:
+            return self._contribute(number, firsts, deskew, message)
 
         return (prepare,) if self.grouper is not None else (prepare, self.alone)
 
@@ -226,17 +226,17 @@ class CombineToScan(Conversion):
         """Return the encoder of scans; messages that are grouped first are not encoded here."""
         return super().encoder(target) if self.grouper is None else _as_it_is
 
-    def encoded(self, lead: Prepared, members: Sequence[Prepared], target: str) -> Converted:
+    def encode(self, lead: Contribution, members: Sequence[Contribution], target: str) -> EncodedMessage:
         """Make the scan of a group of messages, and serialise it as ``ros1`` or ``cdr``."""
         return super().encoder(target)(self.scan(lead, members))
 
-    def alone(self, prepared: Prepared) -> Result:
+    def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message."""
-        return self.scan(prepared, (prepared,))
+        return self.scan(contribution, (contribution,))
 
-    def _prepared(
+    def _contribute(
         self, number: int, firsts: TopicClouds | None, deskew: Deskew | None, message: Points | LaserScan
-    ) -> Prepared:
+    ) -> Contribution:
         flat = isinstance(message, LaserScan)
         rejected: dict[str, int] = {}
         if isinstance(message, LaserScan):
@@ -270,7 +270,7 @@ class CombineToScan(Conversion):
             selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
             points, rejected = selected.points, rejected | selected.rejected
             mount = selected.target_from_source if self._rigid else mount
-        prepared = Prepared(
+        contribution = Contribution(
             number,
             stamp_ns,
             reference_ns,
@@ -287,54 +287,58 @@ class CombineToScan(Conversion):
             sample=sample,
         )
         if flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
-            return self._held(prepared)
+            return self._keep_points(contribution)
         if self._rigid or (self._once and number == 0):
             if number == 0 and not self._rigid:
-                self._leads = [*self._leads[1 - _LEADS :], prepared._replace(points=_NO_POINTS, track=None)]
-            return self._projected(prepared)
-        return self._assumed(prepared) if self._once else self._held(prepared)
+                self._leads = [*self._leads[1 - _LEADS :], contribution._replace(points=_NO_POINTS, track=None)]
+            return self._project(contribution)
+        return self._project_as_assumed(contribution) if self._once else self._keep_points(contribution)
 
-    def _projected(self, prepared: Prepared) -> Prepared:
+    def _project(self, contribution: Contribution) -> Contribution:
         """Return a message with the ranges of the beams instead of its points."""
-        nearest, motion = self._nearest(prepared, prepared)
-        points = Points(prepared.points.sequence, prepared.stamp_ns, prepared.points.frame_id, {})
+        nearest, motion = self._find_nearest(contribution, contribution)
+        points = Points(contribution.points.sequence, contribution.stamp_ns, contribution.points.frame_id, {})
         size = _OVERHEAD + nearest.ranges.nbytes
-        return prepared._replace(points=points, nearest=nearest, motion=motion, size=size)
+        return contribution._replace(points=points, nearest=nearest, motion=motion, size=size)
 
-    def _assumed(self, prepared: Prepared) -> Prepared:
+    def _project_as_assumed(self, contribution: Contribution) -> Contribution:
         """Return a message projected for the scan that it probably belongs to, with its points for any other scan.
 
         The points are in the processor's cache now; projecting them later takes twice as long.
         """
-        held = self._held(prepared)
+        held = self._keep_points(contribution)
         leads = sorted(self._leads, key=attrgetter("stamp_ns"))
         if len(leads) < _FEWEST_LEADS:
             return held
-        lead = min(leads, key=lambda lead: abs(lead.stamp_ns - prepared.stamp_ns))
-        if 2 * abs(lead.stamp_ns - prepared.stamp_ns) > leads[-1].stamp_ns - leads[-2].stamp_ns:
+        lead = min(leads, key=lambda lead: abs(lead.stamp_ns - contribution.stamp_ns))
+        if 2 * abs(lead.stamp_ns - contribution.stamp_ns) > leads[-1].stamp_ns - leads[-2].stamp_ns:
             return held
         try:
-            nearest, motion = self._nearest(lead, prepared)
+            nearest, motion = self._find_nearest(lead, contribution)
         except MessageError:
             # The error is raised when the scan is made, if the message belongs to it.
             return held
         return held._replace(nearest=nearest, motion=motion, assumed=(lead.reference_ns, lead.frame_id))
 
-    def _nearest(self, lead: Prepared, member: Prepared) -> tuple[ProjectedScan, Motion | None]:
+    def _find_nearest(self, lead: Contribution, member: Contribution) -> tuple[ProjectedScan, Motion | None]:
         """Return the ranges and counts of one message in a scan, and how far its sensor moved."""
-        points, transform, rejected, motion = self._placed(lead, member)
-        nearest = self._projector.nearest(PointsPart(*points.xyz(), _rounded(transform)))
+        points, transform, rejected, motion = self._place(lead, member)
+        nearest = self._projector.nearest(PointsPart(*points.xyz(), _round_transform(transform)))
         if rejected:
             nearest.counts += PointCounts(sum(rejected.values()), **rejected)
         return nearest, motion
 
-    def _held(self, prepared: Prepared) -> Prepared:
+    def _keep_points(self, contribution: Contribution) -> Contribution:
         """Return a message whose points may be used after the buffer that they were decoded in is free again."""
-        track, points = prepared.track, prepared.points
-        if not prepared.flat and self._intensity:
+        track, points = contribution.track, contribution.points
+        if not contribution.flat and self._intensity:
             # A missing field is an error of this message, not of the scan.
             points.field(self._intensity)
-        names = {*self._kept, *(("index",) if prepared.flat else ()), *(() if track is None else (track.time_field,))}
+        names = {
+            *self._kept,
+            *(("index",) if contribution.flat else ()),
+            *(() if track is None else (track.time_field,)),
+        }
         if self._keeps_used:
             names.update(points.fields)
         views = {name: points.field(name) for name in dict.fromkeys(("x", "y", "z", *points.fields)) if name in names}
@@ -345,16 +349,16 @@ class CombineToScan(Conversion):
         memory = None
         if self.grouper is not None:
             # Messages that are in many scans are held for longer, so their fields are copied, which takes less memory.
-            memory = kept_together(views.values()) if self._once else None
-            views = views if memory is not None else _copied(views)
+            memory = common_memory(views.values()) if self._once else None
+            views = views if memory is not None else _copy_fields(views)
         held = Points(points.sequence, points.stamp_ns, points.frame_id, views)
-        return prepared._replace(points=held, size=size, memory=memory)
+        return contribution._replace(points=held, size=size, memory=memory)
 
-    def is_projected(self, lead: Prepared, members: Iterable[Prepared]) -> bool:
+    def is_projected(self, lead: Contribution, members: Iterable[Contribution]) -> bool:
         """Whether the points of all members are projected already, as this scan needs them."""
         return all(_fits(member, lead) for member in members)
 
-    def scan(self, lead: Prepared, members: Sequence[Prepared]) -> Result:
+    def scan(self, lead: Contribution, members: Sequence[Contribution]) -> ConvertedMessage:
         """Make the scan of a group of messages.
 
         Parameters
@@ -380,18 +384,18 @@ class CombineToScan(Conversion):
                 known.append(member.nearest)
                 motions += [] if member.motion is None else [member.motion]
                 continue
-            points, transform, found, motion = self._placed(lead, member)
+            points, transform, found, motion = self._place(lead, member)
             if found:
                 others.append(PointCounts(sum(found.values()), **found))
             if motion is not None:
                 motions.append(motion)
             values = points.field(self._intensity) if self._intensity in points.fields else None
             by_height = not (member.flat and self._any_height)
-            parts.append(PointsPart(*points.xyz(), _rounded(transform), values, any_height=not by_height))
+            parts.append(PointsPart(*points.xyz(), _round_transform(transform), values, any_height=not by_height))
             if member.flat:
                 beams.append((parts[-1], points.field("index")))
             if self._keeps_used:
-                sources.append((member.source, _transformed(points, transform, lead.frame_id)))
+                sources.append((member.source, _transform_points(points, transform, lead.frame_id)))
         if known:
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
@@ -413,15 +417,15 @@ class CombineToScan(Conversion):
         )
         empty = scan.ranges.tobytes() == self._no_returns
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
-        shared = self._rebinned(beams) if len(beams) == len(members) else None
+        shared = self._rebin(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
-        used = self._used(message, parts, sources) if self._keeps_used else None
+        used = self._gather_used(message, parts, sources) if self._keeps_used else None
         counts = sum(others, scan.counts)
-        result = Result(message, counts, empty, largest, lead.sample, level, shared, used, scan.removed)
+        result = ConvertedMessage(message, counts, empty, largest, lead.sample, level, shared, used, scan.removed)
         return result if self._remove is None else self._remove(result)
 
-    def _placed(
-        self, lead: Prepared, member: Prepared
+    def _place(
+        self, lead: Contribution, member: Contribution
     ) -> tuple[Points, Rigid | MovingTransform | None, Mapping[str, int], Motion | None]:
         """Return a member's points, the transform still to apply, the rejection counts, and the sensor's motion."""
         mount = member.mount
@@ -439,7 +443,7 @@ class CombineToScan(Conversion):
             motion = Motion(0.0, 0.0)
         elif lead.target_from_fixed is not None and member.fixed_from_source is not None:
             transform = lead.target_from_fixed.product(member.fixed_from_source)
-            motion = _moved(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
+            motion = _motion_of(transform, mount)._replace(gap=max(lead.gap_ns, member.gap_ns) / 1e9)
         if self._late is None and self._keeps_used and moving is not None:
             # The points are written as they are projected.
             points, placed, lost = moving.place(member.points)
@@ -451,15 +455,17 @@ class CombineToScan(Conversion):
         rejected = {**member.rejected, **selected.rejected}
         return selected.points, selected.motion or selected.target_from_source, rejected, motion
 
-    def _used(self, scan: LaserScan, parts: Sequence[PointsPart], sources: Sequence[tuple[int, Points]]) -> UsedPoints:
+    def _gather_used(
+        self, scan: LaserScan, parts: Sequence[PointsPart], sources: Sequence[tuple[int, Points]]
+    ) -> UsedPoints:
         """Return the points that the beams of a scan read."""
         from pc2scan.messages.used_points import gather_points  # noqa: PLC0415  # only where they are kept
 
         read = self._projector.read_together(parts)
         return gather_points(scan, [(*source, *own) for source, own in zip(sources, read, strict=True)])
 
-    def _rebinned(self, beams: Sequence[tuple[PointsPart, NDArray[np.int32]]]) -> Rebinned:
-        from .rebinned import rebinned  # noqa: PLC0415  # most sources are clouds
+    def _rebin(self, beams: Sequence[tuple[PointsPart, NDArray[np.int32]]]) -> Rebinning:
+        from .rebinning import count_rebinning  # noqa: PLC0415  # most sources are clouds
 
         found = []
         for part, numbers in beams:
@@ -468,31 +474,31 @@ class CombineToScan(Conversion):
         layout = self._params.layout
         # Upstream's layout does not join the two ends of a circle, but neighbouring points lie on both sides of them.
         around = layout.full_circle or layout.angle_max - layout.angle_min > TURN - 2 * layout.angle_increment
-        return rebinned(found, layout.count, full_circle=around)
+        return count_rebinning(found, layout.count, full_circle=around)
 
 
-def _fits(member: Prepared, lead: Prepared) -> bool:
+def _fits(member: Contribution, lead: Contribution) -> bool:
     """Whether a member is projected as the scan needs it."""
     return member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}
 
 
-def _as_it_is(prepared: Prepared) -> Prepared:
-    return prepared
+def _as_it_is(contribution: Contribution) -> Contribution:
+    return contribution
 
 
-def _transformed(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
+def _transform_points(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
     """Return points as they are projected; those of a moving sensor are transformed already."""
     return (
         points.transform(transform_rows(transform.as_float32()), frame_id) if isinstance(transform, Rigid) else points
     )
 
 
-def _rounded(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
+def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
     """Return a transform as it is applied to points."""
     return transform.as_float32() if isinstance(transform, Rigid) else transform
 
 
-def kept_together(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:
+def common_memory(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:
     """Return the memory that all these arrays are views of, which is kept; None if they must be copied."""
     memory: RetainedMemory | None = None
     whole: bytes | ReadBuffer | None = None
@@ -510,14 +516,14 @@ def kept_together(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:
     return memory
 
 
-def _copied(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+def _copy_fields(fields: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """Return copies of fields, whose memory may be overwritten."""
     axes = contiguous(*(fields[axis] for axis in "xyz"))
     copies = {name: np.array(values).reshape(-1) for name, values in fields.items() if name not in _AXES}
     return copies | dict(zip("xyz", axes, strict=True))
 
 
-def _moved(transform: Rigid | None, mount: Rigid | None) -> Motion:
+def _motion_of(transform: Rigid | None, mount: Rigid | None) -> Motion:
     """Return how far a sensor moved from the pose at which it is mounted."""
     one, other = (transform or _NOWHERE).pose, (mount or _NOWHERE).pose
     distance = math.dist(one[:3], other[:3])

@@ -23,7 +23,7 @@ KEY = attrgetter("key")
 
 
 @dataclass(slots=True, eq=False)
-class Entry(Generic[Item]):
+class SourceMessage(Generic[Item]):
     """A message that is held because a scan may need it.
 
     Attributes
@@ -58,7 +58,7 @@ class Entry(Generic[Item]):
         return self.key[0]
 
 
-Entries: TypeAlias = Sequence[Entry[Item]]
+Entries: TypeAlias = Sequence[SourceMessage[Item]]
 
 
 @dataclass(frozen=True)
@@ -95,10 +95,10 @@ class Rule(ABC):
     @abstractmethod
     def members(
         self,
-        leads: Sequence[Entry[Item]],
-        held: Sequence[Sequence[Entry[Item]]],
+        leads: Sequence[SourceMessage[Item]],
+        held: Sequence[Sequence[SourceMessage[Item]]],
         coming: Sequence[Key],
-    ) -> list[Entry[Item]] | None:
+    ) -> list[SourceMessage[Item]] | None:
         """Return the messages of the first scan that is to be made, sorted by topic and stamp.
 
         Parameters
@@ -117,7 +117,7 @@ class Rule(ABC):
         """
 
     @abstractmethod
-    def needless(self, held: Sequence[Entry[Item]], source: int, first: Key, end_ns: int) -> int:
+    def needless(self, held: Sequence[SourceMessage[Item]], source: int, first: Key, end_ns: int) -> int:
         """Return how many of a topic's first messages no scan needs that is led from a place on.
 
         Parameters
@@ -159,10 +159,10 @@ class Nearest(Rule):
 
     def members(
         self,
-        leads: Sequence[Entry[Item]],
-        held: Sequence[Sequence[Entry[Item]]],
+        leads: Sequence[SourceMessage[Item]],
+        held: Sequence[Sequence[SourceMessage[Item]]],
         coming: Sequence[Key],
-    ) -> list[Entry[Item]] | None:
+    ) -> list[SourceMessage[Item]] | None:
         """Return the messages of the first scan; see `Rule.members`."""
         found = [leads[0]]
         for source in range(1, len(held)):
@@ -174,18 +174,18 @@ class Nearest(Rule):
                 found.append(partner)
         return found
 
-    def needless(self, held: Sequence[Entry[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
+    def needless(self, held: Sequence[SourceMessage[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
         return _before(held, (first[0] - self.windows_ns[source], 0) if source else first)
 
 
 def _partner(
-    leads: Sequence[Entry[Item]],
-    others: Sequence[Entry[Item]],
+    leads: Sequence[SourceMessage[Item]],
+    others: Sequence[SourceMessage[Item]],
     window_ns: int,
     coming_lead_ns: int,
     coming_ns: int,
-) -> tuple[bool, Entry[Item] | None]:
+) -> tuple[bool, SourceMessage[Item] | None]:
     """Return whether it is certain which message is in the scan of the first leading message, and that message.
 
     A pair is in a scan if no closer pair that shares a message with it is. So pairs are judged from the closest one on.
@@ -242,10 +242,10 @@ class Recent(Rule):
 
     def members(
         self,
-        leads: Sequence[Entry[Item]],
-        held: Sequence[Sequence[Entry[Item]]],
+        leads: Sequence[SourceMessage[Item]],
+        held: Sequence[Sequence[SourceMessage[Item]]],
         coming: Sequence[Key],
-    ) -> list[Entry[Item]] | None:
+    ) -> list[SourceMessage[Item]] | None:
         """Return the messages of the first scan; see `Rule.members`."""
         last = leads[0].key
         if self.every_ns and coming[0] < (leads[0].end_ns, 0):
@@ -253,14 +253,14 @@ class Recent(Rule):
         for place in coming:
             if place <= last:
                 return None
-        found: list[Entry[Item]] = []
+        found: list[SourceMessage[Item]] = []
         for own in held:
             end = bisect_right(own, last, key=KEY)
             begin = max(0, end - self.count) if self.count else _before(own, (last[0] - self.span_ns + 1, 0))
             found += own[begin:end]
         return found
 
-    def needless(self, held: Sequence[Entry[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
+    def needless(self, held: Sequence[SourceMessage[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
         if self.count:
             return max(0, bisect_right(held, first, key=KEY) - self.count) if len(held) > self.count else 0
@@ -273,25 +273,25 @@ class Interval(Rule):
 
     def members(
         self,
-        leads: Sequence[Entry[Item]],
-        held: Sequence[Sequence[Entry[Item]]],
+        leads: Sequence[SourceMessage[Item]],
+        held: Sequence[Sequence[SourceMessage[Item]]],
         coming: Sequence[Key],
-    ) -> list[Entry[Item]] | None:
+    ) -> list[SourceMessage[Item]] | None:
         """Return the messages of the first scan; see `Rule.members`."""
         begin, end = (leads[0].end_ns - self.every_ns, 0), (leads[0].end_ns, 0)
         for place in coming:
             if place < end:
                 return None
-        found: list[Entry[Item]] = []
+        found: list[SourceMessage[Item]] = []
         for own in held:
             found += own[bisect_left(own, begin, key=KEY) : bisect_left(own, end, key=KEY)]
         return found
 
-    def needless(self, held: Sequence[Entry[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
+    def needless(self, held: Sequence[SourceMessage[Item]], source: int, first: Key, end_ns: int) -> int:  # noqa: ARG002
         """Return how many messages no scan needs; see `Rule.needless`."""
         return _before(held, (end_ns - self.every_ns, 0))
 
 
-def _before(held: Sequence[Entry[Item]], place: Key) -> int:
+def _before(held: Sequence[SourceMessage[Item]], place: Key) -> int:
     """Return how many messages are before a place; mostly none is."""
     return bisect_left(held, place, key=KEY) if held and held[0].key < place else 0

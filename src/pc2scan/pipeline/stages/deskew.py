@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placer
 
-#: The time of a cloud that its scan gets.
+#: Which time of a cloud is the stamp of its scan.
 STAMPS = ("header", "start", "middle", "end")
 
 #: The longest time between the first and the last point of a cloud, and between a point and the stamp, seconds.
@@ -115,7 +115,7 @@ class PointTime:
         return name
 
 
-class _Times(Mapping[str, "NDArray[Any]"]):
+class _LazyTimes(Mapping[str, "NDArray[Any]"]):
     """The field `TIME` of a cloud, computed on request: the loops over points read times as they are stored."""
 
     def __init__(self, points: Points, field: str, offset: float, unit: float) -> None:
@@ -139,7 +139,7 @@ class _Times(Mapping[str, "NDArray[Any]"]):
         return 1
 
 
-class Moving(NamedTuple):
+class MovingCloud(NamedTuple):
     """A cloud that was measured while its sensor moved.
 
     Attributes
@@ -202,7 +202,7 @@ class Track(NamedTuple):
     reference_ns
         The stamp of a scan of this cloud alone.
     time_field, offset, unit, node_times, rows
-        See `Moving` and `MovingTransform`. The rows are transforms to the fixed frame.
+        See `MovingCloud` and `MovingTransform`. The rows are transforms to the fixed frame.
     gap_ns
         The longest time over which transforms were interpolated, nanoseconds.
     timed
@@ -230,7 +230,7 @@ class Track(NamedTuple):
         frame_id: str,
         stamp_ns: int,
         rows: NDArray[np.float64] | None = None,
-    ) -> Moving:
+    ) -> MovingCloud:
         """Return the motion as seen from a frame at a scan's time.
 
         Parameters
@@ -251,7 +251,7 @@ class Track(NamedTuple):
         values = self.points.field(self.time_field)
         transform = MovingTransform(values, self.offset, self.unit, self.node_times, rows, self.timed)
         motion = _motion(rows, reference, self.gap_ns)
-        return Moving(self.points, stamp_ns, transform, self.time_field, frame_id, motion)
+        return MovingCloud(self.points, stamp_ns, transform, self.time_field, frame_id, motion)
 
 
 class Deskew:
@@ -306,7 +306,7 @@ class Deskew:
     def __hash__(self) -> int:
         return hash((self._fixed, self._point_time, self._stamp))
 
-    def __call__(self, points: Points) -> Moving | None:
+    def __call__(self, points: Points) -> MovingCloud | None:
         """Look up the motion of a cloud's sensor; None for a cloud without a point.
 
         Raises
@@ -347,7 +347,7 @@ class Deskew:
         given = TIME in points.fields
         name = TIME if given else self._point_time.field_of(points)
         whole = points.field(name).dtype.kind in "iu"
-        points = points if given else without_zeros(points, name, self._point_time.unit)
+        points = points if given else mask_zero_times(points, name, self._point_time.unit)
         values = points.field(name)
         low, high, measured, unknown = kernel.span(points.field("x"), values)
         if not measured:
@@ -389,7 +389,7 @@ class Deskew:
         times = (stamps_ns - stamp_ns) / 1e9
         # A product and a quotient may differ in the last bit: without this, the first and the last points are outside.
         times[0], times[-1] = min(times[0], low), max(times[-1], high)
-        timed = points if given else points.replace(_Times(points, name, offset, unit), points.frame_id)
+        timed = points if given else points.replace(_LazyTimes(points, name, offset, unit), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
 
@@ -417,7 +417,7 @@ class Deskew:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
 
 
-def without_zeros(points: Points, name: str, unit: str) -> Points:
+def mask_zero_times(points: Points, name: str, unit: str) -> Points:
     """Return points whose times that are 0 are NaN, if the others are absolute.
 
     Drivers write 0 for points without a return. Among times after the stamp, 0 is a time.

@@ -35,7 +35,7 @@ def _ground(text: str, _: float) -> Iterable[Filter]:
 
 
 def _min_height_slope(slope: float, min_height: float) -> Iterable[Filter]:
-    from .height_slope import MinHeightSlope  # noqa: PLC0415
+    from .ground import MinHeightSlope  # noqa: PLC0415
 
     return (MinHeightSlope(min_height, slope),)
 

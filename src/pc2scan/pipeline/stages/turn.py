@@ -132,7 +132,7 @@ def _seconds(text: str) -> float:
     return (duration_ns(text) or duration_ns(f"{text}s") or 0) / 1e9
 
 
-class Look(NamedTuple):
+class TurnSample(NamedTuple):
     """What one cloud shows of the lidar's turns.
 
     Attributes
@@ -153,17 +153,19 @@ class Look(NamedTuple):
 
 
 @np.errstate(all="ignore")
-def look(points: Points, log_time_ns: int) -> Look:
+def turn_sample(points: Points, log_time_ns: int) -> TurnSample:
     """Return the properties of a cloud."""
     x, y = (points.field(name).astype(np.float64).ravel() for name in "xy")
     angles = np.arctan2(y, x)[np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))]
     near, turns = turn_by_order(angles)
     places = ((angles / (2 * np.pi) + 0.5) * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
     directions = sum(1 << place for place in np.unique(places).tolist())
-    return Look(points.stamp_ns, log_time_ns, turns if near >= 0.5 and abs(turns) >= LEAST_TURN else 0.0, directions)
+    return TurnSample(
+        points.stamp_ns, log_time_ns, turns if near >= 0.5 and abs(turns) >= LEAST_TURN else 0.0, directions
+    )
 
 
-def measured_turn(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[Turn, str]:
+def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
     """Return how a lidar turns, as given or measured, and a note about what was measured.
 
     Raises
@@ -197,7 +199,7 @@ def _typed(turn: Turn, *more: str) -> str:
     return f"`point_time={':'.join(word for word in words if word)}`"
 
 
-def _period(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[float, str]:
+def _period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[float, str]:
     give = f"if a turn takes 0.1 s (10 Hz): {_typed(asked)}"
     stamps = sorted({cloud.stamp_ns for cloud in clouds})
     if len(stamps) < _FEWEST:
@@ -236,7 +238,7 @@ def _period(topic: str, asked: Turn, clouds: Sequence[Look]) -> tuple[float, str
     return found.period, f"the period (median interval of the first {len(stamps)} stamps)"
 
 
-def _with_direction(topic: str, turn: Turn, clouds: Sequence[Look]) -> tuple[Turn, str]:
+def _with_direction(topic: str, turn: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
     ways = [1 if cloud.turns > 0 else -1 for cloud in clouds if cloud.turns]
     if 2 * len(ways) <= len(clouds) or len(set(ways)) > 1:
         each = f"{ways.count(-1)} are clockwise, {ways.count(1)} counter-clockwise, {len(clouds) - len(ways)} neither"
@@ -246,7 +248,7 @@ def _with_direction(topic: str, turn: Turn, clouds: Sequence[Look]) -> tuple[Tur
     return replace(turn, direction=ways[0]), f"the direction (order of the points of {len(ways)} clouds)"
 
 
-def _with_stamp(topic: str, turn: Turn, clouds: Sequence[Look]) -> tuple[Turn, str]:
+def _with_stamp(topic: str, turn: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
     delays = [cloud.log_time_ns - cloud.stamp_ns for cloud in clouds]
     seconds = statistics.median(delays) / 1e9
     if not any(delays):

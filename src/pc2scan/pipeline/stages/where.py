@@ -151,7 +151,7 @@ def _operand(part: _Expression, other: _Expression, points: Points) -> Any:
     return part(points)
 
 
-def _joined_conditions(function: Callable[..., Any], conditions: Sequence[_Expression]) -> _Expression:
+def _join_conditions(function: Callable[..., Any], conditions: Sequence[_Expression]) -> _Expression:
     """Return one condition that joins several."""
     first, *others = conditions
     for other in others:
@@ -264,14 +264,14 @@ class _Parser:
             checks.append(_Comparison(column, _COMPARISONS[sign], (self._value(left), right), True))
             left = right
         if checks:
-            return _joined_conditions(np.logical_and, checks)
+            return _join_conditions(np.logical_and, checks)
         is_negated = self._next.text == "not" and self._tokens[self._place + 1].text == "in"
         self._place += is_negated
         if not self._take("in"):
             return left
         value = self._value(left)
         equal = [_Comparison(column, operator.eq, (value, number), True) for number in self._numbers()]
-        found = _joined_conditions(np.logical_or, equal)
+        found = _join_conditions(np.logical_or, equal)
         return _Expression(column, np.logical_not, (found,), True) if is_negated else found
 
     def _numbers(self) -> list[_Expression]:

@@ -1,0 +1,125 @@
+"""A recording for pictures: opened as one with all transforms, and moments that are spread over it."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from datetime import datetime, timezone
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.opening import as_one, open_recordings
+from pc2scan.errors import UsageError, stamp_text
+from pc2scan.inspect.sampling import sampled
+from pc2scan.pipeline.checks import refuse_outside
+from pc2scan.pipeline.run import span_of
+from pc2scan.tf.reading import read_transforms
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.damage import Damage
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.options.moment import TimeBound
+    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.tf.buffer import TransformBuffer
+
+#: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
+_FIRST_DATE_NS = 100_000_000 * 1_000_000_000
+
+
+class ShownRecording(NamedTuple):
+    """A recording, others that were read for their transforms, and the transforms (None if there are none)."""
+
+    reader: Reader
+    others: list[Reader]
+    buffer: TransformBuffer | None
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """The damage in the parts of the recordings that were read."""
+        return tuple(damage for each in (self.reader, *self.others) for damage in each.damage)
+
+    def log_times(self, at: Sequence[TimeBound]) -> list[int]:
+        """Return moments as log times.
+
+        Raises
+        ------
+        UsageError
+            If one is after the end of the recording.
+        """
+        first_ns, last_ns = self.reader.summary.start_ns or 0, self.reader.summary.end_ns
+        times = [bound.resolve(first_ns) for bound in at]
+        if last_ns is not None and (late := [time for time in times if time > last_ns]):
+            raise UsageError(
+                f"`at` is {stamp_text(late[0])}, the recording is from {stamp_text(first_ns)} to {stamp_text(last_ns)}",
+                path=self.reader.path,
+                hint=f"`at=0` to `at={(last_ns - first_ns) / 1e9:.3f}` are in it",
+            )
+        return times
+
+
+@contextmanager
+def open_with_transforms(sources: Sequence[Path], options: ConvertOptions) -> Iterator[ShownRecording]:
+    """Open recordings as one, and read their transforms.
+
+    Raises
+    ------
+    UsageError
+        If transforms are needed, and it is not clear which to use.
+    RecordingError
+        If one cannot be read.
+    """
+    with ExitStack() as stack:
+        readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+        others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
+        reader = as_one(readers)
+        yield ShownRecording(reader, others, _transforms([reader, *others], options))
+
+
+def title_of(sources: Sequence[Path]) -> str:
+    """Return the title of a picture of recordings."""
+    return ", ".join(source.name or str(source) for source in sources)
+
+
+def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> TransformBuffer | None:
+    """Return all transforms; None if it is not clear which to use and none are requested."""
+    try:
+        buffer, _ = read_transforms(readers, options.frames)
+    except UsageError:
+        if options.scan.needs_transforms:
+            raise
+        return None
+    return buffer
+
+
+def moment_text(stamp_ns: int) -> str:
+    """Return a stamp as a date and time in UTC, to the millisecond; stamps of simulations in seconds."""
+    if stamp_ns < _FIRST_DATE_NS:
+        return f"{stamp_ns / 1e9:.3f} s"
+    seconds, rest = divmod(stamp_ns, 1_000_000_000)
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%d %H:%M:%S}.{rest // 1_000_000:03d} UTC"
+
+
+def spread_messages(
+    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, count: int
+) -> Iterator[RawMessage]:
+    """Yield messages of each topic, evenly spread over the recording or over the cut; see `sampled`.
+
+    Raises
+    ------
+    UsageError
+        If the cut is empty, or lies outside of the recording.
+    """
+    span = span_of(reader, options)
+    refuse_outside(reader, span.start_ns, span.stop_ns)
+    start_ns = span.first_ns
+    stop_ns = max(reader.summary.start_ns or 0, reader.summary.end_ns or 0) + 1
+    if span.stop_ns is not None:
+        stop_ns = min(stop_ns, span.stop_ns)
+    if start_ns >= stop_ns:
+        return
+    for message in sampled(reader, topics, count, start_ns, stop_ns - 1):
+        # The first message after the last moment may be outside of the cut.
+        if message.log_time_ns < stop_ns:
+            yield message
