@@ -17,7 +17,6 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, ForwardRef, Literal, Union, get_args, get_origin
 
-from . import _HOMES
 from .batch.summary import BatchReport
 from .compare.result import Difference
 from .core.counts import PointCounts
@@ -182,7 +181,7 @@ def _type_of(cls: type, name: str) -> Any:
 
 def _home(cls: type) -> str:
     """Return the name of a class's module; public classes say that it is the package."""
-    return f"pc2scan.{_HOMES[cls.__name__]}" if cls.__module__ == "pc2scan" else cls.__module__
+    return str(cls.__init__.__globals__["__name__"]) if is_dataclass(cls) else cls.__module__  # type: ignore[misc]
 
 
 def _evaluated(annotation: Any, known: dict[str, Any]) -> Any:
