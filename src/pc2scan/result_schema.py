@@ -181,7 +181,7 @@ def _type_of(cls: type, name: str) -> Any:
 
 def _home(cls: type) -> str:
     """Return the name of a class's module; public classes say that it is the package."""
-    return str(cls.__init__.__globals__["__name__"]) if is_dataclass(cls) else cls.__module__  # type: ignore[misc]
+    return str(cls.__init__.__globals__["__name__"]) if is_dataclass(cls) else cls.__module__
 
 
 def _evaluated(annotation: Any, known: dict[str, Any]) -> Any:
