@@ -70,7 +70,15 @@ ALLOWED = {
     # `files.staging`: what is complete when a command is interrupted.
     "cli": {
         *("batch", "options", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
-        *("bags.damage", "bags.formats", "files.staging", "files.junit", "remote.urls", "commands"),
+        *(
+            "bags.damage",
+            "bags.formats",
+            "files.staging",
+            "files.ownership",
+            "files.text_output",
+            "remote.urls",
+            "commands",
+        ),
     },
     "pytest_plugin": {"api", "cli", "golden"},
     "result_schema": {"batch", "compare", "core", "export", "golden", "inspect", "look", "pipeline"},

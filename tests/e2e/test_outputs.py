@@ -177,7 +177,7 @@ def test_results_are_shown_though_they_cannot_be_saved(cases: Path) -> None:
     junit = cases.parent / "results" / "junit.xml"
     junit.parent.mkdir()
     change = f"import shutil; shutil.rmtree({str(junit.parent)!r})"
-    program = f"from pc2scan.files import junit; junit.junit_xml = lambda *_: exec({change!r}) or ''\n"
+    program = f"from pc2scan.cli import junit; junit.junit_xml = lambda *_: exec({change!r}) or ''\n"
     program += "from pc2scan.cli import main; main()"
     command = [COMMAND[0], "-c", program, "golden", str(cases), "--junit", str(junit)]
     done = subprocess.run(command, capture_output=True, text=True, env=environment(), check=False)

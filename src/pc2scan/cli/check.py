@@ -31,7 +31,7 @@ def check(
     """
     from pc2scan import commands
 
-    from .junit_cases import junit_output, of_check
+    from .junit import junit_output, of_check
     from .progress import progress_bar
 
     with junit_output(options, "check", [*sources, *options.tf_from]) as write_junit:

@@ -31,7 +31,7 @@ def diff(
     """
     from pc2scan import commands
 
-    from .junit_cases import junit_output, of_diff
+    from .junit import junit_output, of_diff
     from .progress import progress_bar
 
     with junit_output(options, "diff", [path for path in (a, b) if path is not None]) as write_junit:

@@ -50,7 +50,7 @@ def golden(
     from pc2scan.golden.check import refuse_output_over_cases
 
     from .in_process import run_command
-    from .junit_cases import junit_output, of_golden
+    from .junit import junit_output, of_golden
 
     def show_case(case: CaseResult) -> None:
         if not options.as_json and not (options.quiet and case.outcome == "passed"):

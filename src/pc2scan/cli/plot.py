@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import os
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pc2scan.options.call import Options
 
-from .fonts import fonts_noted_elsewhere
 from .render import LiveWarnings, show
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_WHERE = "MPLCONFIGDIR"
 
 
 def plot(
@@ -32,7 +38,27 @@ def plot(
     from pc2scan import commands
 
     warn = LiveWarnings()
-    with fonts_noted_elsewhere():
+    with _temporary_fonts():
         drawn = commands.plot(sources, destination, options, warn=warn)
     show(drawn, known=warn)
     raise typer.Exit(drawn.exit_status)
+
+
+@contextmanager
+def _temporary_fonts() -> Iterator[None]:
+    """Make matplotlib write its list of fonts into a temporary folder, unless the user has set MPLCONFIGDIR.
+
+    By default it is in the user's home. The library changes no setting of matplotlib, because it may run in another
+    program's process.
+    """
+    if os.environ.get(_WHERE):
+        yield
+        return
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory(prefix="pc2scan-fonts-") as folder:
+        os.environ[_WHERE] = folder
+        try:
+            yield
+        finally:
+            del os.environ[_WHERE]

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from pc2scan.cli.junit import JUnitCase, junit_output, junit_xml
 from pc2scan.errors import DestinationError
-from pc2scan.files.junit import JUnitCase, junit_file, junit_xml
+from pc2scan.options.call import Options
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -37,11 +38,13 @@ def test_every_outcome_has_its_element() -> None:
 def test_it_replaces_its_own_files_only_and_no_input(tmp_path: Path) -> None:
     file = tmp_path / "result.xml"
     for command in ("golden", "check"):
-        with junit_file(file, command, (), overwrite=False) as write:
+        with junit_output(Options("check", {"junit": file}), command) as write:
             write([JUnitCase("a")])
         assert f"pc2scan {command}" in file.read_text()
-    with pytest.raises(DestinationError), junit_file(file, "diff", [file], overwrite=True):
+    replacing = Options("check", {"junit": file, "overwrite": True})
+    with pytest.raises(DestinationError), junit_output(replacing, "diff", [file]):
         pytest.fail("the body must not run")
     file.write_text("<project/>")
-    with pytest.raises(DestinationError, match="exists already"), junit_file(file, "diff", (), overwrite=False):
+    keeping = Options("check", {"junit": file})
+    with pytest.raises(DestinationError, match="exists already"), junit_output(keeping, "diff"):
         pytest.fail("the body must not run")
