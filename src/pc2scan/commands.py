@@ -218,6 +218,7 @@ def info(sources: Sequence[Path], options: Options) -> Info:
     return look(
         sources,
         samples=options.samples,
+        described=options.topics,
         target_frame=options.target_frame,
         frames=frames_of(options),
         given={name: options.given[name] for name in _OF_FRAMES if name in options.given},

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
+from pc2scan.bags.topics import find_topics
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS
@@ -228,6 +229,7 @@ def _proposals(
     from pc2scan.tf.mounting import sensor_exclusion  # noqa: PLC0415  # only with clouds
 
     has_scans = any(topic.topic == "/scan" for topic in topics)
+    several = len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1
     for cloud in clouds:
         mounting = cloud.mounting
         heights = None if mounting is None else mounting.heights
@@ -235,7 +237,7 @@ def _proposals(
             continue
         target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
         options: dict[str, Any] = {}
-        if len(clouds) > 1 or has_scans:
+        if several or has_scans:
             options["topics"] = f"{cloud.topic}:={cloud.topic.rstrip('/')}/scan" if has_scans else cloud.topic
         options |= given
         if mounting.static_tf:
@@ -253,6 +255,7 @@ def info(
     sources: Sequence[Path],
     *,
     samples: int = 10,
+    described: Sequence[str] = (),
     target_frame: str = "",
     frames: FrameOptions | None = None,
     given: Mapping[str, Any] | None = None,
@@ -265,6 +268,8 @@ def info(
         Recordings; several are read as one.
     samples
         How many clouds and scans of each topic to read, spread evenly over its time.
+    described
+        Topics with clouds or scans to describe, as names or globs; empty for all.
     target_frame
         Frame that the clouds are transformed into first, as in a conversion; empty for their own.
     frames
@@ -278,6 +283,8 @@ def info(
         If a source cannot be read.
     UsageError
         If several namespaces have transforms, and none was given.
+    TopicError
+        If there is no such topic.
     """
     asked = frames or FrameOptions()
     if any(map(is_url, (*sources, *asked.tf_from))):
@@ -287,7 +294,7 @@ def info(
             here = near.paths[: len(sources)]
             read = replace(asked, tf_from=tuple(near.paths[len(sources) :]))
             found: Info = near.names.of(
-                info(here, samples=samples, target_frame=target_frame, frames=read, given=given)
+                info(here, samples=samples, described=described, target_frame=target_frame, frames=read, given=given)
             )
         return found
     with ExitStack() as stack:
@@ -303,7 +310,7 @@ def info(
             buffer = read_some_transforms(reader, asked, start_ns or 0)
         tolerance_ns = ProjectionParams().tolerance_ns
         places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
-        clouds, scans = _samples(reader, topics, samples, start_ns, end_ns, places, buffer)
+        clouds, scans = _samples(reader, _described(topics, described), samples, start_ns, end_ns, places, buffer)
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
@@ -379,6 +386,17 @@ def _imu(reader: Reader, topic: str) -> ImuInfo:
     return ImuInfo(topic, found.frame, usable=True, text=text)
 
 
+def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicInfo]:
+    """Return the topics with clouds or scans that names or globs mean; without any, all of them."""
+    types: dict[str, set[str]] = {}
+    for topic in topics:
+        types.setdefault(topic.topic, set()).add(topic.msgtype)
+    known = [topic for topic in topics if topic.msgtype in (*CLOUDS, LASERSCAN) and topic.messages]
+    candidates = sorted({topic.topic for topic in known})
+    found = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, LASERSCAN)}
+    return [topic for topic in known if topic.topic in found] if names else known
+
+
 def _samples(
     reader: Reader,
     topics: Sequence[TopicInfo],
@@ -388,10 +406,10 @@ def _samples(
     places: Placer,
     buffer: TransformBuffer | None,
 ) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
-    """Return the properties of the clouds and scans of every topic; a topic with both counts as one of clouds."""
-    clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}
-    scans = {topic.topic for topic in topics if topic.msgtype == LASERSCAN and topic.messages} - clouds
-    connections: dict[str, list[Connection]] = {t.topic: [] for t in topics if t.topic in clouds | scans}
+    """Return the properties of the clouds and scans of topics; a topic with both counts as one of clouds."""
+    clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS}
+    scans = {topic.topic for topic in topics} - clouds
+    connections: dict[str, list[Connection]] = {topic.topic: [] for topic in topics}
     if not connections or start_ns is None or end_ns is None:
         return (), ()
     for connection in reader.connections:

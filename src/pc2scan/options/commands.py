@@ -319,6 +319,16 @@ class CheckRules(TypedDict, total=False):
 class InfoSamples(TypedDict, total=False):
     """A description of a recording."""
 
+    topics: Annotated[
+        Names | None,
+        Option(
+            Texts("TOPIC"),
+            "Topic with clouds or scans to describe, or a glob. Default: all.",
+            typed="--topic",
+            short="-t",
+            offers=topics_of("/PointCloud2", "/LaserScan"),
+        ),
+    ]
     samples: Annotated[
         int,
         Option(
