@@ -176,7 +176,7 @@ class Result:
     def __str__(self) -> str:
         lines: list[str] = []
         for part in self.parts():
-            lines += part.lines() if isinstance(part, Table) else [visible(str(part))]
+            lines += part.lines() if isinstance(part, Table) else [visible(_line(part))]
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -185,7 +185,7 @@ class Result:
         lines: list[str] = []
         for part in [*self.parts(), Table((), ())]:
             if not isinstance(part, Table):
-                lines.append(escaped(str(part)))
+                lines.append(escaped(_line(part)))
                 continue
             # Without empty lines at the ends: HTML has space around tables anyway.
             if text := "\n".join(lines).strip("\n"):
@@ -193,6 +193,11 @@ class Result:
             lines.clear()
             parts += part.html() if part.columns else []
         return f"<div>{''.join(parts)}</div>"
+
+
+def _line(part: str | Call | Remark) -> str:
+    """Return a part as a line of text; calls are indented, like the commands that they stand for."""
+    return f"  {part}" if isinstance(part, Call) else str(part)
 
 
 @dataclass(slots=True)

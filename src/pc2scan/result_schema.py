@@ -36,6 +36,9 @@ RESULTS: tuple[type[Result], ...] = (
     *(Report, Info, Check, FrameTree, Lookup, Difference, GoldenReport, ExportReport, Map, BatchReport, Failure),
 )
 
+#: The heading of the section of a docstring that describes attributes.
+_ATTRIBUTES = f"Attributes\n{'-' * len('Attributes')}\n"
+
 #: What all results have, and its descriptions.
 _COMMON = ("exit_status", "errors", "warnings", "notes", "damage")
 
@@ -204,7 +207,7 @@ def _descriptions(cls: type) -> dict[str, str]:
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         text = inspect.cleandoc(base.__doc__ or "")
-        _, _, section = text.partition("Attributes\n----------\n")
+        _, _, section = text.partition(_ATTRIBUTES)
         section = re.split(r"\n\n\w+\n-+\n", section)[0]
         for heading, described in re.findall(r"^(\w[\w, ]*)\n((?:(?:    .*)?\n?)+)", section, re.MULTILINE):
             for name in heading.split(","):
@@ -222,7 +225,7 @@ def results_schema() -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "results.schema.json",
-        "title": "Results of pc2scan as JSON (--json, --report, as_dict())",
+        "title": "Results of pc2scan as JSON",
         "anyOf": options,
         "$defs": definitions.found,
     }

@@ -127,6 +127,7 @@ OPTIONS_BELOW = {
     "bags/formats.py": "the options of ROS's own players",
     "golden/case.py": "the arguments of a command, which cases have",
     "golden/check.py": "the arguments of the command that golden cases run",
+    "look/command_line.py": "the command that a page shows",
     "compare/scan_text.py": "the first line of files that are kept: they stay as they are, to the byte",
 }
 

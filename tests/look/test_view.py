@@ -94,7 +94,7 @@ def test_ten_large_clouds_make_a_page_of_less_than_15_mb(tmp_path: Path) -> None
     done = run("view", source, "-o", page)
     assert done.status == 0
     assert page.stat().st_size < 15_000_000
-    assert "1 of 2 points is shown" in done.stderr
+    assert "1 of 2 points is shown" in done.stdout
     held = description(page)
     assert "1 of 2 points is shown" in held["notes"][0]
     (topic,) = held["topics"]

@@ -14,7 +14,7 @@ from pc2scan.text import counted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from .topic_difference import MessageTimes, TopicDifference, Unpaired, ValuesFound
+    from .topic_difference import MessageTimes, TopicDifference, UnpairedMessages, ValuesFound
 
 #: Stamps of unpaired messages that are shown.
 _SHOWN = 3
@@ -143,7 +143,7 @@ def _may_be_libm(topic: TopicDifference) -> bool:
     return ranges.differing <= _FEW * topic.elements
 
 
-def _unpaired_text(unpaired: Unpaired) -> str:
+def _unpaired_text(unpaired: UnpairedMessages) -> str:
     shown = ", ".join(_times_text(times) for times in unpaired.first[:_SHOWN])
     return shown + (f" and {unpaired.count - _SHOWN:,} more" if unpaired.count > _SHOWN else "")
 

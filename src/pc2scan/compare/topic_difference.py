@@ -21,7 +21,7 @@ class MessageTimes:
 
 
 @dataclass(slots=True)
-class Unpaired:
+class UnpairedMessages:
     """Messages that have no partner, or are in another order: all are counted, the first ones listed."""
 
     count: int = 0
@@ -137,9 +137,9 @@ class TopicDifference:
     matched: int = 0
     differing: int = 0
     elements: int = 0
-    missing: Unpaired = field(default_factory=Unpaired)
-    extra: Unpaired = field(default_factory=Unpaired)
-    moved: Unpaired = field(default_factory=Unpaired)
+    missing: UnpairedMessages = field(default_factory=UnpairedMessages)
+    extra: UnpairedMessages = field(default_factory=UnpairedMessages)
+    moved: UnpairedMessages = field(default_factory=UnpairedMessages)
     changes: dict[str, ChangeFound] = field(default_factory=dict)
     values: dict[str, ValuesFound] = field(default_factory=dict)
     worst: WorstPair | None = None

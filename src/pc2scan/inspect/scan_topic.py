@@ -32,7 +32,7 @@ _ROUNDING = 1.01
 
 
 @dataclass(slots=True)
-class Judged:
+class ConsumerVerdicts:
     """A consumer's verdicts on the scans: the number of each outcome, and its first verdict."""
 
     counts: Counter[Outcome] = field(default_factory=Counter)
@@ -96,7 +96,7 @@ class ScanTopic:
         self.first: ConsumerScan | None = None
         self.frames: Counter[str] = Counter()
         self.beams: Counter[int] = Counter()
-        self.judged = {consumer: Judged() for consumer in CONSUMERS}
+        self.judged = {consumer: ConsumerVerdicts() for consumer in CONSUMERS}
         self._undecodable = Tally()
         self._reason = ""
         self._first_of: dict[str, ConsumerScan] = {}
@@ -159,7 +159,7 @@ class ScanTopic:
         return self._stamps.interval_ns
 
     def worst(self, consumer: str) -> tuple[Verdict, int, int] | None:
-        """Return a consumer's worst verdict, see `Judged.worst`."""
+        """Return a consumer's worst verdict, see `ConsumerVerdicts.worst`."""
         return self.judged[consumer].worst(self.interval_ns)
 
     def findings(self) -> list[Finding]:
