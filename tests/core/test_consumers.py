@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.consumer_rules import RULES, mrpt_2_5, number_of_range_readings
 from pc2scan.core.consumers import CONSUMERS, expected_by_karto, judge, last_beam
 from pc2scan.core.layout import beam_count
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.verdicts import OUTCOMES, Scan, ScanTransforms, Verdict
+from support.consumer_rules import RULES, mrpt_2_5, number_of_range_readings
 
 #: Degrees.
 FIELDS = (30, 45, 60, 90, 100, 120, 135, 150, 180, 190, 200, 220, 240, 250, 270, 300, 330, 350, 359, 360)
