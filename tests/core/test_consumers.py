@@ -371,7 +371,7 @@ def test_what_is_in_the_ranges() -> None:
 
 
 @pytest.mark.parametrize("range_max", [0.5, 20.0, 100.0, 12345.0])
-def test_ranges_that_stand_for_no_return_at_the_end_of_the_range(range_max: float) -> None:
+def test_ranges_for_no_return_at_the_end_of_the_range(range_max: float) -> None:
     for no_return, full in (("inf", 0), ("range-max-plus", 0), ("range-max-minus", 3), ("nan", 0), ("zero", 0)):
         empty = ProjectionParams(range_max=range_max, no_return=no_return).empty_range
         assert scan_of([empty] * 3 + [range_max * 0.9], range_min=0, range_max=range_max).full == full
