@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
@@ -125,9 +124,6 @@ class Connection:
     @property
     def in_utf8(self) -> Connection:
         """Return the connection with texts in UTF-8. Those of ROS 1 may have any bytes, read as surrogates."""
-        texts = (self.topic, self.msgtype, self.digest, self.callerid or "", *chain(*self.metadata.items()))
-        if all(map(str.isascii, texts)):
-            return self
         return replace(
             self,
             topic=_in_utf8(self.topic),

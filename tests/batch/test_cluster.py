@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from threading import Thread
 from typing import TYPE_CHECKING
@@ -137,8 +138,9 @@ def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> 
         done = run_batch(drives, "-o", out, "--dask", address)
         assert done.status == 1, done.stderr
         again = run_batch(drives, "-o", out, "--dask", address)
-        # A notebook runs its cells in an event loop.
-        asyncio.run(cell(address))
+        # A notebook runs its cells in an event loop. In a thread: the tests' browser runs one in the main thread.
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(asyncio.run, cell(address)).result()
     good = dict.fromkeys((path.name for path in drives.iterdir()), "converted")
     assert outcomes(out) == {**good, "bad.bag": "failed"}
     assert "4 unchanged" in again.stderr

@@ -12,17 +12,19 @@ import random
 import warnings
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import pytest
 
 import pc2scan
+from pc2scan.batch.jobs import convert_one
 from pc2scan.text import size
 from support import sampled
-from support.batches import KEYWORDS, batch, manifest_of
+from support.batches import KEYWORDS, batch, manifest_of, place
 from support.builders import CHATTER, CONTENT, Recording, write_mcap, write_rosbag1, write_rosbag2
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from pc2scan.batch.summary import Outcome
@@ -324,6 +326,23 @@ def converted(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, int],
         return found[key]
 
     return of
+
+
+def test_a_result_whose_beginning_nobody_heard_of_is_known(tmp_path: Path) -> None:
+    """The news from a cluster are late: the interruption comes first."""
+    drives, out = place(tmp_path / "drives", "a.bag", "b.bag"), tmp_path / "out"
+
+    def execute(queue: Any, **_: object) -> Iterator[Any]:
+        assert convert_one(queue.take()).error is None
+        raise KeyboardInterrupt
+        yield
+
+    with patch("pc2scan.batch.executors.execute_here", execute), pytest.raises(KeyboardInterrupt):
+        pc2scan.batch(drives, out, **KEYWORDS)
+    assert manifest_of(out) == {}
+    assert len(list(out.glob("*_scan.bag"))) == 1
+    report = batch(drives, out)
+    assert (report.exit_status, {each.outcome for each in report.outcomes}) == (0, {"converted"})
 
 
 @pytest.mark.parametrize("seed", sampled(range(40), 10))

@@ -109,6 +109,20 @@ def test_an_error_in_a_piece_is_that_of_the_recording(same: Callable[..., dict[s
     assert [path.name for path in (tmp_path / "cut").iterdir()] == ["manifest.jsonl"]
 
 
+def test_progress_is_that_of_all_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = WRITERS["mcap"](tmp_path, drive())
+    monkeypatch.setattr(pieces, "PIECE_BYTES", source.stat().st_size // 4)
+    seen: list[Any] = []
+    with in_this_process() as jobs:
+        pc2scan.batch(source, tmp_path / "out", progress=seen.append, **WORDS)
+    pieces = sum("piece" in job for job in jobs)
+    shares = [each.bytes_done / each.bytes_total for each in seen if not each.recordings_done]
+    assert pieces > 2
+    # Each piece that has ended, in its turn.
+    assert [share for share in shares if share] == pytest.approx([n / pieces for n in range(1, pieces + 1)], abs=0.001)
+    assert seen[-1] == (source.stat().st_size, source.stat().st_size, 1, 1)
+
+
 @pytest.mark.slow
 def test_pieces_are_converted_by_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = WRITERS["mcap"](tmp_path, drive())

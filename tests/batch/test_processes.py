@@ -23,7 +23,7 @@ from pc2scan.batch.worker import receive, send
 from pc2scan.errors import DestinationError, Pc2ScanError
 from support import sampled
 from support.batches import HEIGHTS, KEYWORDS, batch, contents, manifest_of, place
-from support.command import COMMAND, environment
+from support.command import COMMAND, INTERRUPTED, environment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -160,6 +160,22 @@ def test_an_interruption_leaves_nothing_half(running: tuple[subprocess.Popen[byt
     assert b"Traceback" not in stderr
     assert (b"nothing was written" in stderr, b"the same command again" in stderr) == (True, number == signal.SIGINT)
     wait_for_the_end(workers)
+    assert not out.exists()
+
+
+def test_an_interruption_removes_what_killed_workers_left(running: tuple[subprocess.Popen[bytes], Path]) -> None:
+    process, out = running
+    # It hears of both at once: of its workers' deaths, and of the interruption.
+    process.send_signal(signal.SIGSTOP)
+    workers = workers_of(process)
+    for pid in workers:
+        os.kill(pid, signal.SIGKILL)
+    wait_for_the_end(workers)
+    assert len(list(out.glob("*.pc2scan-partial"))) == 2
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGCONT)
+    process.communicate(timeout=60)
+    assert process.returncode in INTERRUPTED
     assert not out.exists()
 
 

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.consumer_rules import RULES, mrpt_2_5, number_of_range_readings
 from pc2scan.core.consumers import CONSUMERS, expected_by_karto, judge, last_beam
 from pc2scan.core.layout import beam_count
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, ScanTransforms, Verdict
+from support.consumer_rules import RULES, mrpt_2_5, number_of_range_readings
 
 #: Degrees.
 FIELDS = (30, 45, 60, 90, 100, 120, 135, 150, 180, 190, 200, 220, 240, 250, 270, 300, 330, 350, 359, 360)
@@ -375,7 +375,7 @@ def test_what_is_in_the_ranges() -> None:
 
 
 @pytest.mark.parametrize("range_max", [0.5, 20.0, 100.0, 12345.0])
-def test_ranges_that_stand_for_no_return_at_the_end_of_the_range(range_max: float) -> None:
+def test_ranges_for_no_return_at_the_end_of_the_range(range_max: float) -> None:
     for no_return, full in (("inf", 0), ("range-max-plus", 0), ("range-max-minus", 3), ("nan", 0), ("zero", 0)):
         empty = ProjectionParams(range_max=range_max, no_return=no_return).empty_range
         assert scan_of([empty] * 3 + [range_max * 0.9], range_min=0, range_max=range_max).full == full

@@ -139,10 +139,13 @@ def test_clouds_that_disagree_say_nothing() -> None:
     tilted = Ground("tilted", (0.0, math.sin(0.3), math.cos(0.3)), 0.5)
     other = Ground("tilted", (math.sin(0.3), 0.0, math.cos(0.3)), 0.5)
     assert common_ground([tilted, tilted, Ground("unknown")]).kind == "tilted"
-    for looks in ([tilted, other], [tilted, Ground("level", (0, 0, 1), 0.5)], [tilted, *[Ground("unknown")] * 2], []):
+    for looks in ([tilted, Ground("level", (0, 0, 1), 0.5)], [tilted, *[Ground("unknown")] * 2], []):
         assert common_ground(looks).kind == "unknown", looks
+    # One of many is enough: by its direction, or by its height.
     farther = Ground("tilted", tilted.up, 0.9)
-    assert common_ground([tilted, farther]).kind == "unknown"
+    for number in (1, 2, 5):
+        assert common_ground([tilted] * number + [farther]).kind == "unknown"
+        assert common_ground([tilted] * number + [other]).kind == "unknown"
 
 
 @pytest.mark.parametrize(

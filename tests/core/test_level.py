@@ -48,7 +48,7 @@ def test_what_is_no_level_floor() -> None:
     assert found is None or found.height == pytest.approx(1.5, abs=0.02)
 
 
-def test_a_large_cloud_is_thinned_all_over_and_without_the_robot() -> None:
+def test_a_large_cloud_is_thinned_all_over_but_for_the_robot() -> None:
     points = np.tile(floor(0, 0, 1.0), (10, 1))
     points[::5] = 0.01
     x, y, z = points.T

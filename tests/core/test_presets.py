@@ -11,13 +11,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from core.consumer_rules import RULES, mrpt_2_5, mrpt_ros_bridge_3_2
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.project import project
 from pc2scan.core.verdicts import ConsumerScan, ScanTransforms, Verdict
 from pc2scan.errors import ParameterError
+from support.consumer_rules import RULES, mrpt_2_5, mrpt_ros_bridge_3_2
 
 PI = math.pi
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.core import terrain
-from pc2scan.core.terrain import Terrain, on_ground
+from pc2scan.core.terrain import Cells, Terrain, heights_at, lowest_behind, on_ground
 from support import sampled
 from support.worlds.labelled import Labelled, labelled
 
@@ -125,24 +124,28 @@ def test_where_no_ground_is_seen_beams_keep_what_stands_there(place: str, sensor
     assert lost <= 0.02 * beams
 
 
-def random_cells(seed: int) -> terrain._Cells:
+#: Limits of cells along each direction, metres.
+EDGES = 5.0 * np.expm1(np.arange(41) * 0.04)
+SECTORS = 180
+
+
+def random_cells(seed: int) -> Cells:
     """Cells along each direction, many of them empty, with steps, slopes and obstacles."""
     random = np.random.default_rng(seed)
-    rings, sectors = 40, terrain._SECTORS
-    edges = terrain._FIRST * np.expm1(np.arange(rings + 1) * terrain._GROWTH)
-    distance = edges[:-1, None] + random.random((rings, sectors)) * np.diff(edges)[:, None]
+    rings, sectors = len(EDGES) - 1, SECTORS
+    distance = EDGES[:-1, None] + random.random((rings, sectors)) * np.diff(EDGES)[:, None]
     height = np.cumsum(random.normal(0, 0.1, (rings, sectors)) * (random.random((rings, sectors)) < 0.3), axis=0)
     empty = random.random((rings, sectors)) < random.random(sectors)
     height[empty], distance[empty] = np.nan, np.inf
-    return terrain._Cells(height.astype(np.float32), distance.astype(np.float32), np.zeros(empty.shape, bool))
+    return Cells(height.astype(np.float32), distance.astype(np.float32), np.zeros(empty.shape, bool))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_lowest_cell_behind_is_that_of_a_plain_loop(seed: int) -> None:
     cells, steepest = random_cells(seed), np.float32(math.tan(math.radians(15)))
     with np.errstate(all="ignore"):
-        near, far = terrain._lowest_behind(cells, float(steepest))
-    for sector in range(terrain._SECTORS):
+        near, far = lowest_behind(cells, float(steepest))
+    for sector in range(SECTORS):
         known = np.flatnonzero(np.isfinite(cells.height[:, sector]))
         heights, distances = cells.height[known, sector], cells.distance[known, sector]
         for place, ring in enumerate(known):
@@ -160,17 +163,16 @@ def test_the_lowest_cell_behind_is_that_of_a_plain_loop(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_ground_is_a_line_between_its_cells(seed: int) -> None:
     cells = random_cells(seed)
-    edges = terrain._FIRST * np.expm1(np.arange(len(cells.height) + 1) * terrain._GROWTH)
     ground = np.where(np.isfinite(cells.height), cells.height, np.nan).astype(np.float64)
     with np.errstate(all="ignore"):
-        found = terrain._at_edges(ground, cells.distance, edges)
-    for sector in range(terrain._SECTORS):
+        found = heights_at(ground, cells.distance, EDGES)
+    for sector in range(SECTORS):
         rings = np.flatnonzero(~np.isnan(ground[:, sector]))
-        expected = np.full(edges.size, -np.inf)
+        expected = np.full(EDGES.size, -np.inf)
         if rings.size:
             places, heights = [0.0, *cells.distance[rings, sector]], [0.0, *ground[rings, sector]]
-            there = edges <= edges[rings[-1] + 1] + 3.0
-            expected[there] = np.interp(edges[there], places, heights)
+            there = EDGES[rings[-1] + 1] + 3.0 >= EDGES
+            expected[there] = np.interp(EDGES[there], places, heights)
         # The order of operations may differ by some roundings of float64.
         np.testing.assert_allclose(found[:, sector], expected, atol=1e-12)
 

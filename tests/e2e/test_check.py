@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from core.consumer_rules import mrpt_2_5, mrpt_ros_bridge_3_2
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.options.table import options_of
 from support import GOLDEN, ROOT
 from support.command import run
+from support.consumer_rules import mrpt_2_5, mrpt_ros_bridge_3_2
 from support.scan_recordings import GOOD, scans, write
 from support.tables import rows
 

@@ -190,10 +190,12 @@ def test_a_scanner_with_varying_beams_gets_a_constant_number(world: Callable[...
     with closing(open_recording(source)) as reader:
         before = [decode_laserscan(m.data, "cdr") for m in reader.messages() if m.connection.topic == "/flat"]
     assert len({len(scan.ranges) for scan in before}) > 1
-    rebin = ("--rebin", "--preset", "slam_toolbox", "--beams", "720")
+    rebin = ("--rebin", "--preset", "slam_toolbox", "--beams", "720", "--scan-time", "auto")
     done = converted(tmp_path, source, *rebin, "--fixed-frame", "odom", "--deskew")
     assert [scan.stamp_ns for scan in done.scans] == [scan.stamp_ns for scan in before]
     assert {(len(scan.ranges), scan.frame_id) for scan in done.scans} == {(720, "flat")}
+    assert {scan.scan_time for scan in done.scans} == {np.float32(0.1)}
+    assert "/flat: scan_time is 0.1 s, the median interval of its first stamps" in done.stdout
     # Half as many beams as were measured: in each, the nearest of two.
     assert misplaced(done.scans, mount=FLAT.mount) == 0
     assert np.mean(errors(done.scans, mount=FLAT.mount) < 0.02) > 0.98
@@ -382,6 +384,16 @@ def test_a_dry_run_says_what_becomes_of_the_topics(world: Callable[..., Path]) -
     done = run("convert", source, "-n", *ONE, *MOVED, "--every", "0.7", *LOW)
     (line,) = (line for line in done.stdout.splitlines() if line.startswith("/front"))
     assert line.split()[2:4] in (["5", "2"], ["5", "3"])
+
+
+def test_a_dry_run_counts_the_size_of_a_scan_once(world: Callable[..., Path], tmp_path: Path) -> None:
+    source = world(SMALL_FRONT, SMALL_REAR, seconds=2.0)
+    planned, written = (
+        pc2scan.convert(source, tmp_path / "out.mcap", dry_run=dry_run, only_scans=True, **BOTH).bytes_written
+        for dry_run in (True, False)
+    )
+    # It is an estimate; scans of each of the two topics would be 1.6 times as much.
+    assert 0.7 < planned / written < 1.3
 
 
 def test_a_file_of_several_outputs_may_join_sources(world: Callable[..., Path], tmp_path: Path) -> None:

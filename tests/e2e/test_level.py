@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import pc2scan
-from messages.test_imu import imu_message
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
@@ -19,7 +18,7 @@ from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.tfmessage import decode_transforms
 from pc2scan.model import Connection, Definition
 from support import sampled
-from support.builders import definition
+from support.builders import definition, imu_message
 from support.command import run
 from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 

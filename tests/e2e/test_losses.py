@@ -193,7 +193,7 @@ MODES = list(product(["sqlite3", "mcap"], ["", "file", "message"]))
 
 
 @pytest.mark.parametrize(("storage", "mode"), sampled(MODES, 3))
-def test_an_empty_storage_identifier_is_found_out_from_the_files(storage: str, mode: str, tmp_path: Path) -> None:
+def test_an_empty_storage_identifier_is_told_from_the_files(storage: str, mode: str, tmp_path: Path) -> None:
     source = write_rosbag2(tmp_path / "drive", CONTENT, storage=storage, mode=mode)
     rows = rows_of(source)
     path = source / "metadata.yaml"
@@ -261,7 +261,7 @@ def test_a_chunk_with_a_time_too_late_for_rosbag2_is_not_copied(tmp_path: Path) 
     assert "message_count: 2" in text
 
 
-def test_fail_stops_at_a_log_time_that_the_container_cannot_hold(tmp_path: Path) -> None:
+def test_fail_stops_at_a_log_time_that_does_not_fit(tmp_path: Path) -> None:
     source = write_mcap(tmp_path / "drive.mcap", with_times(T0, 2**32 * SECOND))
     done = run("convert", source, "-o", tmp_path / "out.bag", "--on-error", "fail")
     assert done.status == 1
@@ -463,7 +463,7 @@ def test_strict_refuses_what_is_said_otherwise(tmp_path: Path) -> None:
     assert (strict.status, (tmp_path / "strict.bag").exists()) == (1, False)
 
 
-def test_an_empty_storage_identifier_of_files_that_are_not_there(tmp_path: Path) -> None:
+def test_an_empty_storage_identifier_of_missing_files(tmp_path: Path) -> None:
     source = write_rosbag2(tmp_path / "drive", CONTENT)
     text = metadata_yaml("drive", CONTENT, ["gone_0.bin"], storage='""', version=8, mode="")
     (source / "metadata.yaml").write_text(text)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from core.consumer_rules import RULES
 from pc2scan.core.presets import PRESETS
 from pc2scan.core.verdicts import ConsumerScan, ScanTransforms
 from support import ROOT
 from support.command import run
+from support.consumer_rules import RULES
 from support.outputs import opened
 
 if TYPE_CHECKING:

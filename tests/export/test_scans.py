@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tracemalloc
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from pc2scan.errors import DestinationError, ResultError, TransformError, UsageE
 from support import ROOT
 from support.builders import write_mcap, write_rosbag1
 from support.command import run
+from support.scan_recordings import recording as recording_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -103,6 +105,28 @@ def test_poses_are_to_the_bit_those_of_the_transforms(mcap: Path, tmp_path: Path
             looked_up = frames.buffer.lookup("odom", "laser", stamp)
             assert pose[:2].tolist() == looked_up.translation.tolist()[:2]
         assert np.allclose(archive["poses"][:, 0], [by_tf(stamp)[0] + MOUNT[0] for stamp in POSED])
+
+
+#: The frames from the one that moves to the laser, which of them are fixed on the next one, and the robot's.
+ROBOTS = {
+    "base_link on its footprint": (("base_footprint", "base_link", "laser"), 2, "base_link"),
+    "a mast that turns": (("base_link", "mast", "laser"), 1, "base_link"),
+    "a footprint alone": (("chassis", "base_footprint", "mast", "laser"), 1, "base_footprint"),
+    "other names, all fixed": (("robot", "plate", "laser"), 2, "robot"),
+    "other names, one turns": (("robot", "plate", "laser"), 1, "plate"),
+}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_robots_frame_is_told_from_the_transforms(name: str, tmp_path: Path) -> None:
+    frames, fixed, expected = ROBOTS[name]
+    edges = list(pairwise(("odom", *frames)))
+    moving, static = edges[: len(edges) - fixed], edges[len(edges) - fixed :]
+    scans = [replace(PATTERN, stamp_ns=stamp) for stamp in POSED]
+    path = write_mcap(tmp_path / "drive.mcap", recording_of({"/scan": scans}, static))
+    others = write_mcap(tmp_path / "moving.mcap", recording_of({}, moving, static=False))
+    report = pc2scan.export(path, tmp_path / "scans.npz", pose_frame="odom", tf_from=others)
+    assert (report.topics[0].base_frame, report.messages) == (expected, len(POSED))
 
 
 def test_odometry_that_names_no_frame_is_the_robots(tmp_path: Path) -> None:

@@ -172,6 +172,22 @@ def test_what_is_put_into_a_directory_meanwhile_stays(tmp_path: Path) -> None:
     assert seen(tmp_path) == expected
 
 
+def test_a_directory_that_takes_the_place_of_a_file_stays(tmp_path: Path) -> None:
+    path = tmp_path / "out.pgm"
+    path.write_text("old")
+
+    def run() -> None:
+        with files_output([path], overwrite=True) as write:
+            path.unlink()
+            make_recording(path)
+            write([b"new"])
+
+    with pytest.raises(DestinationError, match="exists already"):
+        run()
+    make_recording(tmp_path / "expected")
+    assert seen(path) == seen(tmp_path / "expected")
+
+
 def test_a_recording_with_its_logs_and_packed_files_is_replaced(tmp_path: Path) -> None:
     make_recording(tmp_path / "out", "x_0.db3-wal", "x_0.db3-shm", "x_1.db3")
     write_metadata(tmp_path / "out", 3, ["x_0.db3", "x_1.db3", "gone.db3"])

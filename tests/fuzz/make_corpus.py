@@ -15,7 +15,6 @@ import zstandard
 
 from fuzz import clouds, rays
 from fuzz.decoders import CORPUS
-from messages.test_imu import imu_message
 from pc2scan import ProjectionParams
 from pc2scan.compare.scan_text import render_messages
 from pc2scan.messages.laserscan import LASERSCAN
@@ -29,6 +28,7 @@ from support.builders import (
     T0,
     cloud,
     definition,
+    imu_message,
     points_of,
     qos_text,
     scan,

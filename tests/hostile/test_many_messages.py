@@ -10,6 +10,7 @@ from mcap.records import Schema
 
 from support import mcap_files, rosbag1_files
 from support.bounded import run_bounded
+from support.command import run
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -30,6 +31,13 @@ def chunk(rows: Iterable[tuple[int, bytes]], **changes: int) -> bytes:
     body = b"".join(mcap_files.raw_message(1, time_ns, data) for time_ns, data in made)
     times = {"message_start_time": min(made)[0], "message_end_time": max(made)[0]}
     return mcap_files.raw_chunk(body, compression="zstd", packed=zstandard.compress(body), **times | changes)
+
+
+def test_thousands_of_equal_messages_are_no_attack(tmp_path: Path) -> None:
+    source = mcap(tmp_path / "a.mcap", chunk((5, EMPTY) for _ in range(9_000)))
+    assert source.stat().st_size < 2_000
+    done = run("repair", source, "-o", tmp_path / "out.mcap")
+    assert (done.status, "9,000" in done.stdout) == (0, True), done.stderr
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from pc2scan.errors import RecordingError, TopicError, UsageError
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.static import StaticTransform
 from support import RECORDINGS, ROOT, needs_shared, sampled
-from support.builders import IMU, Recording, Stream, imu, item, write_mcap, write_rosbag1, write_rosbag2
+from support.builders import IMU, Recording, Stream, imu_message, item, write_mcap, write_rosbag1, write_rosbag2
 from support.scan_recordings import GOOD, START, STEP, recording, scans, write
 
 if TYPE_CHECKING:
@@ -173,7 +173,7 @@ def test_what_cannot_be_checked(tmp_path: Path) -> None:
         check([])
     assert check(write(tmp_path / "empty.mcap"), consumers=["amcl"]).exit_status == 1
     stream = Stream("/imu", IMU)
-    content = Recording((stream,), (item(stream, START, lambda g, seq: imu(g, seq=seq, stamp_ns=START)),))
+    content = Recording((stream,), (item(stream, START, lambda g, seq: imu_message(g, seq=seq, stamp_ns=START)),))
     with pytest.raises(TopicError, match="no LaserScan topic"):
         check(write_mcap(tmp_path / "a.mcap", content))
 

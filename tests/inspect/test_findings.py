@@ -75,6 +75,7 @@ CASES: dict[str, Case] = {
     "a delay": (scans(3), {"delay": 900_000_000}, {}),
     "a long delay": (scans(3), {"delay": 1_500_000_000}, {"stamps-far": ("n", 0, "1.500 to 1.500 s after")}),
     "logged before": (scans(3), {"delay": -2_000_000_000}, {"stamps-far": ("n", 0, "2.000 to 2.000 s before")}),
+    "delays that differ": (at(0, 0.9, 2), {"delay": 1_500_000_000}, {"stamps-far": ("n", 0, "1.500 to 1.510 s after")}),
     "a rate that trembles": (at(0, 1, 2.2, 3, 4.1, 5), {}, {}),
     # Of 7 intervals one is twice the usual and one a fifth.
     "a rate that stutters": (at(0, 1, 2, 4, 5, 6, 6.2, 7), {}, {"rate": ("n", 2, "2 of 7", "0.200 s")}),

@@ -83,7 +83,7 @@ def test_samples_are_spread_over_the_recording(tmp_path: Path) -> None:
     assert every.sampled == 20
 
 
-def test_clouds_without_points_and_clouds_that_cannot_be_decoded(tmp_path: Path) -> None:
+def test_clouds_that_are_empty_or_cannot_be_decoded(tmp_path: Path) -> None:
     (empty,) = info([write(tmp_path / "a.mcap", np.zeros((0, 3)))]).clouds
     assert (empty.points_max, empty.x, empty.height_counts) == (0, None, ())
     (odd,) = info([write(tmp_path / "b.mcap", [[1, 2, 3]], fields=XYZ[:2])]).clouds

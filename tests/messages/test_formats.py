@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 from export.driving import ODOMETRY_TYPE, START, by_odometry, odometry
-from messages.test_imu import STAMP, imu_message
 from pc2scan.errors import DecodeError
 from pc2scan.messages.imu import decode_imu
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.odometry import decode_odometry
 from pc2scan.messages.pointcloud2 import PointField, decode_pointcloud2
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
-from support.builders import CLOUD, IMU, SCAN, T0, TF, cloud, deserialized, scan, typestore
+from support.builders import CLOUD, IMU, SCAN, T0, TF, cloud, deserialized, imu_message, scan, typestore
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -48,15 +47,15 @@ class Kind(NamedTuple):
 KINDS = {
     "cloud": Kind(
         CLOUD,
-        lambda version, frame: cloud(POINTS, version, stamp_ns=STAMP, frame_id=frame),
+        lambda version, frame: cloud(POINTS, version, stamp_ns=T0, frame_id=frame),
         decode_pointcloud2,
-        lambda frame: (STAMP, frame, 1, 2, XYZ, False, 12, 24, POINTS.tobytes(), False),
+        lambda frame: (T0, frame, 1, 2, XYZ, False, 12, 24, POINTS.tobytes(), False),
     ),
     "scan": Kind(
         SCAN,
-        lambda version, frame: scan(RANGES, version, stamp_ns=STAMP, frame_id=frame),
+        lambda version, frame: scan(RANGES, version, stamp_ns=T0, frame_id=frame),
         decode_laserscan,
-        lambda frame: (STAMP, frame, *f32(-1.5, 1.5, 1.0, 0.0, 0.1, 0.1, 30.0), RANGES.tobytes(), b""),
+        lambda frame: (T0, frame, *f32(-1.5, 1.5, 1.0, 0.0, 0.1, 0.1, 30.0), RANGES.tobytes(), b""),
     ),
     "transforms": Kind(
         TF,
@@ -76,7 +75,7 @@ KINDS = {
         IMU,
         lambda version, frame: imu_message(version, frame_id=frame),
         decode_imu,
-        lambda frame: (STAMP, frame, (0.0, 0.6, 0.0, 0.8), (1.0, 2.0, 3.0), (0.1, 0.2, 9.8)),
+        lambda frame: (T0, frame, (0.0, 0.6, 0.0, 0.8), (1.0, 2.0, 3.0), (0.1, 0.2, 9.8)),
     ),
 }
 

@@ -4,36 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pc2scan.messages.imu import decode_imu
-from support.builders import IMU, header, serialized, typestore
-
-STAMP = 1_700_000_000_123_456_789
-
-
-def imu_message(
-    ros_version: int,
-    orientation: Any = (0.0, 0.6, 0.0, 0.8),
-    first: tuple[float, float, float] = (0.01, 0.02, 0.03),
-    frame_id: str = "imu_link",
-    turning: Any = (1.0, 2.0, 3.0),
-    acceleration: Any = (0.1, 0.2, 9.8),
-    stamp_ns: int = STAMP,
-) -> bytes:
-    """A serialised message; ``first`` are the first numbers of its covariances."""
-    store = typestore(ros_version)
-    types = store.types
-    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
-    covariances = [np.array([each, *[0.5] * 8]) for each in first]
-    message = types[IMU](
-        header(store, ros_version, 7, stamp_ns, frame_id),
-        quaternion(*orientation), covariances[0],
-        vector(*turning), covariances[1],
-        vector(*acceleration), covariances[2],
-    )  # fmt: skip
-    return serialized(store, message, IMU, ros_version)
+from support.builders import imu_message
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])

@@ -60,7 +60,7 @@ def test_defaults_have_the_right_type() -> None:
         assert Options(command, values).given == {}
 
 
-def test_what_a_command_does_not_have_has_the_default_of_a_conversion() -> None:
+def test_options_of_other_commands_have_their_defaults() -> None:
     options = Options("map", {"on_error": "fail", "resolution": "5cm"})
     assert (options.on_error, options.resolution, options.reverse, options.keep) == ("fail", 0.05, False, ())
     with pytest.raises(AttributeError, match="map has no option 'nothing'"):
@@ -100,7 +100,7 @@ def test_a_short_help_that_has_all_options_needs_no_other(command: str) -> None:
 
 
 @pytest.mark.parametrize("command", ["export", "map", "plot", "scans", "view"])
-def test_only_recordings_that_are_written_have_options_about_them(command: str) -> None:
+def test_only_written_recordings_have_options_about_them(command: str) -> None:
     idle = {"keep", "drop", "keep_clouds", "only_scans", "keep_used", "write_static_tf", "fail_on", "min_used", "to"}
     assert options_of(command).keys() & idle == set()
     assert instead_of(command, "keep") == (

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.consumer_rules import mrpt_2_5
 from pc2scan.core.consumers import judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.verdicts import ConsumerScan
+from support.consumer_rules import mrpt_2_5
 
 SOURCE = Path(__file__).with_name("mrpt.cpp")
 HEADERS = Path("/usr/include/mrpt")

@@ -2,7 +2,7 @@
 
 By hand; the first command records which tests run which lines, the second plants the faults in a copy of the project::
 
-    python -m pytest -q -m "not benchmark" --cov --cov-context=test --cov-report=
+    python -m pytest -q -m "" --cov --cov-context=test --cov-report=
     PYTHONPATH=tests python tests/planted/campaign.py --count 200 --seed 1 --lines .coverage --json planted.json
 
 Of each fault the tests that run its line are run, those that run the fewest lines first, until one fails. A fault that
@@ -148,7 +148,7 @@ def _failed(copy: Path, tests: list[str], timeout: float, workers: str) -> str:
     env = {**os.environ, "PYTHONPATH": str(copy / "src"), "CI": "true", "PYTHONDONTWRITEBYTECODE": "1"}
     ids = copy / "tests.txt"
     ids.write_text("".join(f"{test}\n" for test in tests), "utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-m", "not benchmark"]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-m", ""]
     command += ["-p", "no:cacheprovider", f"@{ids}"]
     done = subprocess.run(command, cwd=copy, env=env, capture_output=True, text=True, timeout=timeout, check=False)
     if done.returncode == pytest.ExitCode.USAGE_ERROR:

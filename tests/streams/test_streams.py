@@ -285,17 +285,17 @@ def test_the_rest_of_a_damaged_recording_is_read_and_warned_of(container: str, t
 
 
 def test_the_only_topic_is_taken_and_others_are_pointed_out(recording: Path, tmp_path: Path) -> None:
-    path, only_scans = tmp_path / "two.mcap", tmp_path / "scans.mcap"
+    path, no_clouds = tmp_path / "two.mcap", tmp_path / "scans.mcap"
     pc2scan.convert(HALL, path, topics=["/points:=/front", "/points:=/back"], only_scans=True)
-    pc2scan.convert(recording, only_scans, topics="/points:=/again", only_scans=True)
+    pc2scan.convert(recording, no_clouds, topics="/points:=/again")
     assert {scan.topic for scan in pc2scan.scans(path, "/front")} == {"/front"}
     assert {scan.topic for scan in pc2scan.scans(path, topics=["back", "/front"])} == {"/front", "/back"}
     wrong: list[tuple[Callable[[], object], str, str]] = [
         (lambda: pc2scan.scans(path), r"2 LaserScan topics: /back, /front", 'topic="/back"'),
         (lambda: pc2scan.scans(path, "/frnt"), "no topic /frnt", "did you mean /front?"),
         (lambda: pc2scan.scans(HALL), "no LaserScan topic", "min_height"),
-        (lambda: pc2scan.clouds(only_scans), "no PointCloud2 topic", "pc2scan.scans()"),
-        (lambda: pc2scan.scans(only_scans, min_height=0.1), "topic", "LaserScan"),
+        (lambda: pc2scan.clouds(no_clouds), "no PointCloud2 topic", "pc2scan.scans()"),
+        (lambda: pc2scan.scans(no_clouds, min_height=0.1), "topic", "LaserScan"),
     ]
     for call, message, hint in wrong:
         with pytest.raises(TopicError, match=message) as raised:

@@ -155,19 +155,27 @@ def transforms(
     return serialized(store, types[msgtype](stamped), msgtype, ros_version)
 
 
-def imu(ros_version: int, *, seq: int, stamp_ns: int) -> bytes:
+def imu_message(
+    ros_version: int,
+    orientation: Any = (0.0, 0.6, 0.0, 0.8),
+    first: tuple[float, float, float] = (0.01, 0.02, 0.03),
+    frame_id: str = "imu_link",
+    turning: Any = (1.0, 2.0, 3.0),
+    acceleration: Any = (0.1, 0.2, 9.8),
+    stamp_ns: int = T0,
+    seq: int = 7,
+) -> bytes:
+    """A serialised message; ``first`` are the first numbers of its covariances."""
     store = typestore(ros_version)
     types = store.types
-    vector = types["geometry_msgs/msg/Vector3"]
+    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    covariances = [np.array([each, *[0.5] * 8]) for each in first]
     message = types[IMU](
-        header(store, ros_version, seq, stamp_ns, "imu"),
-        types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8),
-        np.arange(9.0),
-        vector(0.25, -0.5, 1.0),
-        np.arange(9.0) / 2,
-        vector(0.0, 0.125, 9.75),
-        np.arange(9.0) / 4,
-    )
+        header(store, ros_version, seq, stamp_ns, frame_id),
+        quaternion(*orientation), covariances[0],
+        vector(*turning), covariances[1],
+        vector(*acceleration), covariances[2],
+    )  # fmt: skip
     return serialized(store, message, IMU, ros_version)
 
 
@@ -290,7 +298,9 @@ def _content() -> Recording:
             odometry(at(step) + 2, at(step), 0.5 * step, step),
             points(at(step) + 5_000_003, at(step), step),
             # Equal log times: the order of the file decides.
-            item(INERTIA, at(step) + 6_000_000, lambda g, s: imu(g, seq=s, stamp_ns=at(s)), step),
+            item(
+                INERTIA, at(step) + 6_000_000, lambda g, s: imu_message(g, frame_id="imu", seq=s, stamp_ns=at(s)), step
+            ),
             item(CHATTER, at(step) + 6_000_000, lambda g, s: string(f"hello {s}", g), step),
             item(CHARGE, at(step) + 6_000_000, lambda g, s: battery(g, seq=s, stamp_ns=at(s)), step),
         ]

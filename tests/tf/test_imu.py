@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from messages.test_imu import imu_message
 from pc2scan.errors import TopicError, UsageError
 from pc2scan.model import Connection, RawMessage
 from pc2scan.tf.imu import ImuRequest, read_up
 from support import sampled
+from support.builders import imu_message
 from support.worlds.inertial import Simulated, errors, simulated
 
 if TYPE_CHECKING:

@@ -130,7 +130,11 @@ def lock_folder(out: Path) -> Iterator[int]:
 
 @contextmanager
 def track_outputs(
-    out: Path, outputs: Iterable[str], earlier: UnfinishedOutputs, is_there: Callable[[str], bool]
+    out: Path,
+    outputs: Iterable[str],
+    earlier: UnfinishedOutputs,
+    is_there: Callable[[str], bool],
+    absent: frozenset[str],
 ) -> Iterator[Callable[[str, bool], None]]:
     """Keep a note of the outputs that are being written and are not in the manifest yet, and make their folders.
 
@@ -146,6 +150,9 @@ def track_outputs(
         What killed runs have noted.
     is_there
         Whether an output exists.
+    absent
+        Outputs of this run that do not exist yet. One of them that exists at the end was made by this run, even if an
+        interruption came before the news that it has begun, as of a cluster.
 
     Yields
     ------
@@ -175,7 +182,7 @@ def track_outputs(
                 with suppress(OSError):
                     (out / folder).rmdir()
         # Only outputs that exist stay in the note.
-        left = frozenset(output for output in (earlier.outputs | running) - ended if is_there(output))
+        left = frozenset(output for output in (earlier.outputs | running | absent) - ended if is_there(output))
         with suppress(OutputError):
             if left:
                 note_unfinished(out, UnfinishedOutputs(left))

@@ -293,7 +293,9 @@ class _Batch:
             if self._options.fail_fast and self.made.of("refuse"):
                 jobs = []
             outputs = {step.output for step in steps} if jobs else set()
-            with track_outputs(self._out, outputs, self._unfinished, self._is_there) as begin:
+            # A store would be asked for each of them.
+            absent = frozenset(() if self._store else (each for each in outputs if not self._is_there(each)))
+            with track_outputs(self._out, outputs, self._unfinished, self._is_there, absent) as begin:
                 if jobs:
                     self._push(at_once=True)
                     self._run(executor, jobs, by_key, note, begin)

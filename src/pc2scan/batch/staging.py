@@ -196,11 +196,13 @@ class _StagingQueue(Queue):
 
         needed = job.size_bytes if any(is_url(Path(path)) for path in job.sources) else 0
         for path in job.request.options.frames.tf_from:
-            if is_url(path) and path not in self._sizes:
+            if not is_url(path):
+                continue
+            if path not in self._sizes:
                 files = RemotePath(path).files()
                 places = [RemotePath(path)] if files is None else list(files.values())
                 self._sizes[path] = sum(place.stat().size for place in places)
-            needed += self._sizes.get(path, 0)
+            needed += self._sizes[path]
         return needed, job.size_bytes + _BESIDE if is_url(Path(job.destination)) else 0
 
     def _start(self, work: Callable[..., None], *args: object) -> None:

@@ -165,7 +165,7 @@ def _options(name: str, typed: Mapping[str, Any]) -> Options:
         elif isinstance(option.value, values.Switch):
             words[key] = value == "local" or value
         else:
-            words[key] = tuple(value) if isinstance(value, list) else value
+            words[key] = value
     return Options(name, words, origins, later=True)
 
 

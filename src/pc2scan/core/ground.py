@@ -141,7 +141,7 @@ class Ground(NamedTuple):
     def tilt(self) -> float:
         """Angle between up and the z axis, radians; for a frame that is upside down, between up and -z."""
         up = self.up or (0.0, 0.0, 1.0)
-        cosine = -up[1] if self.kind == "optical" else -up[2] if self.kind == "upside-down" else up[2]
+        cosine = -up[2] if self.kind == "upside-down" else up[2]
         return math.acos(max(-1.0, min(1.0, cosine)))
 
 

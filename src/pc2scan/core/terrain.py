@@ -79,7 +79,7 @@ class Terrain(NamedTuple):
     clearance: float = 0.1
 
 
-class _Cells(NamedTuple):
+class Cells(NamedTuple):
     """The lowest point of each cell, (rings, sectors): its height and distance, and whether many points are above it.
 
     Heights and distances are inf where there is no point.
@@ -127,7 +127,7 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrai
         slope = np.sum(np.multiply(plane[:2], np.transpose(_directions())), axis=1)
         # From here on, heights are relative to the plane beneath the robot.
         cells = cells._replace(height=cells.height - (slope * cells.distance + plane[2]).astype(np.float32))
-        heights = _at_edges(_follow_ground(cells, rule), cells.distance, edges)
+        heights = heights_at(_follow_ground(cells, rule), cells.distance, edges)
         heights += slope * edges[:, np.newaxis] + plane[2]
         slopes = np.diff(heights, axis=0) / np.diff(edges)[:, np.newaxis]
         limit = (heights[:-1] - slopes * edges[:-1, np.newaxis] + rule.clearance).astype(np.float32).ravel()
@@ -136,7 +136,7 @@ def on_ground(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], terrain: Terrai
     return found.reshape(shape)
 
 
-def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[np.float32], rings: int) -> _Cells:
+def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[np.float32], rings: int) -> Cells:
     count = _SECTORS * rings
     height = np.full(count, np.inf, np.float32)
     np.minimum.at(height, cell, z)
@@ -147,10 +147,10 @@ def _lowest(cell: NDArray[np.int32], z: NDArray[np.float32], distance: NDArray[n
     low = np.bincount(cell[above <= 0.3], minlength=count)
     standing = np.bincount(cell[(above > 0.3) & (above <= 2.0)], minlength=count)
     grid = rings, _SECTORS
-    return _Cells(height.reshape(grid), where.reshape(grid), (standing > low).reshape(grid))
+    return Cells(height.reshape(grid), where.reshape(grid), (standing > low).reshape(grid))
 
 
-def _plane_beneath(cells: _Cells, steepest: float) -> tuple[float, float, float] | None:
+def _plane_beneath(cells: Cells, steepest: float) -> tuple[float, float, float] | None:
     """Return the plane beneath the robot, ``z = a x + b y + c``; None if no ground is visible."""
     found = _floor_like(cells)
     ring, sector = np.nonzero(found & (cells.height <= _HIGHEST + steepest * cells.distance))
@@ -190,7 +190,7 @@ def _directions() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.cos(angles), np.sin(angles)
 
 
-def _floor_like(cells: _Cells) -> NDArray[np.bool_]:
+def _floor_like(cells: Cells) -> NDArray[np.bool_]:
     """Return whether cells have another cell of about the same height behind them, as on a floor but not on walls."""
     found = np.zeros(cells.height.shape, np.bool_)
     height, distance = np.full(_SECTORS, np.inf, np.float32), np.full(_SECTORS, np.inf, np.float32)
@@ -208,7 +208,7 @@ def _floor_like(cells: _Cells) -> NDArray[np.bool_]:
     return found & _has_neighbour_beside(cells, 1) & _has_neighbour_beside(cells, -1)
 
 
-def _has_neighbour_beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
+def _has_neighbour_beside(cells: Cells, step: int) -> NDArray[np.bool_]:
     """Return whether cells have a cell of about the same height in the next sector.
 
     On a wall at a small angle, each sector has another part, nearer or farther away.
@@ -225,10 +225,10 @@ def _has_neighbour_beside(cells: _Cells, step: int) -> NDArray[np.bool_]:
     return found
 
 
-def _follow_ground(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
+def _follow_ground(cells: Cells, rule: Terrain) -> NDArray[np.float64]:
     """Return the ground's height in the cells that continue it, (rings, sectors), NaN in others."""
     steepest = math.tan(rule.slope)
-    behind, far_behind = _lowest_behind(cells, steepest)
+    behind, far_behind = lowest_behind(cells, steepest)
     # The last cell of the ground; the one that slopes are measured from, the slope there, and the last kerb.
     z0, r0, z1, r1, slope = (np.zeros(_SECTORS) for _ in range(5))
     kerb = np.full(_SECTORS, -np.inf)
@@ -257,7 +257,7 @@ def _follow_ground(cells: _Cells, rule: Terrain) -> NDArray[np.float64]:
     return ground
 
 
-def _lowest_behind(cells: _Cells, steepest: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def lowest_behind(cells: Cells, steepest: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the height of the lowest cell behind each one: within `_ON` metres, and within its distance if it is more.
 
     The first cell beyond counts, too: objects hide what is behind them. Cells that are higher than a slope from here do
@@ -285,18 +285,18 @@ def _lowest_behind(cells: _Cells, steepest: float) -> tuple[NDArray[np.float32],
     return found[0], found[1]
 
 
-def _at_edges(
+def heights_at(
     ground: NDArray[np.float64], distance: NDArray[np.float32], edges: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the ground's height at the edges of cells, (rings + 1, sectors); -inf where it is unknown."""
-    rings = len(ground)
+    rings, sectors = ground.shape
     known, number = ~np.isnan(ground), np.arange(rings)[:, np.newaxis]
     # The last cell before each edge, or -1, and the first one behind it, or the number of rings. Both stand for the
     # place beneath the robot, where the line before the first cell begins.
-    begin, end = np.full((1, _SECTORS), -1), np.full((1, _SECTORS), rings)
+    begin, end = np.full((1, sectors), -1), np.full((1, sectors), rings)
     before = np.maximum.accumulate(np.concatenate([begin, np.where(known, number, -1)]), axis=0)
     after = np.minimum.accumulate(np.concatenate([np.where(known, number, rings), end])[::-1], axis=0)[::-1]
-    nothing = np.zeros((1, _SECTORS))
+    nothing = np.zeros((1, sectors))
     heights, distances = np.concatenate([ground, nothing]), np.concatenate([distance, nothing])
     z0, z1 = (np.take_along_axis(heights, each, axis=0) for each in (before, after))
     r0, r1 = (np.take_along_axis(distances, each, axis=0) for each in (before, after))

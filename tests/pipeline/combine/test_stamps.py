@@ -230,6 +230,28 @@ def test_a_window_joins_topics_of_clocks_that_are_apart(tmp_path: Path) -> None:
     assert not any("jump" in each for each in done.report.warnings)
 
 
+@pytest.mark.parametrize("lead", ["/front", "/rear"])
+def test_the_window_is_half_of_the_longer_period(lead: str, tmp_path: Path) -> None:
+    # One cloud of /rear in 0.1 s, one of /front in 0.4 s; at last they are 0.15 s apart.
+    found = [*clouds("/front", [0.0, 0.4, 0.8, 3.0]), *clouds("/rear", [*tenths(0, 1), 3.15])]
+    done = made(recorded(tmp_path / "d.mcap", found), **BOTH, lead=lead)
+    assert [size for size in done.sizes if size > 1] == [2, 2, 2, 2]
+
+
+# A scan of an interval has the log time of the message that ends the interval.
+@pytest.mark.parametrize(("options", "lost"), [({"accumulate": 0.5}, 2), ({"every": 0.5}, 3)], ids=str)
+def test_scans_that_the_destination_cannot_hold_are_listed(options: dict[str, Any], lost: int, tmp_path: Path) -> None:
+    # The log times of the last two messages are beyond the 32 bits that a ROS 1 bag has for seconds.
+    late = clouds("/front", [3e9, 3e9 + 1], lambda _: -3_000_000_000 * SECOND + 2 * SECOND)
+    source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 1)), *late])
+    report = pc2scan.convert(source, tmp_path / "o.bag", topics="/front:=/scan", **options)
+    (entry,) = (topic for topic in report.topics if topic.topic == "/front")
+    assert (report.exit_status, report.skipped_count, entry.skipped) == (3, lost, lost)
+    assert [each.topic for each in report.skipped] == ["/front"] * lost
+    assert all("that a ROS 1 bag can hold" in each.reason for each in report.skipped)
+    assert len(list(pc2scan.scans(tmp_path / "o.bag"))) == entry.messages_out > 0
+
+
 def test_another_clock_is_one_in_the_whole_recording(tmp_path: Path) -> None:
     rear = clouds("/rear", tenths(0, 10, 0.03), lambda _: DAY)
     source = recorded(tmp_path / "d.mcap", [*clouds("/front", tenths(0, 10)), *rear])

@@ -55,12 +55,10 @@ def scan_messages(
 
     ``further`` is called with the offset of every other record.
     """
-    scan = _scan_stretch(data, wanted, start_ns, stop_ns, span, further, 0)
-    if scan.size + MESSAGE.size > len(data):
-        return scan
-    messages, others, position, astray = scan
-    assert isinstance(messages, list)
-    count = len(messages)
+    messages: list[RawMessage] = []
+    others: set[int] = set()
+    astray: int | None = None
+    count = position = 0
     while True:
         more = _scan_stretch(data, wanted, start_ns, stop_ns, span, further, position)
         others |= more.others
