@@ -115,11 +115,11 @@ def test_progress_is_that_of_all_pieces(tmp_path: Path, monkeypatch: pytest.Monk
     seen: list[Any] = []
     with in_this_process() as jobs:
         pc2scan.batch(source, tmp_path / "out", progress=seen.append, **WORDS)
-    pieces = sum("piece" in job for job in jobs)
+    number = sum("piece" in job for job in jobs)
     shares = [each.bytes_done / each.bytes_total for each in seen if not each.recordings_done]
-    assert pieces > 2
+    assert number > 2
     # Each piece that has ended, in its turn.
-    assert [share for share in shares if share] == pytest.approx([n / pieces for n in range(1, pieces + 1)], abs=0.001)
+    assert [share for share in shares if share] == pytest.approx([n / number for n in range(1, number + 1)], abs=0.001)
     assert seen[-1] == (source.stat().st_size, source.stat().st_size, 1, 1)
 
 
