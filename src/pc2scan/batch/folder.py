@@ -133,8 +133,7 @@ def track_outputs(
     out: Path,
     outputs: Iterable[str],
     earlier: UnfinishedOutputs,
-    is_there: Callable[[str], bool],
-    absent: frozenset[str],
+    existing: Callable[[Iterable[str]], set[str]],
 ) -> Iterator[Callable[[str, bool], None]]:
     """Keep a note of the outputs that are being written and are not in the manifest yet, and make their folders.
 
@@ -148,11 +147,9 @@ def track_outputs(
         The outputs of this run; if there are none, the notes of killed runs are only put in order.
     earlier
         What killed runs have noted.
-    is_there
-        Whether an output exists.
-    absent
-        Outputs of this run that do not exist yet. One of them that exists at the end was made by this run, even if an
-        interruption came before the news that it has begun, as of a cluster.
+    existing
+        Returns which of some outputs exist. One that exists at the end, but not now, was made by this run, even if an
+        interruption came before the news that it has begun.
 
     Yields
     ------
@@ -163,6 +160,7 @@ def track_outputs(
     folders = earlier.folders | {folder for folder in _folders_of(outputs) if not (out / folder).is_dir()}
     if outputs:
         note_unfinished(out, UnfinishedOutputs(outputs | earlier.outputs, folders))
+    absent = outputs - existing(outputs) if outputs else outputs
     running: set[str] = set()
     ended: set[str] = set()
 
@@ -182,7 +180,7 @@ def track_outputs(
                 with suppress(OSError):
                     (out / folder).rmdir()
         # Only outputs that exist stay in the note.
-        left = frozenset(output for output in (earlier.outputs | running | absent) - ended if is_there(output))
+        left = frozenset(existing((earlier.outputs | running | absent) - ended))
         with suppress(OutputError):
             if left:
                 note_unfinished(out, UnfinishedOutputs(left))

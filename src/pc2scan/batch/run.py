@@ -293,9 +293,7 @@ class _Batch:
             if self._options.fail_fast and self.made.of("refuse"):
                 jobs = []
             outputs = {step.output for step in steps} if jobs else set()
-            # A store would be asked for each of them.
-            absent = frozenset(() if self._store else (each for each in outputs if not self._is_there(each)))
-            with track_outputs(self._out, outputs, self._unfinished, self._is_there, absent) as begin:
+            with track_outputs(self._out, outputs, self._unfinished, self._existing) as begin:
                 if jobs:
                     self._push(at_once=True)
                     self._run(executor, jobs, by_key, note, begin)
@@ -305,8 +303,11 @@ class _Batch:
         if self._store is not None:
             self._store.push(at_once=at_once)
 
-    def _is_there(self, output: str) -> bool:
-        return os.path.lexists(self._out / output) if self._store is None else self._store.exists(output)
+    def _existing(self, outputs: Iterable[str]) -> set[str]:
+        """Return those outputs that exist now."""
+        if self._store is not None:
+            return self._store.existing(outputs)
+        return {each for each in outputs if os.path.lexists(self._out / each)}
 
     def _note(self, record: ManifestRecord) -> None:
         self._records[record.key] = record

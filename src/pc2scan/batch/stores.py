@@ -12,7 +12,7 @@ import os
 import socket
 import time
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from secrets import token_hex
 from threading import Event, Thread
 from typing import TYPE_CHECKING
@@ -28,7 +28,7 @@ from .identity import Identity, versions
 from .manifest import MANIFEST
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from pc2scan.remote.store import RemotePath, StoredObject
 
@@ -246,9 +246,11 @@ class StoreFolder:
             self._objects = self._place.below()
         return identity_in(self._objects, output, left)
 
-    def exists(self, output: str) -> bool:
-        """Return whether an output exists now."""
-        return bool(identity_in(self._place.child(output.rpartition("/")[0]).below(), output.rpartition("/")[2]).files)
+    def existing(self, outputs: Iterable[str]) -> set[str]:
+        """Return those outputs that exist now."""
+        objects = self._place.below()
+        names = {str(parent) for key in objects for parent in (key, *PurePosixPath(key).parents)}
+        return {each for each in outputs if each in names or (is_numbered(each) and identity_in(objects, each).files)}
 
     def push(self, *, at_once: bool = False) -> None:
         """Upload the files that have changed, if the last upload is long enough ago.

@@ -172,7 +172,8 @@ class RemotePath:
             ) from err
         try:
             with self.translate_errors():
-                self._fs, self.key = url_to_fs(self._url, **_patience(self.scheme))
+                # A listing that is cached by one thread lacks what another one writes meanwhile.
+                self._fs, self.key = url_to_fs(self._url, use_listings_cache=False, **_patience(self.scheme))
         except ImportError as err:
             raise UsageError(
                 f"{self.scheme}:// needs the library {self._library}, which is not installed",
@@ -221,7 +222,6 @@ class RemotePath:
     def below(self) -> dict[str, StoredObject]:
         """Return all files below a folder, by their paths relative to it; empty if there are none."""
         with self.translate_errors():
-            self._fs.invalidate_cache()
             try:
                 found = self._fs.find(self.key, detail=True)
             except FileNotFoundError:
@@ -248,7 +248,6 @@ class RemotePath:
     def is_folder(self) -> bool:
         """Whether it is a folder: other keys begin with this one. True for the root of a store."""
         with self.translate_errors():
-            self._fs.invalidate_cache()
             return not call_in_time(self._fs, "isfile", self.key, pace=Pace())
 
     def child(self, below: str) -> RemotePath:
@@ -258,7 +257,6 @@ class RemotePath:
     def read(self) -> bytes | None:
         """Return the content of a small file; None if it does not exist."""
         with self.translate_errors():
-            self._fs.invalidate_cache()
             try:
                 return bytes(self._fs.cat_file(self.key))
             except FileNotFoundError:
@@ -286,12 +284,10 @@ class RemotePath:
 
     def _exists(self, key: str) -> bool:
         with self.translate_errors():
-            self._fs.invalidate_cache()
             return bool(call_in_time(self._fs, "exists", key, pace=Pace()))
 
     def _info(self, key: str) -> dict[str, Any]:
         with self.translate_errors():
-            self._fs.invalidate_cache()
             found: dict[str, Any] = call_in_time(self._fs, "info", key, pace=Pace())
         return found
 
