@@ -13,17 +13,14 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from threading import Thread
 from typing import TYPE_CHECKING
 
 import pytest
 
 import pc2scan
 from batch.cluster import cluster
-from batch.long_drive import WORDS, WRITERS, drive
-from pc2scan.batch import pieces
 from pc2scan.errors import UsageError
-from support.batches import HEIGHTS, batch, contents, in_this_process, manifest_of, place, run_batch
+from support.batches import HEIGHTS, batch, contents, manifest_of, place, run_batch
 from support.builders import POINTS, T0, Recording, cloud, item, points_of, write_rosbag1
 from support.command import COMMAND, INTERRUPTED, environment
 
@@ -145,39 +142,6 @@ def test_a_scheduler_is_reached_by_its_address(drives: Path, tmp_path: Path) -> 
     assert outcomes(out) == {**good, "bad.bag": "failed"}
     assert "4 unchanged" in again.stderr
     assert len(contents(out)) == len(contents(tmp_path / "notebook")) == 4
-
-
-def kill_one_that_converts(workers: list[subprocess.Popen[bytes]], out: Path, killed: list[int]) -> None:
-    """Kill a worker as soon as it converts a piece."""
-    deadline = time.monotonic() + 60
-    while not killed and time.monotonic() < deadline:
-        pieces = list(out.glob("*.pc2scan-partial/piece-*"))
-        for worker in workers if pieces else ():
-            if psutil.Process(worker.pid).children():
-                worker.kill()
-                killed.append(worker.pid)
-                return
-        time.sleep(0.005)
-
-
-@slow
-def test_a_long_recording_is_cut_and_a_worker_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    source = WRITERS["mcap"](tmp_path, drive())
-    with in_this_process():
-        pc2scan.batch(source, tmp_path / "here", **WORDS)
-    monkeypatch.setattr(pieces, "PIECE_BYTES", source.stat().st_size // 6)
-    out, killed = tmp_path / "there", list[int]()
-    with cluster(tmp_path, {}, {}) as (address, workers):
-        killer = Thread(target=kill_one_that_converts, args=(workers, out, killed))
-        killer.start()
-        done = pc2scan.batch(source, out, dask=address, **WORDS)
-        killer.join()
-    assert killed
-    assert done.exit_status == 3  # the last cloud is behind the last transform
-    assert contents(out) == contents(tmp_path / "here")
-    (line,) = manifest_of(out).values()
-    assert line["attempts"] == 2
-    assert len(line["report"]["files"]) == 12
 
 
 #: What is wrong with a worker, modules that make it so, and what is said.

@@ -40,15 +40,12 @@ class Cut:
         Whether latched messages and static transforms are repeated at the beginning of each file.
     begin_ns
         Where the first file begins.
-    first
-        The number of the first file that is written.
     """
 
     duration_ns: int = 0
     size: int = 0
     repeats: bool = False
     begin_ns: int = 0
-    first: int = 0
 
     def cell(self, log_time_ns: int) -> int:
         """Number of the stretch of ``duration_ns`` that a log time is in; 0 where time does not cut."""
@@ -143,7 +140,7 @@ class SplitWriter:
         #: By handle: the data to repeat, each with its sequence number.
         self._latched: dict[int, NewestItems[tuple[bytes, int]]] = {}
         self._all_last: set[int] = set()
-        self.parts = [RecordingPart(path_of(cut.first))]
+        self.parts = [RecordingPart(path_of(0))]
         self._writer, self._before_finish = open_part(self.parts[0].path)
 
     def keep_ids(self, connections: Collection[Connection]) -> None:
@@ -235,7 +232,7 @@ class SplitWriter:
 
     def _begin(self, log_time_ns: int) -> None:
         """Complete a part, and begin the next one with the connections and the repeated messages."""
-        number = self._cut.first + len(self.parts)
+        number = len(self.parts)
         if number >= _MOST_PARTS:
             raise UsageError(
                 f"`split` makes more than {_MOST_PARTS:,} files", hint="give a longer time or a larger size"

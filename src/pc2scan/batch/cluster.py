@@ -26,12 +26,11 @@ from pc2scan.remote.urls import is_url
 from pc2scan.version import __version__
 
 from .jobs import JobResult, death_of
-from .pieces import is_given_up
 from .processes import Information, JobEnd, JobProgress, JobStart, run_jobs
 from .staging import staged_jobs
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Sequence
+    from collections.abc import Callable, Generator, Iterator, Sequence
 
     from .jobs import Job
     from .processes import Event
@@ -89,7 +88,7 @@ def run_jobs_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: 
     Parameters
     ----------
     jobs
-        In the order in which they begin. Jobs are removed from a deque, and more may be appended between events.
+        In the order in which they begin.
     address
         Of the scheduler. Empty: a cluster is started on this machine, and closed at the end.
     workers, cores
@@ -119,7 +118,7 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
     inbox: SimpleQueue[tuple[str, str, Any]] = SimpleQueue()
     topic = f"pc2scan-{uuid4().hex}"
     client.subscribe_topic(topic, lambda event: inbox.put(event[1]))
-    pending = jobs if isinstance(jobs, deque) else deque(jobs)
+    pending = deque(jobs)
     left: dict[str, Job] = {}
     futures: dict[str, Any] = {}
     attempts: Counter[str] = Counter()
@@ -157,8 +156,6 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                     attempts[key] += 1
                     running[key] = time.monotonic()
                     yield JobStart(key)
-                case "progress":
-                    yield JobProgress(key, *value)
                 case "done":
                     job = left.pop(key)
                     seconds = time.monotonic() - running.get(key, time.monotonic())
@@ -229,8 +226,6 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
         return _Answer(host, version=__version__)
     unseen = tuple(path for path in job.sources if not is_url(Path(path)) and not os.path.lexists(path))
     folder = Path(job.destination).parent
-    if job.step is not None and is_given_up(job):
-        return _Answer(host, death_of(job, "the recording was given up", attempts=1, seconds=0.0))
     if not is_url(folder) and not _is_there(folder):
         return _Answer(host, unseen=(str(folder), *unseen))
     worker = get_worker()
@@ -246,9 +241,7 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
     worker.log_event(topic, ("began", job.key, None))
     try:
         while True:
-            result = _convert_in_process(
-                job, threads, check, lambda what: worker.log_event(topic, ("progress", job.key, what))
-            )
+            result = _convert_in_process(job, threads, check)
             error = result.error or {}
             # The process of an earlier attempt may still hold the output. It ends soon after its worker was killed.
             if "being written by another run" not in error.get("message", "") or time.monotonic() > deadline:
@@ -272,7 +265,7 @@ def _is_there(folder: Path) -> bool:
     return folder.is_dir()
 
 
-def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> JobResult:
+def _convert_in_process(job: Job, threads: int, check: Callable[[], None]) -> JobResult:
     last = 0.0
     with (
         staged_jobs([job], workers=1) as queue,
@@ -284,7 +277,6 @@ def _convert_in_process(job: Job, threads: int, check: Any, tell: Any) -> JobRes
             if isinstance(event, JobProgress) and time.monotonic() - last >= _POLL_SECONDS:
                 last = time.monotonic()
                 check()
-                tell((event.done, event.total))
     raise _CancelledError
 
 

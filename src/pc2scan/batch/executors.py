@@ -28,28 +28,6 @@ _SAMPLE_BYTES = range(1_000_000, 300_000_000)
 _WORKER_BYTES = 300_000_000
 
 
-def process_count(jobs: Sequence[Job]) -> int:
-    """Return how many processes could work on these jobs at the same time."""
-    if not any(job.request.output.cut for job in jobs):
-        return len(jobs)
-    from .pieces import piece_count  # noqa: PLC0415  # most outputs are one file
-
-    return piece_count(jobs)
-
-
-def _cutting_executor(executor: Executor) -> Executor:
-    """Return an executor that converts long recordings in pieces, where their output is split."""
-
-    def execute(jobs: Sequence[Job]) -> Generator[Event]:
-        if not any(job.request.output.cut for job in jobs):
-            return executor(jobs)
-        from .pieces import cutting_executor  # noqa: PLC0415  # most outputs are one file
-
-        return cutting_executor(executor)(jobs)
-
-    return execute
-
-
 def local_executor(*, workers: int, retries: int, lock: int | None) -> Executor:
     """Return an executor with processes on this machine; ``lock`` is the lock that they inherit."""
 
@@ -57,7 +35,7 @@ def local_executor(*, workers: int, retries: int, lock: int | None) -> Executor:
         with staged_jobs(jobs, workers) as queue:
             yield from run_jobs(queue, workers=workers, cores=cores(), retries=retries, lock=lock)
 
-    return _cutting_executor(executor)
+    return executor
 
 
 def dask_executor(address: str) -> Callable[..., Executor]:
@@ -70,7 +48,7 @@ def dask_executor(address: str) -> Callable[..., Executor]:
         del lock  # It is for processes on this machine.
 
         def executor(jobs: Sequence[Job]) -> Generator[Event]:
-            if not address and isinstance(jobs, list):
+            if not address:
                 # The workers are on this machine and share its disk, so each gets a part of the space for copies.
                 jobs = [
                     job if job.scratch_size is None else replace(job, scratch_size=job.scratch_size // workers)
@@ -78,7 +56,7 @@ def dask_executor(address: str) -> Callable[..., Executor]:
                 ]
             return run_jobs_on_dask(jobs, address, workers=workers, cores=cores(), retries=retries)
 
-        return _cutting_executor(executor)
+        return executor
 
     return make
 

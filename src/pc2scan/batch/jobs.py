@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import Pc2ScanError, RecordingError
@@ -27,14 +27,6 @@ if TYPE_CHECKING:
 
 #: Outcomes by the exit status of `pc2scan convert`.
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
-
-
-class JobPart(Protocol):
-    """A part of a conversion that runs as a job of its own; see `pc2scan.batch.pieces`."""
-
-    def do(self, job: Job, progress: Callable[[int, int, int], None] | None) -> Any:
-        """Run this part; what it returns becomes `JobResult.value`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,8 +57,6 @@ class Job:
         The folder for local copies of recordings at URLs, and how many bytes they may take.
     room
         The folder with the copies and a result that is to be uploaded, and how many bytes it may have; None: no limit.
-    step
-        The part of the conversion that is to be run; None for all of it.
     """
 
     key: str
@@ -83,7 +73,6 @@ class Job:
     scratch: str | None = None
     scratch_size: int | None = None
     room: tuple[str, int] | None = None
-    step: JobPart | None = None
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
@@ -95,7 +84,7 @@ class Job:
 class JobResult:
     """The result of a job: the attributes of a `pc2scan.batch.manifest.ManifestRecord` that only the conversion knows.
 
-    ``text`` is the report as text if the job requests it; ``value`` is what a `JobPart` returns.
+    ``text`` is the report as text if the job requests it.
     """
 
     key: str
@@ -110,7 +99,6 @@ class JobResult:
     report: dict[str, Any] | None = None
     error: dict[str, Any] | None = None
     text: str = ""
-    value: Any = None
 
 
 def utc_now() -> str:
@@ -139,7 +127,7 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     destination = Path(job.destination)
     identity = identity_of(sources)
     sha256 = None
-    report = error = value = None
+    report = error = None
     text, status = "", 0
     try:
         if job.checksum:
@@ -150,14 +138,11 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
 
             limit = SizeLimit(Path(job.room[0]), job.room[1])
             progress = limit.watching(progress)
-        if job.step is not None:
-            value = job.step.do(job, progress)
-        else:
-            done = _run_job(job, sources, destination, progress)
-            if limit is not None:
-                limit.check()
-            report, status = done.as_dict(), done.exit_status
-            text = str(done) if job.shown else ""
+        done = _run_job(job, sources, destination, progress)
+        if limit is not None:
+            limit.check()
+        report, status = done.as_dict(), done.exit_status
+        text = str(done) if job.shown else ""
     except Pc2ScanError as err:
         error, status = err.as_dict(), err.exit_status
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
@@ -168,15 +153,12 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         exit_status=status,
         identity=identity,
         sha256=sha256,
-        output_identity=Identity()
-        if error or job.dry_run or job.step is not None
-        else _output_identity(destination, report),
+        output_identity=Identity() if error or job.dry_run else _output_identity(destination, report),
         started=started,
         seconds=time.monotonic() - began,
         report=report,
         error=error,
         text=text,
-        value=value,
     )
 
 

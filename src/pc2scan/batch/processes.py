@@ -99,11 +99,11 @@ class Queue:
     Parameters
     ----------
     jobs
-        Jobs that workers can begin. If it is a deque, more may be appended to it.
+        Jobs that workers can begin.
     """
 
     def __init__(self, jobs: Sequence[Job]) -> None:
-        self._ready = jobs if isinstance(jobs, deque) else deque(jobs)
+        self._ready = deque(jobs)
         self._post: Callable[[Event | None], None] = lambda _event: None
 
     def __len__(self) -> int:
@@ -245,7 +245,7 @@ def run_jobs(
     Parameters
     ----------
     jobs
-        In the order in which they begin. Jobs are removed from a deque, and more may be appended between events.
+        In the order in which they begin.
     workers
         The maximum number of processes.
     cores

@@ -21,7 +21,7 @@ from pc2scan.remote.urls import UrlText, is_url, shown_path, url_of
 from pc2scan.threads import cores as all_cores
 
 from .dataset_file import DatasetFile, load_dataset_file
-from .executors import available_bytes, dask_executor, estimate_seconds, local_executor, process_count, workers_for
+from .executors import available_bytes, dask_executor, estimate_seconds, local_executor, workers_for
 from .find import find
 from .folder import check_folder, is_numbered, lock_folder, read_unfinished, track_outputs, unnumbered_name
 from .identity import checksum_of, identity_of
@@ -260,7 +260,7 @@ class _Batch:
         steps = sorted(self.made.of("convert"), key=lambda step: (-step.found.identity.size_bytes, step.found.key))
         by_key = {step.found.key: step for step in self.made.steps}
         jobs = [self._job(step, self._out) for step in steps]
-        count = process_count(jobs)
+        count = len(jobs)
         wanted = min(self._options.jobs or workers_for(count, all_cores(), available_bytes()), max(1, count))
         self.report.workers = wanted
         executor = make(workers=wanted, retries=self._options.retries, lock=lock)

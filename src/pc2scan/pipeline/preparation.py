@@ -15,7 +15,6 @@ from pc2scan.tf.reading import read_transforms, tf_connections
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterator, Mapping, Sequence
     from contextlib import ExitStack
-    from pathlib import Path
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
@@ -40,33 +39,24 @@ def prepare_conversions(
     span: Span,
     stack: ExitStack,
     report: Report,
-    firsts: FirstClouds | None = None,
-    transforms: Sequence[Path] = (),
+    firsts: FirstClouds,
 ) -> tuple[Mapping[ScanSpec | Combination, Conversion], Sequence[Reader]]:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
-    Returns the conversions, and the other recordings that transforms were read from. ``transforms`` are files with all
-    transforms (see `pc2scan.tf.reading`), if other processes have read them.
+    Returns the conversions, and the other recordings that transforms were read from.
     """
     asked = options.frames
     others: list[Reader] = []
     buffer: TransformBuffer | None = None
     if any(spec.needs_transforms for spec in plan.specs):
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-        if transforms:
-            from pc2scan.tf.reading import load_transforms  # noqa: PLC0415  # only where several processes share them
-
-            buffer, warnings = load_transforms(transforms, asked)
-        else:
-            buffer, warnings = read_transforms([reader, *others], asked)
+        buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
-        if firsts is not None:
-            firsts.buffer, firsts.static = buffer, asked.static
+        firsts.buffer, firsts.static = buffer, asked.static
     if asked.static or asked.source_frame:
         from .frame_checks import check_given_frames  # noqa: PLC0415  # few conversions add frames
 
-        transforms_of = None if firsts is None else firsts.transforms
-        report.warnings += check_given_frames(reader, plan, asked, buffer, transforms_of, span)
+        report.warnings += check_given_frames(reader, plan, asked, buffer, firsts.transforms, span)
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
         from .levelling import UpSources  # noqa: PLC0415  # only where scans are level
@@ -146,11 +136,11 @@ def _to_scans(
     frames: Placer,
     timings: Mapping[str, Measurements] | None,
     deskew: Deskew | None,
-    firsts: FirstClouds | None,
+    firsts: FirstClouds,
 ) -> Conversion:
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
 
-    judges = None if firsts is None else partial(firsts.of, spec)
+    judges = partial(firsts.of, spec)
     return CloudToScan(
         spec.params,
         frames,
@@ -171,7 +161,7 @@ def _prepare_combination(
     frames: Placer,
     span: Span,
     report: Report,
-    firsts: FirstClouds | None,
+    firsts: FirstClouds,
 ) -> Conversion:
     from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
     from .combine.measurements import measure_sources  # noqa: PLC0415
@@ -186,7 +176,7 @@ def _prepare_combination(
         )
     report.notes += (spec.label + note for note in notes)
     report.warnings += (spec.label + warning for warning in warnings)
-    judges = None if firsts is None else partial(firsts.of, spec)
+    judges = partial(firsts.of, spec)
     deskew = _deskew(reader, sources, spec, frames, span, report)
     return MessagesToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
 

@@ -182,11 +182,9 @@ def bind(routes: Iterable[OpenRoute], handles: Sequence[int]) -> None:
 
 
 def count_skipped(
-    routes: Mapping[int, OpenRoute], reader: Reader, start_ns: int | None, stop_ns: int | None, *, latched: bool = True
+    routes: Mapping[int, OpenRoute], reader: Reader, start_ns: int | None, stop_ns: int | None
 ) -> dict[int, OpenRoute]:
     """Count the messages of routes that write nothing, if the source's index has their numbers.
-
-    ``latched`` is whether latched messages from before the cut count.
 
     Returns
     -------
@@ -197,7 +195,7 @@ def count_skipped(
     counted = reader.counts([route.connection for route in skipped], start_ns, stop_ns) if skipped else {}
     # What was latched before the cut would have been written, too.
     lasting = [route.connection for route in skipped if route.lasts]
-    earlier = reader.counts(lasting, None, start_ns) if lasting and latched and start_ns is not None else {}
+    earlier = reader.counts(lasting, None, start_ns) if lasting and start_ns is not None else {}
     for route in skipped:
         (entry,) = route.reports
         before = earlier.get(route.connection.id, 0)

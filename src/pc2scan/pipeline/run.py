@@ -71,7 +71,6 @@ if TYPE_CHECKING:
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .plan import Plan
-    from .split import Piece, PieceResult
 
 
 def run(
@@ -115,33 +114,6 @@ def run(
         report.seconds = time.monotonic() - began
         files.deliver(report)
     return report
-
-
-def run_piece(
-    sources: Sequence[Path],
-    destination: Path,
-    options: ConvertOptions,
-    output: OutputOptions,
-    piece: Piece,
-    *,
-    also_read: Mapping[str, Path] | None = None,
-    progress: Progress | None = None,
-) -> PieceResult:
-    """Convert one of the pieces that a recording is cut into; see `pc2scan.pipeline.pieces`.
-
-    Parameters
-    ----------
-    destination
-        The destination of the whole recording; files are named after it.
-    piece
-        The piece, with the folder of its files.
-    """
-    report = _new_report(sources, destination, options)
-    with ExitStack() as stack:
-        files = RunFiles(sources, destination, options.frames, also_read or {}, output)
-        made = _run(files, options, output, stack, report, progress, None, piece)
-        assert made is not None
-        return made
 
 
 def _new_report(sources: Sequence[Path], destination: Path | None, options: ConvertOptions) -> Report:
@@ -231,9 +203,8 @@ def _run(
     report: Report,
     progress: Progress | None,
     warn: Callable[[str], None] | None,
-    piece: Piece | None = None,
-) -> PieceResult | None:
-    """Convert, without writing the report's file; for a piece, without what depends on the other pieces."""
+) -> None:
+    """Convert, without writing the report's file."""
     _refuse_missing_destination(files.sources, files.destination, output)
     reader, readers, plan = open_plan(files.sources, options, stack)
     report.bytes_read = reader.summary.size_bytes
@@ -263,36 +234,22 @@ def _run(
         else:
             check_destination(path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
         _estimate(files, reader, plan, target, options, output, stack, report)
-        return None
+        return
     if output.folder is not None:
         stack.enter_context(output_folder(output.folder))
     files.open_report(stack)
     if in_parts:
         staging = staged_parts(path, overwrite=output.overwrite, owned=output.owned, warn=report.warnings.append)
-    elif piece is not None:
-        # Another process may have completed it, although it seemed to be dead.
-        staging = staged_output(piece.folder, overwrite=True, record_in=recorded_in)
     else:
         staging = staged_output(path, overwrite=output.overwrite, owned=output.owned, record_in=recorded_in)
     with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-        if piece is None:
-            report.warnings += cut_warnings(reader, options.start, options.end)
-        is_first = piece is None or piece.is_first
-        firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span)) if is_first else None
-        transforms = () if piece is None else piece.transforms
-        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts, transforms)
+        report.warnings += cut_warnings(reader, options.start, options.end)
+        firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span))
+        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
         begin_ns = span.first_ns
-        if piece is not None:
-            assert cut is not None
-            cut = replace(cut, first=piece.first_file)
-            span = span._replace(
-                start_ns=span.start_ns if piece.start_ns is None else piece.start_ns,
-                stop_ns=span.stop_ns if piece.stop_ns is None else piece.stop_ns,
-                latched=is_first,
-            )
         writer = open_writer(target, unfinished, path.name, cut)
         try:
             copying = target.chunks == chunk_format(reader.summary) != ""
@@ -307,10 +264,10 @@ def _run(
             bind(routes.values(), handles)
             if levels is not None:
                 levels.handle = handles[levels.handle]
-            routes = count_skipped(routes, reader, span.start_ns, span.stop_ns, latched=span.latched)
-            if not options.only_scans and is_first:
+            routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
+            if not options.only_scans:
                 copy_extras(reader, target, writer, report)
-            if added is not None and is_first:
+            if added is not None:
                 earliest_ns, latest_ns = target.times_ns
                 begin_ns = max(earliest_ns, min(begin_ns, latest_ns))
                 write_static(options.frames, begin_ns, handles[added], target, writer, report)
@@ -322,38 +279,25 @@ def _run(
                 from pc2scan.bags.splitting import narrow_rule  # noqa: PLC0415  # most recordings are one file
 
                 rule = narrow_rule(rule, cut, reader.connections)
-            # Only the messages of all pieces show that nothing can be converted.
-            unconnected = TransformCheck(firsts.warn) if firsts is not None and piece is None else None
+            unconnected = TransformCheck(firsts.warn)
             stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
-            if unconnected is not None:
-                unconnected.finish()
-            if firsts is not None:
-                firsts.finish()
+            unconnected.finish()
+            firsts.finish()
             for spec in plan.specs:
                 if spec.made_type == LASERSCAN:
                     report.warnings += (each for each in ghost_warnings(spec.params) if each not in report.warnings)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
-            tally = tally_of(reader, routes, target.serialization)
-            if piece is None:
-                conclude(report, tally, options)
+            conclude(report, tally_of(reader, routes, target.serialization), options)
             writer.finish()
         except BaseException:
             writer.abort()
             raise
-        if piece is not None:
-            from pc2scan.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415  # loaded by now
-
-            from .split import PieceResult  # noqa: PLC0415  # most recordings are converted in one piece
-
-            assert isinstance(writer, Rosbag2Writer)
-            return PieceResult(report, tally, writer.info)
         report.bytes_written = _size_on_disk(unfinished)
         if cut is not None:
             from .split import files_in  # noqa: PLC0415  # most recordings are one file
 
             report.files = files_in(unfinished, path)
-    return None
 
 
 def _estimate(

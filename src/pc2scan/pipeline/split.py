@@ -1,9 +1,9 @@
-"""Destinations in several files: reads `split`, lists the files, and describes pieces for separate processes."""
+"""Destinations in several files: reads `split`, and lists the files."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.splitting import Cut
 from pc2scan.core.quantities import byte_size, duration_ns
@@ -11,13 +11,9 @@ from pc2scan.errors import UsageError
 from pc2scan.files.places import part_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from pc2scan.bags.destinations import Destination
-
-    from .conclusion import Tally
-    from .report import Report
 
 
 def cut_of(split: str | None, *, repeat_latched: bool) -> Cut | None:
@@ -76,43 +72,3 @@ def files_in(unfinished: Path, final: Path) -> list[str]:
     folder = final if "metadata.yaml" in names else final.parent
     parts = [name for name in names if name != "metadata.yaml"]
     return [str(folder / name) for name in sorted(parts, key=lambda name: (len(name), name))]
-
-
-class Piece(NamedTuple):
-    """The messages of a piece, and the folder of its files.
-
-    Attributes
-    ----------
-    folder
-        The directory that the files are written in, with a metadata.yaml of their own.
-    start_ns, stop_ns
-        Only messages with ``start_ns <= log_time_ns < stop_ns``; None: from the beginning, to the end of what is
-        converted.
-    is_first
-        Whether it has everything that precedes the messages: latched messages from before the cut, attachments, the
-        user's transforms.
-    first_file
-        The number of its first file.
-    transforms
-        Files with all transforms; see `pc2scan.tf.reading`. Empty if the conversion needs none.
-    """
-
-    folder: Path
-    start_ns: int | None
-    stop_ns: int | None
-    is_first: bool
-    first_file: int = 0
-    transforms: tuple[Path, ...] = ()
-
-
-class PieceResult(NamedTuple):
-    """The result of a piece: its report, not yet concluded, and its files' part of metadata.yaml."""
-
-    report: Report
-    tally: Tally
-    info: Mapping[str, Any]
-
-    @property
-    def file_count(self) -> int:
-        """How many files have messages."""
-        return sum(file["message_count"] > 0 for file in self.info["files"])

@@ -69,15 +69,11 @@ class _MessageOutcome(NamedTuple):
 
 
 class Span(NamedTuple):
-    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and its first time.
-
-    ``latched`` is whether what is latched at its beginning is written, too.
-    """
+    """The cut in log times: ``start_ns <= t < stop_ns`` (None: no limit), and its first time."""
 
     start_ns: int | None
     stop_ns: int | None
     first_ns: int
-    latched: bool = True
 
 
 def stream(
@@ -153,7 +149,7 @@ def _units_of_cut(
     wanted = [route.connection for route in routes.values()]
     start, stop = span.start_ns, span.stop_ns
     lasting = [route.connection for route in routes.values() if route.lasts]
-    if start is not None and lasting and span.latched:
+    if start is not None and lasting:
         with closing(schedule(reader.units(lasting, None, start), own_message, pool, path=reader.path)) as earlier:
             # No rule allows whole chunks here.
             yield [latched_at(cast("Iterator[RawMessage]", earlier), start)]

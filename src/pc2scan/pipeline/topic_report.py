@@ -128,19 +128,6 @@ class TopicReport:
         for name, number in found.items():
             self.removed_beams[name] = self.removed_beams.get(name, 0) + number
 
-    def add(self, other: TopicReport) -> None:
-        """Add what happened to the topic in another piece of the recording."""
-        self.messages_in += other.messages_in
-        self.messages_out += other.messages_out
-        self.skipped += other.skipped
-        self.points += other.points
-        self.empty_scans += other.empty_scans
-        self.motions += other.motions
-        self.tilts += other.tilts
-        self.count_removed(other.removed_beams)
-        if other.rebinned is not None:
-            self.count_rebinned(other.rebinned)
-
     def skip(self, count: int) -> None:
         """Count messages of a topic that is not written; they are missing unless the user dropped the topic."""
         self.messages_in += count

@@ -72,23 +72,6 @@ class TransformBuilder:
                 pair = self._add_pair(parent, child)
             self._records += pack(pair, stamp_ns, static, *pose)
 
-    def dump(self) -> tuple[list[tuple[str, str]], bytes]:
-        """Return what was added, for `add_dump`: the pairs of frames, and the transforms."""
-        return list(self._pairs), bytes(self._records)
-
-    def add_dump(self, pairs: Iterable[tuple[str, str]], records: bytes) -> None:
-        """Append the transforms of another builder, in their order.
-
-        Raises
-        ------
-        RecordingError
-            See `add`.
-        """
-        numbers = [self._add_pair(*pair) if (known := self._pairs.get(pair)) is None else known for pair in pairs]
-        added = np.frombuffer(records, self._DTYPE).copy()
-        added["pair"] = np.array(numbers, np.int32)[added["pair"]] if len(added) else 0
-        self._records += added.tobytes()
-
     def _add_pair(self, parent: str, child: str) -> int:
         pair = self._pairs[parent, child] = len(self._pairs)
         parent, child = parent.removeprefix("/"), child.removeprefix("/")

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 from itertools import islice
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.latching import is_static
-from pc2scan.errors import DecodeError, OutputError, RecordingError, UsageError, name_list
+from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.text import counted, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import TransformRow
@@ -82,37 +80,32 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
     TransformBuffer, list of str
         The transforms, and warnings: transforms that cannot be used, and messages that cannot be decoded.
     """
-    builder, warnings = new_builder(options), dict[str, int]()
-    for reader in readers:
-        collect_transforms(reader, options, builder, warnings)
-    return build_buffer(builder, warnings)
-
-
-def new_builder(options: FrameOptions) -> TransformBuilder:
-    """Return a builder with the user's own transforms."""
     from .builder import TransformBuilder  # noqa: PLC0415  # only with transforms
 
-    builder = TransformBuilder()
+    builder, warnings = TransformBuilder(), dict[str, int]()
     # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
     builder.add((static.row(0) for static in options.static), static=True)
-    return builder
+    for reader in readers:
+        _collect_transforms(reader, options, builder, warnings)
+    buffer = builder.build()
+    texts = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
+    texts += [
+        f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
+        for r in buffer.rejections
+    ]
+    return buffer, texts
 
 
-def collect_transforms(
-    reader: Reader,
-    options: FrameOptions,
-    builder: TransformBuilder,
-    warnings: dict[str, int],
-    start_ns: int | None = None,
-    stop_ns: int | None = None,
+def _collect_transforms(
+    reader: Reader, options: FrameOptions, builder: TransformBuilder, warnings: dict[str, int]
 ) -> None:
-    """Add a recording's transforms, of ``start_ns <= log_time_ns < stop_ns``, and count what cannot be decoded."""
+    """Add a recording's transforms, and count what cannot be decoded."""
     connections = tf_connections(reader.connections, options.tf_topics)
     if not connections:
         return
     overridden = {static.child.removeprefix("/") for static in options.static}
     first: dict[str, TransformRow] = {}
-    for message in reader.messages(connections, start_ns, stop_ns):
+    for message in reader.messages(connections):
         connection = message.connection
         try:
             rows = decode_transforms(message.data, connection.serialization)
@@ -136,17 +129,6 @@ def collect_transforms(
 def _differs(row: TransformRow, first: TransformRow) -> bool:
     """Whether the translations of two transforms with the same parent differ by more than measuring a mount does."""
     return row[0] == first[0] and math.dist(row[3:6], first[3:6]) > _MOVES
-
-
-def build_buffer(builder: TransformBuilder, warnings: Mapping[str, int]) -> tuple[TransformBuffer, list[str]]:
-    """Build the buffer and the warnings that `read_transforms` returns."""
-    buffer = builder.build()
-    texts = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
-    texts += [
-        f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
-        for r in buffer.rejections
-    ]
-    return buffer, texts
 
 
 def read_some_transforms(reader: Reader, options: FrameOptions, time_ns: int) -> TransformBuffer | None:
@@ -180,56 +162,3 @@ def read_some_transforms(reader: Reader, options: FrameOptions, time_ns: int) ->
                 continue
     buffer = builder.build()
     return buffer if len(buffer) else None
-
-
-def store_transforms(
-    reader: Reader, options: FrameOptions, path: Path, start_ns: int | None = None, stop_ns: int | None = None
-) -> None:
-    """Write a recording's transforms of ``start_ns <= log_time_ns < stop_ns`` to a file.
-
-    Raises
-    ------
-    RecordingError
-        If the recording cannot be read.
-    OutputError
-        If the file cannot be written.
-    """
-    import json  # noqa: PLC0415  # only recordings that several processes convert are stored
-    from uuid import uuid4  # noqa: PLC0415
-
-    from .builder import TransformBuilder  # noqa: PLC0415
-
-    builder, warnings = TransformBuilder(), dict[str, int]()
-    collect_transforms(reader, options, builder, warnings, start_ns, stop_ns)
-    pairs, records = builder.dump()
-    head = json.dumps({"pairs": pairs, "warnings": warnings}).encode("ascii") + b"\n"
-    # A unique name, because a process that was taken for dead may still write the same file.
-    partial = path.with_name(f"{path.name}-{uuid4().hex}")
-    try:
-        partial.write_bytes(head + records)
-        partial.replace(path)
-    except OSError as err:
-        raise OutputError(f"cannot be written: {err.strerror}", path=path) from err
-
-
-def load_transforms(paths: Iterable[Path], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
-    """Return what `pc2scan.tf.reading.read_transforms` returns, from stored files in the order of time.
-
-    Raises
-    ------
-    RecordingError
-        If a file cannot be read.
-    """
-    import json  # noqa: PLC0415
-
-    builder, warnings = new_builder(options), dict[str, int]()
-    for path in paths:
-        try:
-            head, _, records = path.read_bytes().partition(b"\n")
-        except OSError as err:
-            raise RecordingError(f"cannot be read: {os.strerror(err.errno or 0)}", path=path) from err
-        found = json.loads(head)
-        builder.add_dump(((parent, child) for parent, child in found["pairs"]), records)
-        for text, count in found["warnings"].items():
-            warnings[text] = warnings.get(text, 0) + count
-    return build_buffer(builder, warnings)

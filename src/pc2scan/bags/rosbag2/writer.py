@@ -107,7 +107,6 @@ class Rosbag2Writer:
         self._connections: dict[int, Connection] = {}
         self._counts: dict[int, int] = {}
         self._span_ns: tuple[int, int] | None = None
-        self.info: dict[str, Any] = {}
         try:
             path.mkdir()
         except OSError as err:
@@ -201,8 +200,7 @@ class Rosbag2Writer:
         self._storage.finish()
         if self._split is not None:
             parts = self._split.parts
-        self.info = self._info(parts)
-        write_info(self._path, self.info)
+        _write_info(self._path, self._info(parts))
 
     def abort(self) -> None:
         """Release the storage; the caller removes the directory."""
@@ -247,7 +245,7 @@ class Rosbag2Writer:
         return OutputError(f"cannot be written: {err.strerror}", path=self._path)
 
 
-def write_info(folder: Path, info: Mapping[str, Any]) -> None:
+def _write_info(folder: Path, info: Mapping[str, Any]) -> None:
     """Write metadata.yaml, and wait until it is on the disk.
 
     Raises
@@ -265,31 +263,6 @@ def write_info(folder: Path, info: Mapping[str, Any]) -> None:
         sync_directory(folder)
     except OSError as err:
         raise OutputError(f"cannot be written: {err.strerror}", path=folder) from err
-
-
-def join_infos(infos: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the content of metadata.yaml for the files of recordings with the same topics that follow each other.
-
-    Files without messages are not listed, unless there are no others.
-    """
-    files = [file for info in infos for file in info["files"]]
-    files = [file for file in files if file["message_count"]] or files[:1]
-    spans = []
-    for file in files:
-        if file["message_count"]:
-            first_ns = file["starting_time"]["nanoseconds_since_epoch"]
-            spans.append((first_ns, first_ns + file["duration"]["nanoseconds"]))
-    topics = [
-        {**entries[0], "message_count": sum(entry["message_count"] for entry in entries)}
-        for entries in zip(*(info["topics_with_message_count"] for info in infos), strict=True)
-    ]
-    return {
-        **infos[0],
-        **_extent_of(spans, sum(file["message_count"] for file in files)),
-        "topics_with_message_count": topics,
-        "relative_file_paths": [file["path"] for file in files],
-        "files": files,
-    }
 
 
 def _extent(parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
