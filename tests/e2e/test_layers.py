@@ -275,7 +275,7 @@ LOADED_BY_CONVERT = {
     "pc2scan.cli": ("app completion convert interrupts next_command options progress render screen spelling usage"),
     "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
     "pc2scan.files": ("buffers compression crc32 limits ownership places run_lock source staging system write_ahead"),
-    "pc2scan.messages": "clouds definitions laserscan outputs pointcloud2 tfmessage wire",
+    "pc2scan.messages": "clouds definitions laserscan pointcloud2 tfmessage wire",
     "pc2scan.options": "call commands conversion frames option projection running table values",
     "pc2scan.pipeline": (
         "checks cloud_checks cloud_to_scan combine conclusion conversion declarations first_clouds "

@@ -19,13 +19,9 @@ from pc2scan.cli.app import application
 from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError, ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.messages.outputs import OF_CLOUDS, OutputType
+from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, Definition
-from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.run import run
-from pc2scan.pipeline.run_files import OutputOptions
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.filters import Frame
 from support.builders import T0
@@ -40,7 +36,6 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.stages.filters import Filter
 
 TOY_CLOUD = "toy_msgs/msg/Polar"
-TOY_SCAN = "toy_msgs/msg/Nearest"
 BAND = pc2scan.ProjectionParams(min_height=-1.0, max_height=2.0)
 FORWARD = [[2.0, 0.01, 0.5, 7], [3.0, 0.01, 0.5, 1], [0.0, 4.0, 0.5, 1], [-5.0, -1.0, 0.5, 9], [1.0, 1.0, 9.0, 9]]
 
@@ -91,11 +86,6 @@ class Beyond:
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         kept: NDArray[np.bool_] = ~(points.field("x") <= self.x)
         return kept
-
-
-def nearest(scan: LaserScan, serialization: str) -> bytes:
-    assert serialization == "cdr"
-    return struct.pack("<qf", scan.stamp_ns, scan.ranges.min())
 
 
 def recorded(path: Path, msgtype: str, messages: list[bytes]) -> Path:
@@ -233,24 +223,3 @@ def test_a_filter_that_cannot_be_is_an_error(tmp_path: Path) -> None:
 
     with pytest.raises(TypeError, match="thinned returned int64"):
         pc2scan.convert(source, tmp_path / "b.mcap", params=BAND, filters=[Wrong(1)])
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_new_output_is_one_encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int) -> None:
-    text = Definition("ros2msg", b"int64 stamp\nfloat32 range\n")
-    monkeypatch.setitem(OF_CLOUDS, TOY_SCAN, OutputType("nearest", nearest, lambda *_: (text, "RIHS01_toy")))
-    source = recorded(tmp_path / "a.mcap", POINTCLOUD2, [cloud()])
-    options = ConvertOptions(scans=(ScanSpec(params=BAND, output_type=TOY_SCAN),), jobs=jobs)
-    report = run([source], tmp_path / "b.mcap", options, OutputOptions())
-    assert [topic.target for topic in report.topics] == ["/nearest"]
-    (data,) = messages_of(tmp_path / "b.mcap", "/nearest")
-    assert struct.unpack("<qf", data) == (T0, pytest.approx(2.0, rel=1e-4))
-    with closing(open_recording(tmp_path / "b.mcap")) as reader:
-        (connection,) = reader.connections
-    assert (connection.ros_type, connection.definition.data) == (TOY_SCAN, text.data)
-
-
-def test_an_output_type_that_is_not_in_the_table_is_an_error() -> None:
-    with pytest.raises(UsageError, match=f"output_type is '{TOY_SCAN}', it must be one of {LASERSCAN}"):
-        ScanSpec(output_type=TOY_SCAN)
-    assert ScanSpec(output_type=POINTCLOUD2, reverse=True).output.name == "cloud"

@@ -140,7 +140,7 @@ def test_the_schema_is_the_one_that_is_shipped() -> None:
 
 def test_the_file_has_whatever_an_output_has() -> None:
     """A choice that `ScanSpec` gets is an entry in the table."""
-    elsewhere = {"name", "place", "topics", "origins", "params", "filters", "reverse", "channels", "output_type"}
+    elsewhere = {"name", "place", "topics", "origins", "params", "filters", "reverse", "channels"}
     elsewhere |= {"combining"}
     assert set(Combining._fields) - {"window_ns", "span_ns", "count", "every_ns"} <= KEYS
     assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= KEYS

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from dataclasses import MISSING, Field, asdict, dataclass, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -155,13 +155,11 @@ def _canonical(value: Any) -> Any:
         # The queue's size bounds what is held in memory. It does not affect the output.
         value = replace(value, queue_size=0)
     if is_dataclass(value) and not isinstance(value, type):
-        # Only attributes of the instance, not what a class computes from them.
-        shown = {
-            each.name: _canonical(getattr(value, each.name))
-            for each in fields(value)
-            if each.repr and each.name not in _PLACES
-        }
-        return {"": type(value).__name__, **shown}
+        # Only attributes that are not the default, so that an option that is added later changes no earlier digest.
+        shown = [each for each in fields(value) if each.repr and each.name not in _PLACES]
+        given = {each.name: _canonical(getattr(value, each.name)) for each in shown}
+        given = {each.name: given[each.name] for each in shown if given[each.name] != _canonical(_default_of(each))}
+        return {"": type(value).__name__, **given}
     if isinstance(value, Enum):
         return value.value
     if isinstance(value, Mapping):
@@ -173,6 +171,10 @@ def _canonical(value: Any) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     return str(value) if isinstance(value, Path) else repr(value)
+
+
+def _default_of(attribute: Field[Any]) -> Any:
+    return attribute.default if attribute.default_factory is MISSING else attribute.default_factory()
 
 
 @dataclass(frozen=True, slots=True)

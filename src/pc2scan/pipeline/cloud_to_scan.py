@@ -12,8 +12,7 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.points import NUMBER
 from pc2scan.core.project import Projector
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan
-from pc2scan.messages.outputs import OF_CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import Conversion, ConvertedMessage, Measurements
@@ -66,8 +65,6 @@ class CloudToScan(Conversion):
         Filters that select points before the projection, in order.
     deskew
         Places points at their own times; None: all points of a cloud are placed at its stamp.
-    output_type
-        The message type of the scans: a key of `OF_CLOUDS`.
     first_clouds
         Returns the checks of the first clouds of a topic; None for no checks.
     keeps_used
@@ -76,6 +73,9 @@ class CloudToScan(Conversion):
         Filters that remove beams of the scans, in order.
     """
 
+    made_type = LASERSCAN
+    encode = encode_laserscan
+
     def __init__(
         self,
         params: ProjectionParams,
@@ -83,7 +83,6 @@ class CloudToScan(Conversion):
         timings: Mapping[str, Measurements] | None = None,
         filters: Sequence[Filter] = (),
         deskew: Deskew | None = None,
-        output_type: str = LASERSCAN,
         first_clouds: Callable[[str], TopicClouds] | None = None,
         *,
         keeps_used: bool = False,
@@ -92,7 +91,7 @@ class CloudToScan(Conversion):
         self._timings = timings or {}
         # The size of a scan: the cloud's header, ranges and intensities. Its other fields take fewer bytes.
         longest = max([each.resolve(params).length for each in self._timings.values()], default=params.length)
-        super().__init__(output_type, OF_CLOUDS[output_type], 1024 + 8 * longest)
+        self.shrinks_from = 1024 + 8 * longest
         self.params = params
         self._frames = frames
         self._first_clouds = first_clouds

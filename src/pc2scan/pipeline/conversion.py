@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 
 from pc2scan.errors import MessageError
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.counts import PointCounts
     from pc2scan.core.params import ProjectionParams
-    from pc2scan.messages.outputs import OutputType
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import LevelTransform
@@ -100,20 +99,19 @@ class Measurements(NamedTuple):
 class Conversion(ABC):
     """A conversion between two kinds of messages: clouds to scans, scans to clouds, or scans to scans.
 
-    Parameters
+    Attributes
     ----------
-    output_type
+    made_type
         The type of the new messages: a ROS type in ROS 2's spelling.
-    output
-        Its entry in the table of `pc2scan.messages.outputs`.
+    encode
+        Serialises a new message as ``ros1`` or ``cdr``.
     shrinks_from
         A message of this size in bytes, or larger, becomes a smaller one.
     """
 
-    def __init__(self, output_type: str, output: OutputType[Any], shrinks_from: int) -> None:
-        self.output_type = output_type
-        self.output = output
-        self.shrinks_from = shrinks_from
+    made_type: ClassVar[str]
+    encode: ClassVar[Callable[[Any, str], bytes]]
+    shrinks_from: int
 
     @abstractmethod
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
@@ -158,7 +156,7 @@ class Conversion(ABC):
 
     def encoder(self, target: str) -> Callable[[ConvertedMessage], EncodedMessage]:
         """Return the encoder that serialises results as ``ros1`` or ``cdr``."""
-        return partial(_encoded, self.output.encode, target)
+        return partial(_encoded, type(self).encode, target)
 
 
 def converter(

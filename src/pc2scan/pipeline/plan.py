@@ -225,7 +225,7 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, options: Convert
                 hint=f"write sources: {candidates[0]}",
             )
         return dict.fromkeys(requests, (spec.name,))
-    name = spec.output.name
+    name = "cloud" if spec.reverse else "scan"
 
     def named(topic: str, target: str | None) -> str:
         if spec.combining.rebin and not target:

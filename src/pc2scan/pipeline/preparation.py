@@ -72,7 +72,7 @@ def prepare_conversions(
         if spec.reverse:
             from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
-            conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew, output_type=spec.made_type)
+            conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew)
             continue
         own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
         if spec.fixed_frame or spec.imu:
@@ -147,7 +147,6 @@ def _to_scans(
         timings,
         spec.filters,
         deskew,
-        spec.made_type,
         judges,
         keeps_used=bool(spec.keep_used),
         remove=spec.remove,

@@ -133,9 +133,8 @@ def open_routes(
         for place, (task, conversion) in enumerate(zip(route.tasks, chosen, strict=True)):
             combiner = combiner_of(combiners, task, conversion, written)
             leads = task.combination is None or task.combination.sources[0] == topic
-            kind = conversion.output_type, conversion.output.define
             for name in task.targets:
-                handle = declared.add(_publisher_like(connection, name, *kind, target)) if leads else -1
+                handle = declared.add(_publisher_like(connection, name, conversion.made_type, target)) if leads else -1
                 kept = made.passing_handle >= 0
                 action = "converted" if leads else "joined"
                 entry = TopicReport(topic, msgtype, name, action, clouds_kept=kept, spec=task.spec)
@@ -145,7 +144,7 @@ def open_routes(
                 if combiner is not None and task.combination is not None:
                     combiner.reports[task.combination.sources.index(topic)] = made.outputs[-1].report
             if (name := task.spec.keep_used) and leads:
-                handle = declared.add(_publisher_like(connection, name, POINTCLOUD2, definition, target))
+                handle = declared.add(_publisher_like(connection, name, POINTCLOUD2, target))
                 note = f"the points that the beams of {', '.join(task.targets)} read"
                 entry = TopicReport(topic, msgtype, name, "added", note)
                 points = TargetTopic(handle, shared(entry), place, used=True, combiner=combiner)
@@ -270,11 +269,10 @@ def _publisher_like(
     source: Connection,
     topic: str,
     msgtype: str,
-    define: Callable[[str, int], tuple[Definition, str]],
     target: Destination,
 ) -> Connection:
     """Return a connection of the destination with the QoS profile, latching and caller id of a source's."""
-    text, digest = define(msgtype, target.ros_version)
+    text, digest = definition(msgtype, target.ros_version)
     same = source.ros_version == target.ros_version
     return Connection(
         id=NEW_ID,

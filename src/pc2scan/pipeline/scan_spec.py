@@ -11,7 +11,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.outputs import OF_CLOUDS, OF_SCANS
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .combine.options import Combining
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rule import Rejection
     from pc2scan.core.unproject import UnprojectParams
-    from pc2scan.messages.outputs import OutputType
 
     from .stages.beams import BeamFilter
     from .stages.filters import Filter
@@ -94,9 +93,6 @@ class ScanSpec:
         `pc2scan.pipeline.stages.beams`.
     keep_used
         A topic for the points that give the scans their ranges; empty: none.
-    output_type
-        The type of the output: one in the tables of `pc2scan.messages.outputs`. Empty: the first one there,
-        LaserScan (PointCloud2 with ``reverse``).
     """
 
     topics: tuple[TopicRequest, ...] = ()
@@ -116,7 +112,6 @@ class ScanSpec:
     filters: tuple[Filter, ...] = ()
     remove: tuple[BeamFilter, ...] = ()
     keep_used: str = ""
-    output_type: str = ""
 
     def __post_init__(self) -> None:
         if self.keep_used:
@@ -150,9 +145,6 @@ class ScanSpec:
         for name in (each.name for each in self.filters):
             if name in taken or not name.isidentifier():
                 raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
-        outputs = self._outputs
-        if self.output_type and self.output_type not in outputs:
-            raise UsageError(f"output_type is {self.output_type!r}, it must be one of {', '.join(outputs)}")
 
     def _check_deskewing(self) -> None:
         if self.deskew and self.reverse and not self.params.target_frame:
@@ -289,15 +281,6 @@ class ScanSpec:
         return (*self.source_types, LASERSCAN) if self.may_combine and not self.combining.rebin else self.source_types
 
     @property
-    def _outputs(self) -> Mapping[str, OutputType[Any]]:
-        return OF_SCANS if self.reverse else OF_CLOUDS
-
-    @property
     def made_type(self) -> str:
         """The type of the new messages."""
-        return self.output_type or next(iter(self._outputs))
-
-    @property
-    def output(self) -> OutputType[Any]:
-        """The table's entry for the type of the new messages."""
-        return self._outputs[self.made_type]
+        return POINTCLOUD2 if self.reverse else LASERSCAN

@@ -12,8 +12,7 @@ from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, las
 from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
-from pc2scan.messages.outputs import OF_SCANS
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud
+from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud, encode_structured
 
 from .conversion import Conversion, ConvertedMessage
 
@@ -37,9 +36,11 @@ class ScanToCloud(Conversion):
         The recording's transforms.
     deskewed
         Whether every beam is transformed by the pose at its own time instead of the scan's stamp.
-    output_type
-        The message type of the clouds: a key of `OF_SCANS`.
     """
+
+    made_type = POINTCLOUD2
+    encode = encode_structured
+    shrinks_from = sys.maxsize
 
     def __init__(
         self,
@@ -47,9 +48,7 @@ class ScanToCloud(Conversion):
         frames: Placer,
         *,
         deskewed: bool = False,
-        output_type: str = POINTCLOUD2,
     ) -> None:
-        super().__init__(output_type, OF_SCANS[output_type], sys.maxsize)
         self.channels = channels
         self._frames = frames
         self._deskewed = deskewed

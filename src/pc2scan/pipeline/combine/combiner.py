@@ -95,7 +95,7 @@ class Combiner:
         made: EncodedMessage | MessageError
         try:
             members = [member.item.contribution for member in group.members]
-            made = self._conversion.encode(contribution, members, self._serialization)
+            made = self._conversion.encode_scan(contribution, members, self._serialization)
         except MessageError as err:
             made = err
         return CombinedScan(output, log_time_ns, contribution.stamp_ns, sequence, made)
@@ -108,7 +108,7 @@ class Combiner:
 
     def alone(self, contribution: Contribution) -> EncodedMessage:
         """Make the scan of one message alone, for forecasts."""
-        return self._conversion.encode(contribution, (contribution,), self._serialization)
+        return self._conversion.encode_scan(contribution, (contribution,), self._serialization)
 
 
 def add_scans(

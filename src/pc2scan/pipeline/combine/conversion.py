@@ -22,8 +22,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
 from pc2scan.files.buffers import ReadBuffer, retain
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.messages.outputs import OF_CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
 from pc2scan.pipeline.motion import Motion
@@ -152,6 +151,10 @@ class MessagesToScan(Conversion):
         Returns the checks of the first clouds of a topic; None for no checks.
     """
 
+    made_type = LASERSCAN
+    encode = encode_laserscan
+    shrinks_from = 0
+
     def __init__(
         self,
         spec: ScanSpec,
@@ -163,7 +166,6 @@ class MessagesToScan(Conversion):
         first_clouds: Callable[[str], TopicClouds] | None = None,
     ) -> None:
         params = measured.resolve(spec.params)
-        super().__init__(spec.made_type, OF_CLOUDS[spec.made_type], 0)
         self.spec = spec
         self.topics = tuple(topics)
         self.grouper = grouper
@@ -226,7 +228,7 @@ class MessagesToScan(Conversion):
         """Return the encoder of scans; messages that are grouped first are not encoded here."""
         return super().encoder(target) if self.grouper is None else _as_it_is
 
-    def encode(self, lead: Contribution, members: Sequence[Contribution], target: str) -> EncodedMessage:
+    def encode_scan(self, lead: Contribution, members: Sequence[Contribution], target: str) -> EncodedMessage:
         """Make the scan of a group of messages, and serialise it as ``ros1`` or ``cdr``."""
         return super().encoder(target)(self.scan(lead, members))
 
