@@ -158,7 +158,7 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                     yield JobStart(key)
                 case "done":
                     job = left.pop(key)
-                    seconds = time.monotonic() - running.get(key, time.monotonic())
+                    seconds = round(time.monotonic() - running.get(key, time.monotonic()), 3)
                     result = _result(job, value, seconds)
                     if (
                         attempts[key] > 1

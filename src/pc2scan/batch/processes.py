@@ -343,7 +343,7 @@ def _after_death(
         pending.again(job.retried())
         yield ProcessDeath(job.key, why)
     else:
-        seconds = time.monotonic() - worker.began
+        seconds = round(time.monotonic() - worker.began, 3)
         if (done := pending.done(death_of(job, why, attempts=attempts[job.key], seconds=seconds))) is not None:
             yield JobEnd(done)
 

@@ -375,7 +375,7 @@ class _Batch:
         for step in self.made.steps:
             record = step.record if step.action == "keep" else self._records.get(step.found.key)
             self.report.outcomes.append(Outcome.of(step, record))
-        self.report.seconds = time.monotonic() - began
+        self.report.seconds = round(time.monotonic() - began, 3)
 
 
 def _behind_link(path: Path, link: Path) -> DestinationError:

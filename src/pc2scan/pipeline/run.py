@@ -108,10 +108,10 @@ def run(
             _run(files, options, output, stack, report, progress, warn)
         except Exception as err:
             report.errors = [err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")]
-            report.seconds = time.monotonic() - began
+            report.seconds = round(time.monotonic() - began, 3)
             files.deliver_failure(report)
             raise
-        report.seconds = time.monotonic() - began
+        report.seconds = round(time.monotonic() - began, 3)
         files.deliver(report)
     return report
 
