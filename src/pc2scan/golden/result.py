@@ -86,7 +86,9 @@ class GoldenReport(Result):
         return f"<GoldenReport of {self.folder!r}: {self._counted()}, exit status {self.exit_status}>"
 
     def _counted(self) -> str:
-        return ", ".join(f"{number} {outcome.value}" for outcome, number in self.counts.items() if number) or "no cases"
+        words = {CaseOutcome.error: "could not be checked"}
+        counts = ((number, words.get(outcome, outcome.value)) for outcome, number in self.counts.items() if number)
+        return ", ".join(f"{number:,} {word}" for number, word in counts) or "no cases"
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the cases, and how many have which outcome."""
