@@ -33,7 +33,7 @@ BEAMS = (360, 720)
 CROWDED = {"store 1", "store 2", "store 3"}
 
 
-class EncodedMessage(NamedTuple):
+class Conversion(NamedTuple):
     """The scans of a recording, its warnings about removed beams, and the counts of beams."""
 
     scans: list[NDArray[np.float32]]
@@ -49,7 +49,7 @@ def expected(cloud: Veiled, beams: int) -> Scan:
     return scan_of(cloud, ProjectionParams(angle_increment=2 * math.pi / beams, min_height=LOWEST, max_height=HIGHEST))
 
 
-def converted(recording: Path, beams: int, *options: str) -> EncodedMessage:
+def converted(recording: Path, beams: int, *options: str) -> Conversion:
     """Converted by the real command, within this process."""
     folder = recording.parent
     ended = run_command([
@@ -67,7 +67,7 @@ def converted(recording: Path, beams: int, *options: str) -> EncodedMessage:
         ]
     (topic,) = (entry for entry in report["topics"] if entry["action"] == "converted")
     warnings = [as_typed(each) for each in report["warnings"] if " removed " in each]
-    return EncodedMessage(scans, warnings, topic["removed_beams"])
+    return Conversion(scans, warnings, topic["removed_beams"])
 
 
 @pytest.mark.parametrize("plan", sampled(sorted(PLANS.keys() - CROWDED), 1))

@@ -241,6 +241,11 @@ def test_scans_of_surprising_heights_are_warned_of() -> None:
     ]
 
 
+def test_many_removed_beams_are_warned_of() -> None:
+    with pytest.warns(pc2scan.RecordingWarning, match="/scan: 1,181 of 1,220 beams .* were removed as sparse"):
+        list(pc2scan.scans(HALL, min_height=-0.3, min_points=12))
+
+
 @pytest.mark.parametrize(("how", "told"), rows(TABLES, "doubtful requests, and what is said"), ids=str)
 def test_doubtful_requests_draw_the_warning_of_convert(how: dict[str, Any], told: str, tmp_path: Path) -> None:
     """A loop that ends early is warned, too."""

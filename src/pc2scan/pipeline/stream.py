@@ -317,16 +317,7 @@ def _write_one(
 def _account(made: EncodedMessage, output: TargetTopic) -> None:
     """Count a message that was written."""
     output.sample = output.sample or made.data
-    output.report.points += made.counts
-    output.report.empty_scans += made.empty
-    if made.motion is not None:
-        output.report.motions.append(made.motion)
-    if made.level is not None:
-        output.report.tilts.append(made.level.tilt)
-    if made.removed is not None:
-        output.report.count_removed(made.removed)
-    if made.rebinned is not None:
-        output.report.count_rebinned(made.rebinned)
+    output.report.count(made)
 
 
 def _count(entry: TopicReport, error: MessageError | None, *, is_written: bool = True) -> None:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, ClassVar
 from pc2scan.core.counts import PointCounts
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from .combine.counts import SourceCounts
     from .combine.rebinning import Rebinning
+    from .conversion import EncodedMessage
     from .scan_spec import ScanSpec
 
 
@@ -118,15 +117,19 @@ class TopicReport:
             "median_deg": math.degrees(median_low(self.tilts)),
         }
 
-    def count_rebinned(self, found: Rebinning) -> None:
-        """Add the beams of one more scan."""
-        known = self.rebinned or (0, 0, 0)
-        self.rebinned = type(found)(*(one + other for one, other in zip(known, found, strict=True)))
-
-    def count_removed(self, found: Mapping[str, int]) -> None:
-        """Add the beams that were removed from one more scan."""
-        for name, number in found.items():
+    def count(self, result: EncodedMessage) -> None:
+        """Count what a message became: its points, the motion of the sensor, and its beams."""
+        self.points += result.counts
+        self.empty_scans += result.empty
+        if result.motion is not None:
+            self.motions.append(result.motion)
+        if result.level is not None:
+            self.tilts.append(result.level.tilt)
+        for name, number in (result.removed or {}).items():
             self.removed_beams[name] = self.removed_beams.get(name, 0) + number
+        if (more := result.rebinned) is not None:
+            known = self.rebinned or (0, 0, 0)
+            self.rebinned = type(more)(*(one + other for one, other in zip(known, more, strict=True)))
 
     def skip(self, count: int) -> None:
         """Count messages of a topic that is not written; they are missing unless the user dropped the topic."""

@@ -455,12 +455,7 @@ class _ConversionCounter:
                 entry.skipped += 1
             elif message.converted is not None and message.is_joint == is_joint:
                 entry.messages_out += 1
-                entry.points += message.converted.counts
-                entry.empty_scans += message.converted.empty
-                if message.converted.motion is not None:
-                    entry.motions.append(message.converted.motion)
-                if message.converted.level is not None:
-                    entry.tilts.append(message.converted.level.tilt)
+                entry.count(message.converted)
 
     def finish(self) -> None:
         """Raise if nothing could be converted; see `ResultCounter`."""
