@@ -162,13 +162,6 @@ def test_every_return_is_on_its_wall(name: str, world: Callable[..., Path], tmp_
 
 
 @pytest.mark.slow
-def test_packets_alone_make_scans_of_a_tenth_of_a_turn(world: Callable[..., Path], tmp_path: Path) -> None:
-    single = converted(tmp_path, world(PACKETS, seconds=0.6), *FINE).scans
-    assert len(single) == 60
-    assert max(np.isfinite(scan.ranges).sum() for scan in single) < 0.15 * len(single[0].ranges)
-
-
-@pytest.mark.slow
 def test_a_pattern_that_does_not_come_back_becomes_dense(world: Callable[..., Path], tmp_path: Path) -> None:
     source = world(ROSETTE, seconds=2.0)
     options = ("--geometry", "centered", "--beams", "1440", "--min-height", "0.1", "--only-scans", "--deskew")
@@ -210,21 +203,6 @@ def test_a_scanner_with_varying_beams_gets_a_constant_number(world: Callable[...
     assert done.topic("/flat")["target"] == "/flat"
     assert "refuse" not in done.stderr
     assert misplaced(converted(tmp_path, source, *rebin).scans, mount=FLAT.mount) > 0.7
-
-
-@pytest.mark.slow
-def test_level_scans_of_two_lidars_on_a_robot_that_tilts(world: Callable[..., Path], tmp_path: Path) -> None:
-    options = (*two_topics(), *MOVED, "--deskew", *FINE)
-    source = world(FRONT, REAR, drive=TILTING, seconds=1.0)
-    done = converted(tmp_path, source, *options, "--level")
-    assert {scan.frame_id for scan in done.scans} == {"base_link_stabilized"}
-    # The level frame has the yaw and the place of the robot, and none of its tilt.
-    assert misplaced(done.scans) == 0
-    with closing(open_recording(tmp_path / "out.mcap")) as reader:
-        kinds = [message.connection.topic for message in reader.messages()]
-    assert kinds.count("/tf") == kinds.count("/scan") == 10
-    # Without it, floor is in the scans: far from any wall.
-    assert np.mean(errors(converted(tmp_path, source, *options).scans, TILTING) > 0.1) > 0.01
 
 
 def test_another_topic_may_lead_in_the_command_and_in_python(world: Callable[..., Path], tmp_path: Path) -> None:

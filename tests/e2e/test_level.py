@@ -210,15 +210,6 @@ def test_every_container(tmp_path: Path, world: Path, output: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_number_of_jobs_does_not_matter(tmp_path: Path, world: Path, imu: Path) -> None:
-    found = []
-    for jobs in ("1", "2", "8"):
-        converted(tmp_path, world, imu, "--level", "--imu", "/imu", *MOUNTED, "--jobs", jobs)
-        found.append((tmp_path / "b.mcap").read_bytes())
-    assert found[0] == found[1] == found[2]
-
-
-@pytest.mark.slow
 def test_a_cut_changes_nothing_in_what_is_left(tmp_path: Path, world: Path, imu: Path) -> None:
     options = ("--level", "--imu", "/imu", *MOUNTED)
     whole = {log: scan.ranges.tobytes() for log, scan in converted(tmp_path, world, imu, *options).scans}
