@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -17,15 +17,18 @@ import pytest
 import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
-from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.result import json_value
-from support import sampled
+from support import conversions, sampled
 from support.command import run
 from support.tables import rows
 from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from pc2scan.messages.laserscan import LaserScan
+    from support.conversions import Made
 
 TABLES = Path(__file__).with_name("combined.txt")
 FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)))
@@ -65,32 +68,10 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     return written
 
 
-class Done(NamedTuple):
-    """What the command said and wrote."""
-
-    stdout: str
-    stderr: str
-    scans: list[LaserScan]
-    log_times: list[int]
-    report: dict[str, Any]
-
-    def topic(self, name: str) -> dict[str, Any]:
-        """The report's entry of a source topic."""
-        (entry,) = (each for each in self.report["topics"] if each["topic"] == name)
-        return dict(entry)
-
-
-def converted(folder: Path, source: Path, *options: str, status: int = 0) -> Done:
-    out, report = folder / "out.mcap", folder / "r.json"
-    done = run("convert", source, "-o", out, "--overwrite", "--jobs", "2", "--report", report, *options)
-    stdout, stderr = (" ".join(text.split()) for text in (done.stdout, done.stderr))
-    assert done.status == status, done.stderr
-    if done.status:
-        return Done(stdout, stderr, [], [], {})
-    with closing(open_recording(out)) as reader:
-        messages = [m for m in reader.messages() if m.connection.ros_type.endswith("LaserScan")]
-        scans = [decode_laserscan(m.data, m.connection.serialization) for m in messages]
-    return Done(stdout, stderr, scans, [m.log_time_ns for m in messages], json.loads(report.read_text()))
+def converted(folder: Path, source: Path, *options: str, status: int = 0) -> Made:
+    made = conversions.converted(folder / "out.mcap", source, "--jobs", "2", *options)
+    assert made.done.status == status, made.done.stderr
+    return made
 
 
 def errors(scans: Sequence[LaserScan], drive: Drive = Drive(), mount: Rigid | None = None) -> Any:  # noqa: B008
@@ -134,7 +115,7 @@ def test_every_return_is_on_its_wall(name: str, world: Callable[..., Path], tmp_
     done = converted(tmp_path, source, *options, *MOVED, "--deskew")
     assert len(done.scans) == count
     assert all(scan.frame_id == "base_link" and scan.time_increment == 0 for scan in done.scans)
-    assert done.log_times == sorted(done.log_times)
+    assert done.timed == sorted(done.timed, key=lambda timed: timed[0])
     assert (misplaced(done.scans), np.max(errors(done.scans)) < 0.02) == (0, True)
     plain = converted(tmp_path, source, *options, *UNMOVED).scans
     assert misplaced(plain) > share
