@@ -108,6 +108,17 @@ def test_level_by_odometry_every_return_is_on_its_wall(deskewed: tuple[str, ...]
         assert far.max() > 3
 
 
+def test_clouds_are_made_level_in_their_own_frame(tmp_path: Path, world: Path) -> None:
+    own = ("--min-height", "-0.4", *PARAMETERS[4:])
+    made = conversions.converted(tmp_path / "b.mcap", world, "--level", "--fixed-frame", "odom", *own)
+    assert {scan.frame_id for scan in made.scans} == {"lidar_stabilized"}
+    flat = replace(TILTING, tilt=0.0)
+    away = np.concatenate([off_the_walls(returns_in_odom(scan, flat, LIDAR.mount)) for scan in made.scans])
+    assert len(away) > 20_000
+    # The sensor stands above the point about which the robot tilts, and moves by a few centimetres.
+    assert away.max() < 0.1
+
+
 @pytest.mark.parametrize("orientation", sampled([False, True], 1))
 def test_level_by_an_imu_that_is_mounted_upside_down(tmp_path: Path, world: Path, orientation: bool) -> None:
     imu = write_imu(tmp_path / "imu.mcap", TILTING, orientation=orientation)
