@@ -90,43 +90,6 @@ def test_scans_takes_what_convert_takes() -> None:
     assert taken_by_function("clouds") == {"sources", "topics", "start", "end", "on_error", "verify", "strict"}
 
 
-@pytest.mark.parametrize(
-    ("function", "keyword", "hint"),
-    [
-        ("view", "keep", "it would have no effect, because view writes no recording; convert has it"),
-        ("map", "fail_on", "it would have no effect, because map writes no recording; convert has it"),
-        ("scans", "only_scans", "it would have no effect, because scans writes no recording; convert has it"),
-        ("view", "overwrite", "`Page.save` has it"),
-        ("map", "destination", "`Map.save` writes the files"),
-        ("convert", "each", "pc2scan batch converts each recording on its own"),
-        ("diff", "explain", "for differences of libm, convert again with the other `angle_rounding`"),
-        ("info", "atol", "only diff has it"),
-        ("view", "jobs", "it would have no effect here; convert has it"),
-        ("plot", "accumulate", "pages and figures make each scan of one cloud; convert with this option"),
-    ],
-)
-def test_an_option_of_another_function_is_an_error_with_a_hint(function: str, keyword: str, hint: str) -> None:
-    with pytest.raises(TypeError, match=re.escape(f"{function}() has no argument {keyword!r}; {hint}")):
-        getattr(pc2scan, function)(HALL, **{keyword: True})
-
-
-@pytest.mark.parametrize("function", ["scans", "clouds"])
-@pytest.mark.parametrize(("old", "new"), [("topic", "topics"), ("source", "sources")])
-def test_old_names_are_errors_with_the_new_name(function: str, old: str, new: str) -> None:
-    with pytest.raises(TypeError, match=rf"{function}\(\) has no argument '{old}'; did you mean '{new}'\?"):
-        getattr(pc2scan, function)(**{"sources": HALL, old: "/points"} if old == "topic" else {old: HALL})
-
-
-def test_keywords_through_another_function_are_checked() -> None:
-    calls: tuple[Any, ...] = (pc2scan.map, pc2scan.scans, pc2scan.view)
-    for call in calls:
-        assert "deskew: bool = False" in str(inspect.signature(call))
-        with pytest.raises(TypeError, match="deskew is 'no' \\(str\\), it must be True or False"):
-            call(HALL, deskew="no")
-        with pytest.raises(TypeError, match="did you mean 'min_height'"):
-            call(HALL, min_hight=1)
-
-
 @pytest.fixture
 def spotted(tmp_path: Path) -> Path:
     """Scans with a beam that stands alone: a speckle."""

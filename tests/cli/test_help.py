@@ -6,6 +6,7 @@ import ast
 import re
 import shlex
 import signal
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -21,11 +22,13 @@ from pc2scan.core import kernel
 from pc2scan.options.table import spelling_of
 from support import ROOT
 from support.command import run
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 HALL = ROOT / "fixtures" / "hall.bag"
+TABLES = Path(__file__).with_name("help.txt")
 PACKAGE = ROOT / "src" / "pc2scan"
 
 
@@ -37,35 +40,13 @@ def test_the_version_says_if_loops_are_not_compiled(compiled: bool, monkeypatch:
     assert bool(rest) != compiled
 
 
-@pytest.mark.parametrize(
-    ("typed", "offered"),
-    [
-        ("pc2scan rep", "repair"),
-        ("pc2scan convert --min-", "--min-height --min-height-slope --min-points --min-used"),
-        ("pc2scan convert hall.bag --storage ", "mcap sqlite3"),
-        ("pc2scan convert --beams x --use", "--use-inf"),
-        ("pc2scan convert x.bag --preset sl", "slam_toolbox"),
-        ("pc2scan convert x.bag --geometry up", "upstream"),
-        (f"pc2scan convert {HALL} --topic ", "/points"),
-        (f"pc2scan convert {HALL} --keep /tf", "/tf /tf_static"),
-        (f"pc2scan convert {HALL} --target-frame ", "base_link lidar odom"),
-        (f"pc2scan convert -o x.bag {HALL} --source-frame l", "lidar"),
-        (f"pc2scan tf {HALL} --lookup base_link l", "lidar"),
-        (f"pc2scan check {HALL} --base-frame b", "base_link"),
-        (f"pc2scan check {HALL} --topic ", ""),
-        (f"pc2scan diff {HALL} {HALL} --topic /p", "/points"),
-        ("pc2scan convert nothing.bag --topic ", ""),
-        (f"pc2scan convert {ROOT} --topic ", ""),
-        (f"pc2scan convert {ROOT}/README.md --target-frame ", ""),
-        (f"pc2scan convert '{HALL} --topic ", ""),
-    ],
-)
+@pytest.mark.parametrize(("typed", "offered"), rows(TABLES, "completions"))
 def test_the_shell_completes_options_and_their_values(
     typed: str, offered: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(completion, "_PATIENCE", 60.0)
     before = signal.getsignal(signal.SIGALRM)
-    assert completed(typed) == offered.split()
+    assert completed(typed.replace("HALL", str(HALL)).replace("ROOT", str(ROOT))) == offered.split()
     assert signal.getsignal(signal.SIGALRM) == before
 
 
@@ -114,24 +95,6 @@ def texts_of_the_library() -> Iterator[tuple[str, str]]:
                 yield str(path.relative_to(PACKAGE)), node.value
 
 
-#: Modules below the command line whose texts have options, and why.
-OPTIONS_BELOW = {
-    "options/commands.py": "how options are typed",
-    "options/conversion.py": "likewise",
-    "options/option.py": "likewise",
-    "options/projection.py": "likewise",
-    "options/running.py": "likewise",
-    "pipeline/parameters.py": "where a parameter comes from, as it was typed",
-    "pipeline/yaml_nodes.py": "likewise",
-    "pipeline/launch_file.py": "ROS's own options, which launch files have",
-    "bags/formats.py": "the options of ROS's own players",
-    "golden/case.py": "the arguments of a command, which cases have",
-    "golden/check.py": "the arguments of the command that golden cases run",
-    "look/command_line.py": "the command that a page shows",
-    "compare/scan_text.py": "the first line of files that are kept: they stay as they are, to the byte",
-}
-
-
 @pytest.mark.slow
 def test_the_library_names_options_and_the_command_spells_them() -> None:
     group = get_command(application())
@@ -145,4 +108,4 @@ def test_the_library_names_options_and_the_command_spells_them() -> None:
             spelled.add(path)
     assert {"overwrite", "topics", "angle_min", "target_frame"} <= named
     assert {name for name in named if spelling_of(name) not in known} == set()
-    assert spelled == OPTIONS_BELOW.keys()
+    assert spelled == dict(rows(TABLES, "options below the command line")).keys()

@@ -15,20 +15,12 @@ from pc2scan.errors import DecodeError, UsageError
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.tables import Table, fitted
+from support.tables import rows
+
+TABLES = Path(__file__).with_name("shown_text.txt")
 
 
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        ("::error::x", r"\x3a:error::x"),
-        ("  ::set-output name=a::b", r"  \x3a:set-output name=a::b"),
-        ("a ##[error]b", r"a \x23\x23[error]b"),
-        ("###vso[task.setvariable variable=PATH]x", r"#\x23\x23vso[task.setvariable variable=PATH]x"),
-        ("##teamcity[buildStop]", r"\x23\x23teamcity[buildStop]"),
-        ("std::string /a::b #1", "std::string /a::b #1"),
-        ("  0.1 to 0.2 m  ####", "  0.1 to 0.2 m  ####"),
-    ],
-)
+@pytest.mark.parametrize(("text", "shown"), rows(TABLES, "commands of CI systems"))
 def test_commands_of_ci_systems_are_shown_not_obeyed(text: str, shown: str, capsys: pytest.CaptureFixture[str]) -> None:
     say(text)
     assert capsys.readouterr().out == f"{shown}\n"
@@ -81,8 +73,8 @@ def test_a_table_that_is_too_wide_loses_no_text() -> None:
 
 
 @given(st.lists(st.lists(st.text("ab /", max_size=40), min_size=4, max_size=4), max_size=5), st.integers(60, 120))
-def test_any_table_fits(rows: list[list[str]], width: int) -> None:
-    cells = [["one", "two", "three", "four"], *rows]
+def test_any_table_fits(lines: list[list[str]], width: int) -> None:
+    cells = [["one", "two", "three", "four"], *lines]
     assert all(len(line) <= width for line in fitted(cells, ("one", "three"), width))
 
 
@@ -95,33 +87,7 @@ def test_many_places_are_cut_short(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[-2] == "damaged: 995 more"
 
 
-@pytest.mark.parametrize(
-    ("places", "declared", "found", "lost", "times"),
-    [
-        (
-            [(1, 100, None, 5, 9), (2, 200, None, 7, 12)],
-            1300,
-            "1,200 of the 1,300 messages that the source declares",
-            "300 B lost",
-            "messages may be missing from log time 0.000000005 to 0.000000012",
-        ),
-        (
-            [()],
-            1200,
-            "1,200 messages",
-            "it is unknown how much is lost",
-            "it is unknown at which times messages are missing",
-        ),
-        (
-            [(1, 0, 2, 5, 9), (2, 0, 0)],
-            None,
-            "1,200 messages",
-            "2 messages lost",
-            "messages may be missing from log time 0.000000005 to 0.000000009",
-        ),
-        ([(1, 0, 0)], None, "1,200 messages", "no bytes are known to be lost", "no message is known to be missing"),
-    ],
-)
+@pytest.mark.parametrize(("places", "declared", "found", "lost", "times"), rows(TABLES, "recovered"))
 def test_a_run_says_what_was_recovered(
     places: Any, declared: int | None, found: str, lost: str, times: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

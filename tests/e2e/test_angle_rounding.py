@@ -38,12 +38,6 @@ def test_there_are_cases() -> None:
     assert CASES == ["aligned_columns", "hundredths_of_degrees"]
 
 
-@pytest.mark.parametrize("case", sampled(CASES, 1))
-def test_the_default_is_a_correctly_rounding_libm(case: str, tmp_path: Path) -> None:
-    converted(case, tmp_path / "out.bag", "--params-file", FOLDER / case / "params.yaml")
-    assert opened(tmp_path / "out.bag").messages == opened(FOLDER / case / "expected.bag").messages
-
-
 @pytest.mark.parametrize(("case", "way"), sampled(product(CASES, WAYS), 2))
 def test_the_older_libm_to_the_byte(case: str, way: str, tmp_path: Path) -> None:
     params, report = tmp_path / "params.yaml", tmp_path / "report.json"

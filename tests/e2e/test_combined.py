@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -17,15 +17,18 @@ import pytest
 import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
-from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.result import json_value
-from support import sampled
+from support import conversions, sampled
 from support.command import run
 from support.tables import rows
 from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+
+    from pc2scan.messages.laserscan import LaserScan
+    from support.conversions import Made
 
 TABLES = Path(__file__).with_name("combined.txt")
 FRONT = Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.4, 0.0, 0.5)))
@@ -65,32 +68,10 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     return written
 
 
-class Done(NamedTuple):
-    """What the command said and wrote."""
-
-    stdout: str
-    stderr: str
-    scans: list[LaserScan]
-    log_times: list[int]
-    report: dict[str, Any]
-
-    def topic(self, name: str) -> dict[str, Any]:
-        """The report's entry of a source topic."""
-        (entry,) = (each for each in self.report["topics"] if each["topic"] == name)
-        return dict(entry)
-
-
-def converted(folder: Path, source: Path, *options: str, status: int = 0) -> Done:
-    out, report = folder / "out.mcap", folder / "r.json"
-    done = run("convert", source, "-o", out, "--overwrite", "--jobs", "2", "--report", report, *options)
-    stdout, stderr = (" ".join(text.split()) for text in (done.stdout, done.stderr))
-    assert done.status == status, done.stderr
-    if done.status:
-        return Done(stdout, stderr, [], [], {})
-    with closing(open_recording(out)) as reader:
-        messages = [m for m in reader.messages() if m.connection.ros_type.endswith("LaserScan")]
-        scans = [decode_laserscan(m.data, m.connection.serialization) for m in messages]
-    return Done(stdout, stderr, scans, [m.log_time_ns for m in messages], json.loads(report.read_text()))
+def converted(folder: Path, source: Path, *options: str, status: int = 0) -> Made:
+    made = conversions.converted(folder / "out.mcap", source, "--jobs", "2", *options)
+    assert made.done.status == status, made.done.stderr
+    return made
 
 
 def errors(scans: Sequence[LaserScan], drive: Drive = Drive(), mount: Rigid | None = None) -> Any:  # noqa: B008
@@ -134,7 +115,7 @@ def test_every_return_is_on_its_wall(name: str, world: Callable[..., Path], tmp_
     done = converted(tmp_path, source, *options, *MOVED, "--deskew")
     assert len(done.scans) == count
     assert all(scan.frame_id == "base_link" and scan.time_increment == 0 for scan in done.scans)
-    assert done.log_times == sorted(done.log_times)
+    assert done.timed == sorted(done.timed, key=lambda timed: timed[0])
     assert (misplaced(done.scans), np.max(errors(done.scans)) < 0.02) == (0, True)
     plain = converted(tmp_path, source, *options, *UNMOVED).scans
     assert misplaced(plain) > share
@@ -159,13 +140,6 @@ def test_every_return_is_on_its_wall(name: str, world: Callable[..., Path], tmp_
         assert "9 of 19 messages of /top are in no scan on /scan" in done.stdout
     else:
         assert done.topic("/flat")["points"]["height"] == 0
-
-
-@pytest.mark.slow
-def test_packets_alone_make_scans_of_a_tenth_of_a_turn(world: Callable[..., Path], tmp_path: Path) -> None:
-    single = converted(tmp_path, world(PACKETS, seconds=0.6), *FINE).scans
-    assert len(single) == 60
-    assert max(np.isfinite(scan.ranges).sum() for scan in single) < 0.15 * len(single[0].ranges)
 
 
 @pytest.mark.slow
@@ -210,21 +184,6 @@ def test_a_scanner_with_varying_beams_gets_a_constant_number(world: Callable[...
     assert done.topic("/flat")["target"] == "/flat"
     assert "refuse" not in done.stderr
     assert misplaced(converted(tmp_path, source, *rebin).scans, mount=FLAT.mount) > 0.7
-
-
-@pytest.mark.slow
-def test_level_scans_of_two_lidars_on_a_robot_that_tilts(world: Callable[..., Path], tmp_path: Path) -> None:
-    options = (*two_topics(), *MOVED, "--deskew", *FINE)
-    source = world(FRONT, REAR, drive=TILTING, seconds=1.0)
-    done = converted(tmp_path, source, *options, "--level")
-    assert {scan.frame_id for scan in done.scans} == {"base_link_stabilized"}
-    # The level frame has the yaw and the place of the robot, and none of its tilt.
-    assert misplaced(done.scans) == 0
-    with closing(open_recording(tmp_path / "out.mcap")) as reader:
-        kinds = [message.connection.topic for message in reader.messages()]
-    assert kinds.count("/tf") == kinds.count("/scan") == 10
-    # Without it, floor is in the scans: far from any wall.
-    assert np.mean(errors(converted(tmp_path, source, *options).scans, TILTING) > 0.1) > 0.01
 
 
 def test_another_topic_may_lead_in_the_command_and_in_python(world: Callable[..., Path], tmp_path: Path) -> None:

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-import json
-from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from pc2scan.bags.opening import open_recording
-from pc2scan.messages.laserscan import LaserScan, decode_laserscan
-from support import ROOT
+from support import ROOT, conversions
 from support.command import run
 from support.worlds.moving import Lidar, write_world
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from pc2scan.messages.laserscan import LaserScan
     from support.command import Finished
 
 HALL = ROOT / "fixtures" / "hall.mcap"
 
 
 def converted(folder: Path, *options: str) -> tuple[Finished, list[LaserScan], dict[str, Any]]:
-    done = run(
-        "convert", HALL, "-o", folder / "b.mcap", "--overwrite", "--min-height", "-0.3", "--only-scans",
-        "--report", folder / "r.json", *options,
-    )  # fmt: skip
-    report = json.loads((folder / "r.json").read_text()) if (folder / "r.json").exists() else {}
-    scans = []
-    if (folder / "b.mcap").exists():
-        with closing(open_recording(folder / "b.mcap")) as reader:
-            scans = [decode_laserscan(m.data, m.connection.serialization) for m in reader.messages()]
-    return done, scans, report
+    made = conversions.converted(folder / "b.mcap", HALL, "--min-height", "-0.3", "--only-scans", *options)
+    return made.done, made.scans, made.report
 
 
 @pytest.mark.parametrize("stamp", ["header", "start", "middle", "end"])

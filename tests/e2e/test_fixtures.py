@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import importlib.util
+from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,14 +17,11 @@ FIXTURES = ROOT / "fixtures"
 
 def content(path: Path) -> list[tuple[Any, ...]]:
     """Compressed bytes depend on the versions of libraries; what is in a recording does not."""
-    reader = open_recording(path)
-    try:
+    with closing(open_recording(path)) as reader:
         return [
             (m.connection.topic, m.connection.msgtype, m.connection.qos, m.log_time_ns, bytes(m.data))
             for m in reader.messages()
         ]
-    finally:
-        reader.close()
 
 
 @pytest.mark.parametrize("name", ["hall.bag", "hall.mcap", "hall"])

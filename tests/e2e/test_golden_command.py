@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import signal
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 import typer
@@ -16,37 +16,11 @@ from pc2scan.cli import app as app_module
 from pc2scan.cli.in_process import run_command
 from support import ROOT
 from support.command import run
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from support.tables import rows
 
 HALL = ROOT / "fixtures" / "hall.bag"
 
-#: Arguments that no case may have, however they are spelled, and what the error names.
-REFUSED = {
-    "[-o, OUT]": "--output",
-    "[-oOUT]": "--output",
-    "[-qo, OUT]": "--output",
-    "[-jo, OUT]": "is not an option",
-    "[--output=OUT]": "--output",
-    "[--out=OUT]": "--out",
-    "['-t=/points', -oOUT]": "--output",
-    "[--no-use-inf, -o, OUT]": "--output",
-    "[--report, OUT]": "--report",
-    "[--report=OUT]": "--report",
-    "[-vqoOUT]": "--output",
-    "[--overwrite]": "--overwrite",
-    "[--help]": "--help",
-    "[-h]": "--help",
-    "[-qh]": "--help",
-    "[--version]": "--version",
-    "[--junit, OUT]": "--junit",
-    "[--json]": "--json",
-    "[-q]": "--quiet",
-    "[other.bag]": "'other.bag' is not an option",
-    "[--, -o, OUT]": "'-o' is not an option",
-    "[--topic]": "--topic",
-}
+REFUSED: dict[str, str] = dict(rows(Path(__file__).with_name("golden_command.txt"), "arguments that no case may have"))
 
 
 @pytest.mark.parametrize("status", [0, 2])

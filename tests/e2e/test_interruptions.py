@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import resource
 import shutil
 import signal
 import sqlite3
@@ -23,7 +22,7 @@ import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import Pc2ScanError, RecordingError
 from support import ROOT, sampled
-from support.builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1, write_rosbag2
+from support.builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1
 from support.command import COMMAND, INTERRUPTED, Finished, run, run_process
 
 if TYPE_CHECKING:
@@ -93,15 +92,6 @@ def test_a_signal_leaves_nothing(kind: str, sent: tuple[int, tuple[int, ...]], l
     assert done.stdout == ""
     # Who pressed Ctrl-C reads the terminal; who sent SIGTERM reads the exit status.
     assert number == signal.SIGTERM or "nothing was written" in done.stderr
-
-
-def test_an_interrupted_overwrite_keeps_what_was_there(large: Path, tmp_path: Path) -> None:
-    destination = tmp_path / "out.bag"
-    destination.write_bytes(b"precious")
-    with half_done(large, destination, "--overwrite", "--compression", "bz2") as process:
-        process.send_signal(signal.SIGINT)
-        assert ended(process).status in INTERRUPTED
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"out.bag": b"precious"}
 
 
 @pytest.mark.parametrize("kind", sampled(DESTINATIONS, 1))
@@ -221,20 +211,6 @@ def test_no_room_for_temporary_files(
         assert words in done.stderr
     assert list(small_disk.iterdir()) == []
     assert sorted(tmp_path.iterdir()) == before
-
-
-@pytest.mark.parametrize("kind", sampled(FULL, 1))
-def test_a_file_that_may_not_grow(kind: str, large: Path, tmp_path: Path) -> None:
-    # Like a full disk or a quota, and needs no rights.
-    name, *options = FULL[kind]
-    command = [*COMMAND, "convert", str(large), "-o", str(tmp_path / name), "--keep-clouds", *options]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (4_000_000, 4_000_000))
-        done = ended(process)
-    assert (done.status, done.stdout) == (1, ""), done.stderr
-    assert done.stderr.startswith("error: ")
-    assert name in done.stderr
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(hasattr(os, "geteuid") and os.geteuid() == 0, reason="root may write anywhere")
@@ -387,30 +363,6 @@ def test_a_worker_that_fails(
     with pytest.raises(error):
         pc2scan.convert(many, tmp_path / "out.mcap", jobs=jobs)
     assert list(tmp_path.iterdir()) == []
-
-
-# --- A destination that is a source ---
-
-
-@pytest.mark.parametrize("name", ["drive.bag", "link.bag", "hard.bag", "folder/drive.bag"])
-def test_a_destination_that_is_the_source(name: str, tmp_path: Path) -> None:
-    source = write_rosbag1(tmp_path / "drive.bag", CONTENT)
-    before = source.read_bytes()
-    (tmp_path / "link.bag").symlink_to(source)
-    (tmp_path / "hard.bag").hardlink_to(source)
-    (tmp_path / "folder").symlink_to(tmp_path)
-    done = run("convert", source, "-o", tmp_path / name, "--overwrite")
-    assert done.status == 2
-    assert "is a source" in done.stderr
-    assert source.read_bytes() == before
-
-
-def test_a_destination_inside_the_source(tmp_path: Path) -> None:
-    source = write_rosbag2(tmp_path / "drive", CONTENT)
-    done = run("convert", source, "-o", source / "out.mcap")
-    assert done.status == 2
-    assert "is inside the source" in done.stderr
-    assert sorted(path.name for path in source.iterdir()) == ["drive_0.db3", "metadata.yaml"]
 
 
 # --- The moment of an interruption ---

@@ -7,108 +7,26 @@ import importlib.util
 import subprocess
 import sys
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 import pc2scan
 from benchmarks.clouds import write_two
 from support import ROOT
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from support.tables import rows
 
 PACKAGE = ROOT / "src" / "pc2scan"
 
-#: Every layer may import these; they import nothing of pc2scan but each other. (`arguments` finds `api` by its
-#: name when it is called.)
-GROUND = {
-    "arguments",
-    "errors",
-    "memory",
-    "model",
-    "result",
-    "tables",
-    "text",
-    "threads",
-    "version",
-}
+TABLES = Path(__file__).with_name("layers.txt")
 
-#: What else each layer may import of pc2scan, for type checkers too; its own modules always.
-ALLOWED = {
-    **{name: set[str]() for name in GROUND},
-    # Results have damage.
-    "result": {"bags.damage"},
-    "files": set[str](),
-    "remote": {"files"},
-    "core": set[str](),
-    # The table of options: what a call may have, for every door.
-    "options": {"core", "tf.options", "tf.static"},
-    "tf": {"core", "messages", "bags", "files"},
-    # `remote.urls`: whether a path is a URL.
-    "bags": {"files", "remote.urls"},
-    "messages": {"core"},
-    "pipeline": {"options", "core", "tf", "messages", "bags", "files", "remote"},
-    "inspect": {"core", "tf", "messages", "bags", "remote"},
-    "compare": {"options", "messages", "bags", "core", "files"},
-    "golden": {"options", "pipeline", "compare", "messages", "bags", "files"},
-    "streams": {"options", "pipeline", "core", "tf", "messages", "bags"},
-    "export": {"options", "streams", "pipeline", "core", "tf", "messages", "bags", "files"},
-    "look": {"options", "streams", "pipeline", "inspect", "compare", "core", "tf", "messages", "bags", "files"},
-    "batch": {"options", "requests", "export", "pipeline", "core", "bags", "files", "remote"},
-    # `cli.in_process`: golden cases run the command.
-    "requests": {"options", "pipeline", "core", "streams", "tf"},
-    "commands": {
-        *("batch", "requests", "options", "pipeline", "inspect", "compare", "golden", "export", "look", "remote"),
-    },
-    # Results, for types.
-    "api": {
-        *("commands", "requests", "options", "streams", "cli.in_process"),
-        *("batch", "pipeline", "inspect", "compare", "golden", "export", "look"),
-    },
-    # `bags.formats`: what containers are called. `bags.damage`: results have its data classes.
-    # `files.staging`: what is complete when a command is interrupted.
-    "cli": {
-        *("batch", "options", "pipeline", "inspect", "compare", "golden", "export", "look", "core", "tf"),
-        *(
-            "bags.damage",
-            "bags.formats",
-            "files.staging",
-            "files.ownership",
-            "files.text_output",
-            "remote.urls",
-            "commands",
-        ),
-    },
-    "pytest_plugin": {"api", "cli", "golden"},
-    "result_schema": {"batch", "compare", "core", "export", "golden", "inspect", "look", "pipeline"},
-}
+GROUND = {name for (name,) in rows(TABLES, "ground")}
+ALLOWED = {name: set[str]() for name in GROUND}
+THIRD_PARTY = dict(ALLOWED)
+for layer, own, foreign in rows(TABLES, "layers"):
+    ALLOWED[layer], THIRD_PARTY[layer] = set(own.split()), set(foreign.split())
 
-#: What layers may import from elsewhere, beside the standard library.
-THIRD_PARTY = {
-    **{name: set[str]() for name in GROUND},
-    "files": {"isal", "lz4", "zstandard", "ruamel"},
-    "remote": {"fsspec", "aiohttp"},
-    "core": {"numpy"},
-    "options": set(),
-    "tf": {"numpy", "ruamel"},
-    "messages": {"numpy", "rosbags"},
-    "bags": {"numpy", "rosbags", "lz4", "ruamel"},
-    "pipeline": {"numpy", "ruamel"},
-    "inspect": {"numpy"},
-    "compare": {"numpy"},
-    "golden": set(),
-    "batch": {"dask", "distributed"},
-    "streams": {"numpy"},
-    "export": {"numpy"},
-    "look": {"numpy", "matplotlib"},
-    "api": set[str](),
-    "commands": set[str](),
-    "requests": set[str](),
-    "result_schema": set[str](),
-    "cli": {"typer", "rich"},
-    "pytest_plugin": {"pytest"},
-}
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
@@ -257,37 +175,6 @@ def test_starting_is_cheap(code: str) -> None:
     assert done.stdout.splitlines()[-1] == "loaded:"
 
 
-#: All that a conversion of a ROS 1 bag to MCAP loads of pc2scan, without an option that is about more than parameters.
-#: What only an option, an error or another container needs is imported where it is needed: a module costs as much time
-#: as some thousand points.
-LOADED_BY_CONVERT = {
-    "pc2scan": (
-        "arguments bags cli commands core errors files memory messages model options pipeline "
-        "remote requests result tables text tf threads version"
-    ),
-    "pc2scan.bags": (
-        "chunked concatenation damage destinations formats latching lazy_items mcap opening reader rosbag1 topics "
-        "units zstd"
-    ),
-    "pc2scan.bags.chunked": "index_checks segments",
-    "pc2scan.bags.mcap": "records writer",
-    "pc2scan.bags.rosbag1": "chunks index index_data reader records",
-    "pc2scan.cli": ("app completion convert interrupts next_command options progress render screen spelling usage"),
-    "pc2scan.core": "consumers counts kernel layout level moving params points presets project rule verdicts",
-    "pc2scan.files": ("buffers compression crc32 limits ownership places run_lock source staging system write_ahead"),
-    "pc2scan.messages": "clouds definitions laserscan pointcloud2 tfmessage wire",
-    "pc2scan.options": "call commands conversion frames option projection running table values",
-    "pc2scan.pipeline": (
-        "checks cloud_checks cloud_to_scan combine conclusion conversion declarations first_clouds "
-        "options param_sources parameters plan preparation report report_warnings ros_scalars routes run "
-        "run_files scan_spec scheduler stages stream topic_report"
-    ),
-    "pc2scan.pipeline.combine": "options",
-    "pc2scan.pipeline.stages": "placement",
-    "pc2scan.remote": "urls",
-    "pc2scan.tf": "options placing reading",
-}
-
 #: Parts of the standard library that are slow to load, and that a conversion does without.
 SLOW_TO_LOAD = {"concurrent.futures", "logging"}
 
@@ -308,7 +195,9 @@ main()
 def test_a_plain_conversion_loads_only_what_it_uses(tmp_path: Path) -> None:
     hall = str(ROOT / "fixtures" / "hall.bag")
     loaded = loaded_by_convert(hall, "-o", str(tmp_path / "scans.mcap"), "--min-height", "-0.3")
-    allowed = {f"{package}.{name}" for package, names in LOADED_BY_CONVERT.items() for name in names.split()}
+    allowed = {
+        f"{package}.{name}" for package, names in rows(TABLES, "loaded by a conversion") for name in names.split()
+    }
     # The loops over points, compiled or not.
     allowed |= {"pc2scan", "pc2scan.core._kernel", "pc2scan.core.plain"}
     own = {name for name in loaded if name.split(".")[0] == "pc2scan"}
@@ -324,20 +213,9 @@ def test_scans_of_two_lidars_load_only_what_they_use(tmp_path: Path, further: tu
     heights = ("--min-height=-1", "--only-scans")
     loaded = loaded_by_convert(str(source), "-o", str(tmp_path / "scans.mcap"), *both, *heights, *further)
     assert "pc2scan.pipeline.combine.grouping" in loaded
-    assert loaded & (NOT_FOR_COMBINING | SLOW_TO_LOAD) == set()
-
-
-#: Modules that scans of several clouds must not load: points' times, filters, LaserScans, measurements.
-NOT_FOR_COMBINING = {
-    "statistics",
-    "pc2scan.core.resolution",
-    "pc2scan.core.unproject",
-    "pc2scan.messages.beams",
-    "pc2scan.pipeline.combine.rebinning",
-    "pc2scan.pipeline.measurements",
-    "pc2scan.pipeline.stages.deskew",
-    "pc2scan.pipeline.stages.selection",
-}
+    assert (
+        loaded & {*(name for (name,) in rows(TABLES, "not loaded by scans of several clouds")), *SLOW_TO_LOAD} == set()
+    )
 
 
 def test_public_names_exist() -> None:

@@ -169,23 +169,3 @@ def test_the_report_of_a_failure(options: tuple[str, ...], kind: str, status: in
     assert error["kind"] in (kind, "ParameterError", "UsageError", "MissingError")
     assert report["sources"] == ["drive.bag"]
     assert done.stderr.startswith("error: ")
-
-
-def test_the_report_of_a_source_that_is_none(folder: Path) -> None:
-    (folder / "notes.bag").write_text("no bag")
-    _, report = convert(folder, status=1, source="notes.bag")
-    assert report["errors"][0]["kind"] == "RecordingError"
-    assert report["errors"][0]["path"] == "notes.bag"
-    assert report["destination"] == ""
-
-
-def test_a_report_of_a_failure_replaces_no_file_of_the_users(folder: Path) -> None:
-    (folder / "thesis.tex").write_text("three years of work")
-    before = (folder / "drive.bag").read_bytes()
-    for report in ("drive.bag", "thesis.tex"):
-        done = run("convert", "drive.bag", "-o", "out.bag", "--topic", "/nothing", "--report", report, cwd=folder)
-        assert done.status == 2
-        assert "/nothing" in done.stderr
-    assert (folder / "drive.bag").read_bytes() == before
-    assert (folder / "thesis.tex").read_text() == "three years of work"
-    assert {path.name for path in folder.iterdir()} == {"drive.bag", "thesis.tex"}

@@ -9,7 +9,6 @@ import sqlite3
 import subprocess
 from contextlib import closing
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,16 +16,15 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer as McapLibraryWriter
 
-import pc2scan
 from fuzz.mutants.mutate import byte_mutants
 from fuzz.mutants.seeds import Seed
 from pc2scan.bags.opening import open_recording
-from pc2scan.errors import DamageError, RecordingError
+from pc2scan.errors import RecordingError
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import run as repaired
 from pc2scan.pipeline.run_files import OutputOptions
-from support import RECORDINGS, ROOT, needs_shared, sampled
-from support.builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag1, write_rosbag2
+from support import RECORDINGS, needs_shared, sampled
+from support.builders import CONTENT, SOURCES, T0, Mcap, Recording, write_db3, write_mcap, write_rosbag2
 from support.command import run
 from support.outputs import opened
 from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing
@@ -105,68 +103,6 @@ def test_a_cut_recording_is_converted_as_far_as_it_goes(
     assert not (tmp_path / "strict.mcap").exists()
 
 
-def test_strict_is_of_no_consequence_to_a_sound_recording(recording: Recording, tmp_path: Path) -> None:
-    for name in ("bag-lz4", "rosbag2-mcap-v8"):
-        folder = tmp_path / name
-        folder.mkdir()
-        source = SOURCES[name](folder, recording)
-        done = run("convert", source, "-o", folder / "out.mcap", "--strict", "--min-height", "-1")
-        assert done.status == 0, done.stderr
-
-
-def test_the_library_tells_and_refuses_alike(recording: Recording, tmp_path: Path) -> None:
-    source = SOURCES["bag-lz4"](tmp_path, recording)
-    cut(source, 0.8)
-    report = pc2scan.convert(source, tmp_path / "out.bag")
-    assert report.exit_status == 3
-    assert report.damage[0].path == source
-    with pytest.raises(DamageError):
-        pc2scan.convert(source, tmp_path / "strict.bag", strict=True)
-
-
-@pytest.mark.parametrize("name", sampled(["bag-lz4", "mcap-zstd", "rosbag2-sqlite3-v8"], 1))
-def test_info_and_tf_work_and_tell(name: str, recording: Recording, tmp_path: Path) -> None:
-    source = SOURCES[name](tmp_path, recording)
-    cut(source, 0.85)
-    done = run("info", source)
-    assert done.status == 0, done.stderr
-    assert "damaged: " in done.stderr
-    rows, _ = read_all(source)
-    assert f"{len(rows)} messages" in done.stdout
-    as_json = run("info", source, "--json")
-    assert json.loads(as_json.stdout)["damage"]
-    tree = run("tf", source)
-    assert tree.status == 0, tree.stderr
-    assert "damaged: " in tree.stderr
-
-
-@pytest.fixture
-def scans(tmp_path: Path) -> tuple[Path, Path]:
-    """Scans, and the same cut off in the last chunk."""
-    sound, damaged = tmp_path / "sound.mcap", tmp_path / "cut.mcap"
-    arguments = ("--preset", "slam_toolbox", "--min-height", "-0.3", "--only-scans", "--compression", "none")
-    assert run("convert", ROOT / "fixtures" / "hall.bag", "-o", sound, *arguments).status == 0
-    damaged.write_bytes(sound.read_bytes()[:6000])
-    return sound, damaged
-
-
-def test_check_counts_damage_as_a_defect(scans: tuple[Path, Path]) -> None:
-    sound, damaged = scans
-    assert "defect" not in run("check", sound).stdout
-    done = run("check", damaged)
-    assert done.status == 1
-    assert "1 defect" in done.stdout
-    assert "damaged:" in done.stderr
-    assert json.loads(run("check", damaged, "--json").stdout)["damage"]
-
-
-def test_diff_does_not_compare_what_is_left(scans: tuple[Path, Path]) -> None:
-    done = run("diff", *scans)
-    assert (done.status, done.stdout) == (2, "")
-    assert "pc2scan repair" in done.stderr
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.parametrize("name", sampled(SOURCES, 7))
 def test_repair_of_a_sound_recording_is_a_copy(name: str, recording: Recording, tmp_path: Path) -> None:
     source = SOURCES[name](tmp_path, recording)
@@ -183,15 +119,6 @@ def test_repair_of_a_sound_recording_is_a_copy(name: str, recording: Recording, 
         if new.summary.storage:
             assert new.summary.storage == (old.summary.storage or "sqlite3")
     assert len(opened(destination).messages) == len(before)
-
-
-def test_repair_of_a_sound_recording_is_told_in_json(recording: Recording, tmp_path: Path) -> None:
-    source = SOURCES["bag-lz4"](tmp_path, recording)
-    done = run("repair", source, "--json")
-    assert done.status == 0, done.stderr
-    assert done.stderr == ""
-    assert json.loads(done.stdout)["messages_read"] == len(recording.items)
-    assert (tmp_path / "drive_repaired.bag").exists()
 
 
 def test_repair_keeps_what_is_not_of_ros(tmp_path: Path) -> None:
@@ -245,28 +172,6 @@ def everything(path: Path) -> dict[str, Any]:
         }  # fmt: skip
 
 
-def test_repair_writes_another_container_if_its_name_says_so(recording: Recording, tmp_path: Path) -> None:
-    source = SOURCES["bag-lz4"](tmp_path, recording)
-    cut(source, 0.8)
-    done = run("repair", source, "-o", tmp_path / "out", "--storage", "sqlite3", "--compression", "zstd")
-    assert done.status == 3, done.stderr
-    with closing(open_recording(tmp_path / "out")) as reader:
-        assert reader.summary.storage == "sqlite3"
-        assert reader.summary.compression == ("zstd",)
-
-
-def test_nothing_left_is_said_so(recording: Recording, tmp_path: Path) -> None:
-    source = write_rosbag1(tmp_path / "drive.bag", recording)
-    source.write_bytes(source.read_bytes()[:4500])
-    done = run("repair", source)
-    assert done.status == 1
-    assert "nothing of it can be recovered" in done.stderr
-    assert not (tmp_path / "drive_repaired.bag").exists()
-    converted = run("convert", source)
-    assert converted.status == 2
-    assert "hint: the recording is damaged" in converted.stderr
-
-
 def test_messages_that_are_only_declared_are_told(tmp_path: Path) -> None:
     """Nothing else is wrong with it: only its statistics say that there was more."""
     from support.mcap_files import altered_index, write
@@ -283,19 +188,6 @@ def test_messages_that_are_only_declared_are_told(tmp_path: Path) -> None:
     report = json.loads(done.stdout)
     assert (report["messages_read"], report["messages_declared"]) == (9, 12)
     assert report["damage"][0]["messages_lost"] == 3
-
-
-NO_RECORDINGS = product(["a.bag", "a.mcap", "a.db3"], [b"", b"#ROSBAG V1.2\nold", b"\x7fELF" + bytes(100), b"\x89MCAP"])
-
-
-@pytest.mark.parametrize(("name", "content"), sampled(NO_RECORDINGS, 7))
-def test_what_is_no_recording_is_refused_clearly(name: str, content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / name
-    path.write_bytes(content)
-    done = run("repair", path)
-    assert done.status == 1
-    assert done.stderr.startswith(f"error: {path}: is ")
-    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])

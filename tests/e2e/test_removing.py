@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import math
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pytest
 
-from pc2scan.bags.opening import open_recording
 from pc2scan.cli.in_process import run_command
 from pc2scan.cli.spelling import as_typed
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
-from pc2scan.messages.laserscan import decode_laserscan
-from support import sampled
+from support import conversions, sampled
 from support.tables import rows
 from support.worlds.labelled import labelled
 from support.worlds.mounted import write_clouds
@@ -50,24 +46,13 @@ def expected(cloud: Veiled, beams: int) -> Scan:
 
 
 def converted(recording: Path, beams: int, *options: str) -> Conversion:
-    """Converted by the real command, within this process."""
-    folder = recording.parent
-    ended = run_command([
-        "convert", str(recording), "-o", str(folder / "out.mcap"), "--overwrite", "--report", str(folder / "r.json"),
-        "--angle-increment", repr(2 * math.pi / beams), "--min-height", str(LOWEST), "--max-height", str(HIGHEST),
-        *options,
-    ])  # fmt: skip
-    assert ended.status == 0, ended.messages
-    report = json.loads((folder / "r.json").read_text())
-    with closing(open_recording(folder / "out.mcap")) as reader:
-        scans = [
-            decode_laserscan(message.data, message.connection.serialization).ranges
-            for message in reader.messages()
-            if message.connection.topic == "/scan"
-        ]
-    (topic,) = (entry for entry in report["topics"] if entry["action"] == "converted")
-    warnings = [as_typed(each) for each in report["warnings"] if " removed " in each]
-    return Conversion(scans, warnings, topic["removed_beams"])
+    heights = ("--min-height", str(LOWEST), "--max-height", str(HIGHEST))
+    words = ("--angle-increment", repr(2 * math.pi / beams), *heights, *options)
+    made = conversions.converted(recording.with_name("out.mcap"), recording, *words)
+    assert made.done.status == 0, made.done.stderr
+    (topic,) = (entry for entry in made.report["topics"] if entry["action"] == "converted")
+    warnings = [as_typed(each) for each in made.report["warnings"] if " removed " in each]
+    return Conversion([scan.ranges for scan in made.scans], warnings, topic["removed_beams"])
 
 
 @pytest.mark.parametrize("plan", sampled(sorted(PLANS.keys() - CROWDED), 1))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,10 +14,9 @@ import pc2scan
 from pc2scan.result_schema import results_schema
 from support import ROOT, sampled
 from support.command import run
+from support.tables import rows
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+TABLES = Path(__file__).with_name("report_schema.txt")
 HALL = ROOT / "fixtures" / "hall.bag"
 SCHEMAS = {
     name: json.loads((files("pc2scan") / folder / name).read_text("utf-8"))
@@ -73,20 +73,6 @@ def violations(value: Any, schema: dict[str, Any], root: dict[str, Any], place: 
 
 SCANS = "scans:\n  /low: {max_height: 0.3, min_height: -0.3}\n  /high: {min_height: 0.3}\n"
 
-WORDS = [
-    "convert hall.bag --min-height -0.3",
-    "convert hall.bag --split 0.2s --remove shadows --where z>-9 --keep-used /used",
-    "convert hall.bag --deskew --fixed-frame odom --level --stamp end --on-error skip",
-    "convert hall.bag --target-frame nowhere",
-    "convert cut.bag",
-    "repair cut.bag",
-    "convert scans.bag --rebin --beams 90",
-    "convert scans.bag --reverse",
-    "convert hall.bag --accumulate 2 --fixed-frame odom --target-frame base_link",
-    "convert hall.bag --scans scans.yaml",
-    "convert hall.bag --drop /tf --target-frame odom",
-]
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -100,7 +86,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("words", WORDS)
+@pytest.mark.parametrize("words", [words for (words,) in rows(TABLES, "reports")])
 def test_a_report_is_as_its_schema_says(folder: Path, tmp_path: Path, words: str) -> None:
     run(*words.split(), "-o", tmp_path / "out.bag", "--report", tmp_path / "report.json", cwd=folder)
     report = json.loads((tmp_path / "report.json").read_text("utf-8"))
@@ -112,26 +98,11 @@ def test_a_report_is_as_its_schema_says(folder: Path, tmp_path: Path, words: str
     assert wrong == ["$: topics is missing", "$: more is too much"]
 
 
-COMMANDS = [
-    ("info", "info hall.bag cut.bag"),
-    ("info", "info scans.bag"),
-    ("check", "check scans.bag"),
-    ("frames", "tf hall.bag"),
-    ("transform", "tf hall.bag --lookup base_link lidar"),
-    ("difference", "diff hall.bag hall.bag"),
-    ("difference", "diff scans.bag lower.bag"),
-    ("golden", f"golden {ROOT / 'fixtures' / 'golden'} -k default"),
-    ("export", "export scans.bag -o scans.npz"),
-    ("map", "map hall.bag --min-height -0.3 --png map.png"),
-    ("report", "repair cut.bag -o sound.bag --overwrite"),
-    ("failure", "info missing.bag"),
-    ("failure", "export hall.bag -o scans.npz --format tum"),
-]
-
-
-@pytest.mark.parametrize(("kind", "words"), COMMANDS)
+@pytest.mark.parametrize(("kind", "words"), rows(TABLES, "results"))
 def test_json_is_as_the_schema_of_results_says(folder: Path, kind: str, words: str) -> None:
-    found = json.loads(run(*words.split(), "--json", cwd=folder).stdout)
+    found = json.loads(
+        run(*words.replace("GOLDEN", str(ROOT / "fixtures" / "golden")).split(), "--json", cwd=folder).stdout
+    )
     schema = SCHEMAS["results.schema.json"]
     assert found["kind"] == kind
     assert violations(found, schema["$defs"][kind], schema) == []

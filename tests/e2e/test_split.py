@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -13,11 +12,11 @@ from rosbags.rosbag2 import Reader as Rosbag2Reader
 from ruamel.yaml import YAML
 
 import pc2scan
-from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files import parts
 from pc2scan.files.staging import rename_file
 from support import ROOT, sampled
+from support.containers import read
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,11 +44,6 @@ def parts_of(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: int(path.stem.rpartition("_")[2]))
 
 
-def messages(path: Path) -> list[tuple[str, int, bytes]]:
-    with closing(open_recording(path)) as reader:
-        return [(each.connection.topic, each.log_time_ns, bytes(each.data)) for each in reader.messages()]
-
-
 def read_elsewhere(path: Path) -> list[tuple[str, int, bytes]]:
     """The messages of one file or directory, by a reader that is not ours."""
     if path.suffix == ".mcap":
@@ -68,11 +62,11 @@ def test_the_parts_together_are_the_whole(name: str, form: dict[str, Any], split
         folder.mkdir()
     convert(tmp_path / name, None, **options)
     report = convert(parted / name, split, jobs=1, **options)
-    whole, files = messages(tmp_path / name), parts_of(parted)
+    whole, files = read(tmp_path / name), parts_of(parted)
     assert report.files == [str(path) for path in files]
     assert len(files) > 2
     assert [path.stem for path in files] == [f"out_{number}" for number in range(len(files))]
-    parts = [messages(path) for path in files]
+    parts = [read(path) for path in files]
     assert [message for part in parts for message in part] == whole
     if split == "0.15s":
         for part in parts:
@@ -89,7 +83,7 @@ def test_the_parts_together_are_the_whole(name: str, form: dict[str, Any], split
         return
     # Each is a recording, and together they are one again.
     pc2scan.repair(files[0], tmp_path / f"first{path.suffix}")
-    assert messages(tmp_path / f"first{path.suffix}") == parts[0]
+    assert read(tmp_path / f"first{path.suffix}") == parts[0]
     found = [(each.topic, each.log_time_ns) for each in pc2scan.scans(files[::-1])]
     assert found == [(topic, time) for topic, time, _ in whole if topic == "/scan"]
 
@@ -98,7 +92,7 @@ def test_the_parts_together_are_the_whole(name: str, form: dict[str, Any], split
 def test_every_part_stands_alone_with_what_lasts(name: str, form: dict[str, Any], tmp_path: Path) -> None:
     convert(tmp_path / name, "0.1s", repeat_latched=True, **form)
     files = parts_of(tmp_path)
-    parts = [messages(path) for path in files]
+    parts = [read(path) for path in files]
     static = parts[0][0]
     for number, (path, part) in enumerate(zip(files, parts, strict=True)):
         assert [data for topic, _, data in part if topic == "/tf_static"] == [static[2]]

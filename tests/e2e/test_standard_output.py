@@ -18,15 +18,18 @@ from support import ROOT, sampled
 from support.builders import write_mcap
 from support.command import COMMAND, Finished, environment, run
 from support.scan_recordings import recording, scans
+from support.tables import rows
 from support.terminal import shown
 
 HALL = ROOT / "fixtures" / "hall.bag"
 GOLDEN = ROOT / "fixtures" / "golden"
+TABLES = Path(__file__).with_name("standard_output.txt")
+PLACES = {"HALL": str(HALL), "GOLDEN": str(GOLDEN), "MCAP": str(HALL.with_suffix(".mcap"))}
 
 
 def into_full(words: str, folder: Path) -> Finished:
     """Run a command whose standard output has no room."""
-    command = [*COMMAND, *words.split()]
+    command = [*COMMAND, *(PLACES.get(word, word) for word in words.split())]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
             command, cwd=folder, stdout=full, stderr=subprocess.PIPE, text=True, env=environment(), check=False
@@ -38,21 +41,7 @@ needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is
 
 
 @needs_full
-@pytest.mark.parametrize(
-    ("words", "status"),
-    sampled(
-        [
-            (f"info {HALL} --json", 1),
-            (f"info {HALL}", 1),
-            (f"tf {HALL}", 1),
-            (f"diff {HALL} {HALL}", 2),
-            (f"golden {GOLDEN} -k defaults", 2),
-            ("convert --help", 1),
-            ("--help", 1),
-        ],
-        2,
-    ),
-)
+@pytest.mark.parametrize(("words", "status"), sampled(rows(TABLES, "without room"), 2))
 def test_output_without_room_is_an_error(words: str, status: int, tmp_path: Path) -> None:
     done = into_full(words, tmp_path)
     assert done.status == status
@@ -124,27 +113,12 @@ def test_a_server_that_is_not_there_is_no_missing_file(tmp_path: Path) -> None:
 # --- Terminals ---
 
 
-COMMANDS = [
-    f"convert {HALL} -o o.bag --overwrite --target-frame base_link",
-    f"info {HALL}",
-    f"tf {HALL}",
-    f"tf {HALL} --lookup base_link nothing",
-    f"diff {HALL} {ROOT}/fixtures/hall.mcap",
-    f"convert {HALL} -o o.bag --overwrite --preset gmapping -v",
-    f"convert {HALL} -o o.bag --angle-max 90",
-    f"convert {HALL} -o o.bag --no-such-option",
-    f"batch {HALL} -o o.bag --target-frame base_link",
-    f"map {HALL} --png o.bag --overwrite",
-    f"golden {GOLDEN} -k tf_",
-    "convert --help",
-]
-
-
 @pytest.mark.parametrize(
-    ("words", "columns"), sampled(((words, columns) for columns in (60, 80) for words in COMMANDS), 3)
+    ("words", "columns"),
+    sampled(((words, columns) for columns in (60, 80) for (words,) in rows(TABLES, "in a terminal")), 3),
 )
 def test_everything_fits_into_the_terminal(words: str, columns: int, tmp_path: Path) -> None:
-    arguments = [str(tmp_path / word) if word == "o.bag" else word for word in words.split()]
+    arguments = [str(tmp_path / word) if word == "o.bag" else PLACES.get(word, word) for word in words.split()]
     text = shown(*arguments, columns=columns, NO_COLOR="1")
     # What is visible of a line is what was written after the bar was erased.
     visible = [line.rpartition("\r")[2].removeprefix("\x1b[2K") for line in text.split("\n")]

@@ -17,6 +17,7 @@ from pc2scan.remote.store import RemotePath
 from support import RECORDINGS, ROOT, needs_shared
 from support.command import run
 from support.stores import memory_store, s3_server
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -76,26 +77,8 @@ def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
     assert bucket.find("/out") == [f"/out/hall_scan_{number}.bag" for number in range(3)]
 
 
-#: What is typed behind ``convert``, and why it is refused.
-REFUSED = {
-    f"{HALL} -o memory://out/x.bag": "memory://out/x.bag: exists already",
-    "memory://out/x.bag": "memory://out/x_scan.bag: exists already",
-    f"{HALL} -o memory://out/mine": "folders in a store are never replaced",
-    f"{HALL} -o memory://out/mine --overwrite": "folders in a store are never replaced",
-    f"{HALL} -o memory://out/drive.bag --split 0.2s": "exists already",
-    f"{HALL} -o {HALL} --overwrite": "is a source",
-    f"{HALL} -o memory://bucket/x/../hall.bag --overwrite": "is a source",
-    f"memory://bucket/hall.mcap -o {HALL} --tf-from {HALL} --overwrite": "is a source",
-    # It has the name of a numbered file.
-    "memory://out/drive_7.bag -o memory://out/drive.bag --split 0.02s --overwrite": "is a source",
-    f"{HALL} -o memory://out/y.bag --scratch-size 1kB": "local copies of the sources take",
-    f"{FIXTURES}/hall.bag -o x.bag --scratch .": "no source and no destination is a URL",
-    "memory://bucket/none.bag -o memory://out/y.bag": "memory://bucket/none.bag: does not exist",
-}
-
-
-@pytest.mark.parametrize("words", REFUSED)
-def test_what_is_refused_changes_nothing(words: str, bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("words", "why"), rows(Path(__file__).with_name("urls.txt"), "refused"))
+def test_what_is_refused_changes_nothing(words: str, why: str, bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     hall = bucket.cat_file("/bucket/hall.bag")
     for name, data in {"x.bag": hall, "x_scan.bag": b"", "mine/thesis.tex": b"", "drive_1.bag": b"old"}.items():
         bucket.pipe_file(f"/out/{name}", data)
@@ -104,8 +87,9 @@ def test_what_is_refused_changes_nothing(words: str, bucket: Any, monkeypatch: p
     if "--scratch-size" in words:
         # Before anything is read.
         monkeypatch.setattr(RemotePath, "download", lambda *_: pytest.fail("downloaded"))
-    done = run("convert", *words.split(), "--min-height", "0.1")
-    assert (done.status, REFUSED[words] in done.stderr) == (2, True), done.stderr
+    typed = words.replace("HALL", HALL).replace("FIXTURES", str(FIXTURES))
+    done = run("convert", *typed.split(), "--min-height", "0.1")
+    assert (done.status, why.replace("HALL", HALL) in done.stderr) == (2, True), done.stderr
     assert contents(bucket) == before
 
 

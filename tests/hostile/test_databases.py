@@ -13,19 +13,9 @@ import pytest
 from support import sampled
 from support.bounded import run_bounded
 from support.builders import CONTENT, write_db3
+from support.tables import rows
 
-_NO_MESSAGES = "ALTER TABLE messages RENAME TO kept;"
-_ROWS = "id, topic_id, timestamp, data"
-
-ENDLESS = {
-    "a view without end": f"{_NO_MESSAGES} CREATE VIEW messages({_ROWS}) AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL "
-    "SELECT i + 1 FROM n) SELECT i, 4, i, x'00' FROM n;",
-    "a view of huge values": f"{_NO_MESSAGES} CREATE VIEW messages({_ROWS}) AS SELECT 1, 4, 1, zeroblob(900000000);",
-    "a generated column": f"{_NO_MESSAGES} CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp "
-    "INTEGER, data BLOB AS (zeroblob(900000000))); INSERT INTO messages(topic_id, timestamp) VALUES (4, 1);",
-    "a virtual table": f"{_NO_MESSAGES} CREATE VIRTUAL TABLE messages USING fts5({_ROWS});",
-    "topics from a view": "ALTER TABLE topics RENAME TO old; CREATE VIEW topics AS SELECT * FROM old;",
-}
+TABLES = Path(__file__).with_name("databases.txt")
 
 
 def changed(folder: Path, script: str) -> Path:
@@ -35,30 +25,17 @@ def changed(folder: Path, script: str) -> Path:
     return source
 
 
-@pytest.mark.parametrize("name", ENDLESS)
-def test_tables_that_are_made_up(name: str, tmp_path: Path) -> None:
-    done = run_bounded("convert", changed(tmp_path, ENDLESS[name]))
+@pytest.mark.parametrize("script", [pytest.param(script, id=name) for name, script in rows(TABLES, "made up")])
+def test_tables_that_are_made_up(script: str, tmp_path: Path) -> None:
+    done = run_bounded("convert", changed(tmp_path, script))
     assert done.status == 1, done.stdout
     assert "drive.db3" in done.stderr
 
 
-#: Rows that do not store a column have its default value, however many there are.
-UNFOLDING = {
-    "data": "ALTER TABLE messages RENAME TO kept; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, "
-    "timestamp INTEGER); WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 8000) "
-    "INSERT INTO messages(topic_id, timestamp) SELECT 4, i FROM n; "
-    "ALTER TABLE messages ADD COLUMN data BLOB DEFAULT x'LONG';",
-    "name": "DROP TABLE topics; CREATE TABLE topics(id INTEGER PRIMARY KEY, type TEXT, serialization_format TEXT); "
-    "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 8000) "
-    "INSERT INTO topics(id, type, serialization_format) SELECT i, 'a/msg/A', 'cdr' FROM n; "
-    "ALTER TABLE topics ADD COLUMN name TEXT DEFAULT 'LONG';",
-}
-
-
-@pytest.mark.parametrize("name", UNFOLDING)
+@pytest.mark.parametrize(("name", "script"), rows(TABLES, "unfolding"), ids=["data", "name"])
 @pytest.mark.parametrize("command", ["info", "repair"])
-def test_a_default_value_that_unfolds(name: str, command: str, tmp_path: Path) -> None:
-    source = changed(tmp_path, UNFOLDING[name].replace("LONG", "00" * 1_000_000))
+def test_a_default_value_that_unfolds(name: str, script: str, command: str, tmp_path: Path) -> None:
+    source = changed(tmp_path, script.replace("LONG", "00" * 1_000_000))
     output = ("-o", tmp_path / "out.mcap") if command == "repair" else ()
     done = run_bounded(command, source, *output)
     assert done.status == 1, done.stdout

@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 from contextlib import closing
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -14,9 +14,9 @@ from pc2scan.bags import open_recording
 from support import sampled
 from support.bounded import run_bounded
 from support.builders import CONTENT, POINTS, Recording, write_mcap, write_rosbag2
+from support.tables import rows
 
-if TYPE_CHECKING:
-    from pathlib import Path
+TABLES = Path(__file__).with_name("metadata_yaml.txt")
 
 
 @pytest.fixture
@@ -61,21 +61,10 @@ def test_a_link_within_the_directory_is_a_file_like_others(metadata: bool, drive
     assert run_bounded("info", drive).status == 0
 
 
-PLANTED = "touched-by-a-tag"
-TAGS = {
-    "apply": "!!python/object/apply:os.system ['touch {place}']",
-    "new": "!!python/object/new:os.system ['touch {place}']",
-    "module": "!!python/module:os",
-    "name": "!!python/name:os.system",
-    "eval": "!!python/object/apply:eval [\"open('{place}', 'w')\"]",
-    "own": "!evil",
-}
-
-
-@pytest.mark.parametrize("tag", TAGS)
+@pytest.mark.parametrize("tag", [tag for (tag,) in rows(TABLES, "tags")])
 def test_tags_construct_nothing(tag: str, drive: Path, tmp_path: Path) -> None:
-    place = tmp_path / PLANTED
-    with_text(drive, "custom_data: ~", f"custom_data: {TAGS[tag].format(place=place)}")
+    place = tmp_path / "touched-by-a-tag"
+    with_text(drive, "custom_data: ~", f"custom_data: {tag.format(place=place)}")
     for strict, status in (("--strict",), 1), ((), 3):
         done = run_bounded("convert", drive, "--overwrite", *strict)
         assert done.status == status
@@ -142,22 +131,7 @@ def test_profiles_too_long_to_be_any_are_written_once(tmp_path: Path, monkeypatc
         assert reader.connections[0].qos == qos
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("version: 8", "version: 99999999999999999999"),
-        ("version: 8", "version: .nan"),
-        ("storage_identifier: sqlite3", "storage_identifier: [sqlite3]"),
-        ("storage_identifier: sqlite3", "storage_identifier: ../../../lib/evil"),
-        ("- drive_0.db3", "- .."),
-        ("- drive_0.db3", "- ~"),
-        ("- drive_0.db3", "- {a: b}"),
-        ("- drive_0.db3", '- "drive_0.db3\\0.txt"'),
-        ("- drive_0.db3", "- metadata.yaml"),
-        ("name: /points", "name: [1]"),
-        ('compression_mode: ""', "compression_mode: {}"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new"), rows(TABLES, "values of other kinds"))
 def test_values_of_other_kinds(old: str, new: str, drive: Path) -> None:
     with_text(drive, old, new)
     assert run_bounded("convert", drive, "--strict").status == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import traceback
 import unicodedata
 import warnings
 import xml.etree.ElementTree as ET
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,15 +42,16 @@ from support.builders import (
     write_mcap,
 )
 from support.command import COMMAND, environment, run
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
-#: Ends the line and forges others, clears the screen, sets the title, goes back to overwrite, turns the direction.
+#: Ends the line and forges others, clears the screen, sets the title, goes back to overwrite, turns the direction;
+#: in a page, runs.
 EVIL = (
     "\nsame: forged\n::error::forged\r##[error]forged ##vso[task.complete]forged\x85error: forged\u2028::error::forged"
-    "\x1b[2J\x1b]0;owned\x07\b\x9b31m\x7f\u202e\u2066\u200b\ufeff"
+    "\x1b[2J\x1b]0;owned\x07\b\x9b31m\x7f\u202e\u2066\u200b\ufeff</script><script>alert(1)</script>&"
 )
 
 #: What lines may not begin with, and what they may not have anywhere.
@@ -126,50 +129,7 @@ def evil(folder: Path, tmp_path: Path) -> Path:
     return tmp_path / "in" / f"{FILE}.mcap"
 
 
-_SCAN_EXPORT = ("export", "IN", "-t", SCANS)
-_POSED = ("--pose-frame", ODOM, "--base-frame", BASE)
-
-#: Words, with IN for the recording, INS for its folder, OTHER for another recording, and OUT for a folder.
-RUNS: dict[str, tuple[str, ...]] = {
-    "info": ("info", "IN"),
-    "info in a frame": ("info", "IN", "--target-frame", BASE),
-    "info as JSON": ("info", "IN", "--json"),
-    "tf": ("tf", "IN"),
-    "tf as JSON": ("tf", "IN", "--json"),
-    "a lookup": ("tf", "IN", "--lookup", ODOM, LIDAR),
-    "a lookup of nothing": ("tf", "IN", "--lookup", f"a{EVIL}", f"b{EVIL}"),
-    "check": ("check", "IN", "--junit", "OUT/junit.xml"),
-    "check for one": ("check", "IN", "--for", "slam_toolbox"),
-    "check as JSON": ("check", "IN", "--json"),
-    "convert": ("convert", "IN", "-o", "OUT/a.mcap", "--report", "OUT/report.json"),
-    "convert all": ("convert", "IN", "-v", "-o", "OUT/a", "--keep-clouds", "--target-frame", BASE),
-    "a dry run": ("convert", "IN", "-n", "--target-frame", BASE),
-    "next to the source": ("convert", "IN"),
-    "quiet": ("convert", "IN", "-q", "-o", "OUT/a.bag"),
-    "an error": ("convert", "IN", "--on-error", "fail", "-o", "OUT/a.bag"),
-    "a wrong topic": ("convert", "IN", "-t", f"/nothing{EVIL}"),
-    "a wrong frame": ("convert", "IN", "--target-frame", f"nowhere{EVIL}"),
-    "a wrong option": ("convert", "IN", f"--nothing{EVIL}"),
-    "a wrong parameter": ("convert", "IN", "-p", f"nothing{EVIL}:=1"),
-    "a missing file": ("convert", f"missing{EVIL}"),
-    "a wrong field": ("convert", "IN", "--where", f"nothing{EVIL} > 1"),
-    "repair": ("repair", "IN", "-o", "OUT/a.mcap"),
-    "diff": ("diff", "IN", "OTHER", "--all-topics", "--junit", "OUT/junit.xml", "--view", "OUT/page.html"),
-    "an explanation": ("diff", "IN", "OTHER", "--explain"),
-    "no difference": ("diff", "IN", "IN", "--all-topics"),
-    "diff as JSON": ("diff", "IN", "OTHER", "--json"),
-    "CSV": (*_SCAN_EXPORT, "-o", "OUT/a.csv", *_POSED),
-    "TUM": (*_SCAN_EXPORT, "-o", "OUT/a.tum", *_POSED),
-    "CARMEN": (*_SCAN_EXPORT, "-o", "OUT/a.log", "-f", "carmen", *_POSED),
-    "PCD": ("export", "IN", "-t", CLOUDS, "-f", "pcd", "-o", "OUT/pcd"),
-    "map": ("map", "IN", "-o", "OUT/map.yaml", "--odom-frame", ODOM, "--base-frame", BASE),
-    "view": ("view", "IN", "-o", "OUT/page.html"),
-    "batch": ("batch", "INS", "-o", "OUT/batch", "--jobs", "1", "-v", "--report", "OUT/report.csv"),
-    "batch as Markdown": ("batch", "INS", "-o", "OUT/batch", "--jobs", "1", "--report", "OUT/report.md"),
-    "a batch that would be": ("batch", "INS", "-o", "OUT/batch", "--dry-run"),
-    "golden": ("golden", "OUT/cases", "--junit", "OUT/junit.xml"),
-    "golden as JSON": ("golden", "OUT/cases", "--json"),
-}
+RUNS: dict[str, str] = dict(rows(Path(__file__).with_name("names.txt"), "commands"))
 
 
 def make_cases(folder: Path, recording: Path, other: Path) -> None:
@@ -191,8 +151,11 @@ def test_nothing_that_is_printed_is_obeyed(name: str, folder: Path, evil: Path, 
     out.mkdir()
     if name.startswith("golden"):
         make_cases(out / "cases", evil, other)
-    places = {"INS": str(evil.parent), "IN": str(evil), "OTHER": str(other)}
-    words = [places.get(word, word.replace("OUT", str(out))) for word in RUNS[name]]
+    places = {"INS": str(evil.parent), "IN": str(evil), "OTHER": str(other), "CLOUDS": CLOUDS, "SCANS": SCANS}
+    places |= {"LIDAR": LIDAR, "BASE": BASE, "ODOM": ODOM}
+    words = [
+        places.get(word, word.replace("OUT", str(out)).replace("{EVIL}", EVIL)) for word in shlex.split(RUNS[name])
+    ]
     done = run(*words)
     assert "Traceback" not in done.stderr
     assert done.stdout or done.stderr or name == "quiet"
@@ -207,6 +170,7 @@ def test_nothing_that_is_printed_is_obeyed(name: str, folder: Path, evil: Path, 
 
 
 def check_page(text: str) -> None:
+    assert "<script>alert" not in text
     # The page's own script is no name.
     assert_harmless(text[text.index('id="recording"') :].partition("</script>")[0])
 
@@ -223,10 +187,10 @@ def check_junit(text: str) -> None:
 
 def check_csv(text: str) -> None:
     assert_plain(text)
-    rows = list(csv.reader(text.splitlines()))
-    assert len({len(row) for row in rows}) == 1
-    assert len(rows) == text.count("\n")
-    assert not any(cell.startswith(("=", "@", "+")) for row in rows for cell in row)
+    lines = list(csv.reader(text.splitlines()))
+    assert len({len(line) for line in lines}) == 1
+    assert len(lines) == text.count("\n")
+    assert not any(cell.startswith(("=", "@", "+")) for line in lines for cell in line)
 
 
 #: How files are checked, by suffix.
@@ -251,11 +215,13 @@ def test_csv_of_scans_reads_back(evil: Path, tmp_path: Path) -> None:
     done = run("export", evil, "-t", SCANS, "-o", tmp_path / "a.csv", "-f", "csv")
     assert done.status == 0, done.stderr
     with (tmp_path / "a.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+        lines = list(csv.DictReader(file))
     scans = list(pc2scan.scans(evil, topics=SCANS))
-    assert [int(row["stamp_ns"]) for row in rows] == [each.stamp_ns for each in scans]
-    assert [float(row["range_7"]) for row in rows] == pytest.approx([float(each.ranges[7]) for each in scans], rel=1e-6)
-    assert {row["frame"] for row in rows} == {visible(f"\\x3d{LIDAR[1:]}", None)}
+    assert [int(line["stamp_ns"]) for line in lines] == [each.stamp_ns for each in scans]
+    assert [float(line["range_7"]) for line in lines] == pytest.approx(
+        [float(each.ranges[7]) for each in scans], rel=1e-6
+    )
+    assert {line["frame"] for line in lines} == {visible(f"\\x3d{LIDAR[1:]}", None)}
 
 
 def test_results_in_python_are_not_obeyed(folder: Path, evil: Path, tmp_path: Path) -> None:
@@ -266,11 +232,14 @@ def test_results_in_python_are_not_obeyed(folder: Path, evil: Path, tmp_path: Pa
         pc2scan.tf(evil),
         pc2scan.check(evil),
         pc2scan.diff(evil, other, all_topics=True),
+        pc2scan.repair(evil, tmp_path / "sound.mcap"),
         pc2scan.batch(evil.parent, tmp_path / "batch", jobs=1),
     ]
     for result in results:
         assert_harmless(str(result))
         assert_harmless(result._repr_html_())
+        assert "<script" not in result._repr_html_()
+        assert ("alert(1)" in str(result)) == ("&lt;script&gt;alert(1)&lt;/script&gt;&amp;" in result._repr_html_())
         assert_plain(repr(result))
     assert_harmless(results[4].text(("before", "after")))
     for stream in (pc2scan.scans(evil, topics=SCANS), pc2scan.clouds(evil)):

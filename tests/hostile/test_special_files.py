@@ -14,9 +14,12 @@ from support import sampled
 from support.bounded import run_bounded
 from support.builders import CONTENT, write_rosbag1, write_rosbag2
 from support.command import run
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+TABLES = Path(__file__).with_name("special_files.txt")
 
 
 def make_socket(path: Path) -> None:
@@ -60,21 +63,9 @@ def test_in_place_of_a_log(log: str, kind: str, folder: Path) -> None:
     assert run_bounded("info", source / "drive_0.db3").status in (0, 1)
 
 
-INPUTS = [
-    "info SPECIAL",
-    "tf SPECIAL",
-    "check SPECIAL",
-    "convert SPECIAL",
-    "repair SPECIAL",
-    "diff SPECIAL drive.bag",
-    "diff drive.bag SPECIAL",
-    "convert drive.bag -o out.bag --params-file SPECIAL",
-    "convert drive.bag -o out.bag --static-tf-file SPECIAL --target-frame odom",
-    "convert drive.bag -o out.bag --tf-from SPECIAL --target-frame odom",
-]
-
-
-@pytest.mark.parametrize(("kind", "line"), sampled([(kind, line) for line in INPUTS for kind in KINDS], 11))
+@pytest.mark.parametrize(
+    ("kind", "line"), sampled([(kind, line) for (line,) in rows(TABLES, "in place of an input") for kind in KINDS], 11)
+)
 def test_in_place_of_an_input(kind: str, line: str, folder: Path) -> None:
     write_rosbag1(folder / "drive.bag", CONTENT)
     KINDS[kind](folder / "SPECIAL")
@@ -100,36 +91,9 @@ def test_in_a_golden_case(kind: str, name: str, folder: Path) -> None:
 
 #: LONG is a name that no file can have.
 LONG = "a" * 300
-NAMES = [
-    "info LONG",
-    "check LONG",
-    "tf LONG",
-    "golden LONG",
-    "convert LONG -o out.bag",
-    "diff drive.bag LONG",
-    "repair drive.bag -o LONG",
-    "convert drive.bag -o LONG.bag",
-    "convert drive.bag -o LONG.mcap",
-    "convert drive.bag -o LONG",
-    "convert drive.bag -o LONG/out.bag",
-    "convert drive.bag --storage sqlite3 --overwrite -o LONG",
-    f"convert drive.bag -o {'a' * 240}.bag",
-    "convert drive.bag -o out.bag --report LONG",
-    "convert drive.bag -o out.bag --report LONG/report.json",
-    "convert drive.bag -o out.bag --params-file LONG",
-    "convert drive.bag -o out.bag --static-tf-file LONG --target-frame odom",
-    "convert drive.bag -o out.bag --tf-from LONG --target-frame odom",
-    "convert drive.bag -o loop",
-    "convert drive.bag -o loop/out.bag",
-    "convert drive.bag -o out.bag --report loop",
-    "golden case --junit LONG",
-    "golden case --junit LONG/junit.xml",
-    "info loop",
-    "golden loop",
-]
 
 
-@pytest.mark.parametrize("line", NAMES)
+@pytest.mark.parametrize("line", [line for (line,) in rows(TABLES, "names and links")])
 def test_names_that_are_too_long_and_links_without_end(line: str, folder: Path) -> None:
     write_rosbag1(folder / "drive.bag", CONTENT)
     (folder / "case").mkdir()
