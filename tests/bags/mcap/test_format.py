@@ -8,7 +8,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from mcap.records import ChunkIndex, DataEnd, Footer, Schema
+from mcap.records import ChunkIndex, DataEnd, Footer
 from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 
@@ -25,7 +25,6 @@ from support.mcap_files import (
     library_file,
     raw_channel,
     raw_chunk,
-    raw_file,
     raw_message,
     read,
     record,
@@ -47,28 +46,6 @@ def test_data_are_views_of_their_chunk(tmp_path: Path) -> None:
     assert isinstance(first, memoryview)
     assert isinstance(second, memoryview)
     assert first.obj is second.obj
-
-
-def test_chunks_may_have_no_messages(tmp_path: Path) -> None:
-    empty: dict[str, Any] = {"message_start_time": 0, "message_end_time": 0}
-    path = raw_file(
-        tmp_path / "a.mcap",
-        raw_chunk(raw_channel(), **empty),
-        raw_chunk(b"", **empty),
-        raw_chunk(b"", compression="zstd", **empty),
-        raw_chunk(raw_message(log_time=9), message_start_time=9, message_end_time=9),
-    )
-    with closing(McapReader(path)) as reader:
-        assert len(content(reader)) == 1
-        assert (reader.summary.start_ns, reader.summary.end_ns) == (9, 9)
-
-
-def test_a_schema_without_an_id_is_nobodys(tmp_path: Path) -> None:
-    schema = encoded(Schema(id=0, name="a/B", encoding="ros2msg", data=b""))
-    with closing(
-        McapReader(raw_file(tmp_path / "a.mcap", schema, raw_channel(), raw_message()), strict=True)
-    ) as reader:
-        assert [connection.msgtype for connection in reader.connections] == [""]
 
 
 def test_messages_beside_indexed_chunks_are_found(tmp_path: Path) -> None:
