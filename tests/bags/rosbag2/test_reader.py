@@ -28,6 +28,7 @@ from support.rosbag2_files import (
     write_metadata,
     write_storage,
 )
+from support.tables import rows
 
 if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
@@ -159,30 +160,7 @@ def test_extras_of_all_files_pass_but_not_rosbag2s_own(bag: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"version": 10}, "has version 10; 1 to 9 are known"),
-        ({"version": 0}, "has version 0"),
-        ({"version": "8"}, "version of rosbag2_bagfile_information is '8', expected an integer"),
-        ({"version": True}, "is True, expected an integer"),
-        ({"version": ...}, "version of rosbag2_bagfile_information is missing"),
-        ({"storage_identifier": "rosbag_v2"}, "has storage 'rosbag_v2'; mcap and sqlite3 can be read"),
-        ({"relative_file_paths": []}, "names no files"),
-        ({"relative_file_paths": [3]}, "names 3, expected a file"),
-        ({"relative_file_paths": [".."]}, "expected a file"),
-        ({"relative_file_paths": "bag_0.db3"}, "expected a list"),
-        ({"compression_mode": "file", "compression_format": "lz4"}, "compression_format 'lz4'; only zstd"),
-        ({"compression_mode": "sideways"}, "compression_mode 'sideways'"),
-        ({"topics_with_message_count": [3]}, "topic_metadata of topic 1 is missing, expected a mapping"),
-        ({"topics_with_message_count": [{"topic_metadata": {"name": "/a"}}]}, "type of topic 1 is missing"),
-        (b"rosbag2_bagfile_information: [", "is not valid YAML in line 1"),
-        (b"", "rosbag2_bagfile_information of the file is missing"),
-        (b"- 1", "is missing"),
-        (b"\xff\xfe", "is not UTF-8"),
-        (b"a: !!python/object:os.system x", "is not valid YAML"),
-        (b"[" * 5000, "is not valid YAML"),
-    ],
-    ids=str,
+    ("changes", "told"), rows(Path(__file__).with_name("metadata.txt"), "changes, or bytes, and what is told"), ids=str
 )
 def test_metadata_that_cannot_be_understood_is_refused(changes: dict[str, Any] | bytes, told: str, bag: Path) -> None:
     write_storage(bag / "bag_0.db3", [("/a", 3)])
