@@ -82,7 +82,9 @@ def test_a_row_with_a_wrong_value_is_one_damaged_row(wrong: str, pages: bool, tm
         found = [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()]
         (place,) = [place for place in reader.damage if "row 4" in place.what]
         summary = reader.summary
+        counted = sum(reader.counts(reader.connections, rows[0][1]).values())
     topic, time_ns, _ = rows[3]
+    assert counted == len(found) + wrong.startswith("data")
     assert found == rows[:3] + rows[4:]
     said = WRONG_ROWS[wrong].format(repr(topic))
     if pages and wrong == "data = NULL":
