@@ -12,30 +12,15 @@ from pc2scan.bags.folders import are_named_as_parts, overlap_warnings, recording
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import UsageError
 from support.rosbag2_files import write_metadata, write_storage
+from support.tables import rows
+
+TABLES = Path(__file__).with_name("folders.txt")
 
 SECOND = 1_000_000_000
 MINUTE = 60 * SECOND
 
 
-@pytest.mark.parametrize(
-    ("names", "parts"),
-    [
-        (["anything.mcap"], True),
-        (["drive_0.mcap", "drive_1.mcap", "drive_10.mcap"], True),
-        (["drive_0.mcap.zstd", "drive_1.mcap.zstd"], True),
-        (["drive_0.bag", "drive_1.bag.active"], True),
-        (["x_2020-11-04-18-39-50_0.bag", "x_2020-11-04-18-42-50_1.bag"], True),
-        (["2020-11-04-18-39-50_0.bag", "2020-11-04-18-42-50_1.bag"], True),
-        (["x_2020-11-04-18-39-50.bag", "x_2020-11-04-18-42-50.bag"], False),
-        (["rosbag2_2020_11_04-18_39_50_0.mcap", "rosbag2_2020_11_04-18_42_50_0.mcap"], False),
-        (["drive_0.mcap", "walk_1.mcap"], False),
-        (["drive_0.mcap", "drive_1.db3"], False),
-        (["drive_0.mcap", "drive_0.mcap.zst"], False),
-        (["0.mcap", "1.mcap"], False),
-        (["a.mcap", "b.mcap"], False),
-        (["here/drive_0.bag", "there/drive_1.bag"], False),
-    ],
-)
+@pytest.mark.parametrize(("names", "parts"), rows(TABLES, "names, and whether they are parts of one recording"))
 def test_names_of_parts(names: list[str], parts: bool) -> None:
     assert are_named_as_parts(map(Path, names)) is parts
 
@@ -52,27 +37,14 @@ def test_recordings_of_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "why"),
-    [
-        ([("/a", 5)], [("/a", 6)], ""),
-        # A part that is missing leaves a gap; a topic may begin late.
-        ([("/a", 5)], [("/a", 5 + MINUTE), ("/b", 6 + MINUTE)], ""),
-        # A recorder's threads may write messages late.
-        ([("/a", 0), ("/a", 9 * SECOND)], [("/a", 8 * SECOND), ("/a", 19 * SECOND)], ""),
-        ([("/a", 5)], [], ""),
-        ([("/a", 0), ("/a", SECOND)], [("/a", 0), ("/a", SECOND)], "x_1.mcap does not begin where x_0.mcap ends"),
-        ([("/a", 2 * SECOND)], [("/a", 5)], "x_1.mcap does not begin where x_0.mcap ends"),
-        ([("/a", 5)], [("/b", 6)], "have no topic in common"),
-        ([("/a", 5)], [("/a", 6), "std_msgs/msg/Bool"], "/a has other types in x_0.mcap and x_1.mcap"),
-        ([("/a", 5)], [("/a", 6 + MINUTE)], "x_1.mcap begins 60.000 s after the end of x_0.mcap"),
-    ],
+    ("first", "second", "why"), rows(TABLES, "topics and seconds of two parts, and why they are two recordings")
 )
 def test_parts_without_metadata_are_one_or_several(
-    first: list[tuple[str, int]], second: list[Any], why: str, tmp_path: Path
+    first: list[tuple[str, float]], second: list[Any], why: str, tmp_path: Path
 ) -> None:
-    later = [row for row in second if isinstance(row, tuple)]
-    write_storage(tmp_path / "x_0.mcap", first)
-    write_storage(tmp_path / "x_1.mcap", later, **({"msgtype": second[-1]} if later != second else {}))
+    before, later = ([(row[0], round(row[1] * SECOND)) for row in part if len(row) == 2] for part in (first, second))
+    write_storage(tmp_path / "x_0.mcap", before)
+    write_storage(tmp_path / "x_1.mcap", later, **({"msgtype": second[-1]} if len(later) < len(second) else {}))
     if not why:
         with closing(open_recording(tmp_path)) as reader:
             assert len(list(reader.messages())) == len(first) + len(second)
@@ -98,7 +70,7 @@ def test_recordings_that_overlap_are_warned_of(tmp_path: Path) -> None:
     one, other, later, first, second, elsewhere, latched = paths = [
         tmp_path / f"{name}.mcap" for name in ("a", "b", "c", "x_0", "x_1", "other", "latched")
     ]
-    for path, rows in zip(
+    for path, written in zip(
         paths,
         (
             [("/a", 0), ("/a", 2 * SECOND)],
@@ -111,7 +83,7 @@ def test_recordings_that_overlap_are_warned_of(tmp_path: Path) -> None:
         ),
         strict=True,
     ):
-        write_storage(path, rows, **({} if path == latched else {"qos": ""}))
+        write_storage(path, written, **({} if path == latched else {"qos": ""}))
     (warning,) = warnings_of(one, other, later)
     assert warning.startswith(f"{one} and {other} overlap in time, by up to 1.000 s, on /a: ")
     assert warnings_of(one, later) == warnings_of(other, later) == warnings_of(one) == []

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, and_list, destinations, storages
+from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, destinations, storages
 from pc2scan.bags.opening import open_recording
 from pc2scan.batch.folder import first_part, unnumbered_name
 from pc2scan.errors import DestinationError, RecordingError
@@ -172,11 +172,3 @@ def test_the_command_line_offers_what_the_table_has() -> None:
     assert set(words["compression"]) == known
     assert set(words["storage"]) == set(storages())
     assert words["to"] == tuple(destinations())
-
-
-@pytest.mark.parametrize(
-    ("names", "text"),
-    [((), ""), (("a",), "a"), (("a", "b"), "a and b"), (("a", "b", "c"), "a, b and c")],
-)
-def test_names_in_a_sentence(names: tuple[str, ...], text: str) -> None:
-    assert and_list(names) == text

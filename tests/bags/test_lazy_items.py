@@ -113,13 +113,6 @@ def test_the_messages_are_the_same(
     }
 
 
-def test_items_of_one_time_stay_in_their_order() -> None:
-    items = LazyItems(array("Q", [3, 1, 3, 1]), array("Q", [10, 11, 12, 13]), str, 0)
-    assert list(items) == ["10", "11", "12", "13"]
-    assert list(items.sort_by_time()) == ["11", "13", "10", "12"]
-    assert list(items.filter(lambda item: item != "11").map(int)) == [10, 12, 13]
-
-
 def test_an_item_is_made_once_while_it_is_due() -> None:
     made = []
 

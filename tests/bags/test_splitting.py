@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from pc2scan.bags import splitting
 from pc2scan.bags.splitting import Cut, RecordingPart, SplitWriter, narrow_rule
 from pc2scan.errors import UnwritableError, UsageError
-from pc2scan.files.places import part_name
 from pc2scan.model import ChunkRule, Connection, StoredChunk
 from support.rosbag1_files import connection
 
@@ -80,25 +79,6 @@ class Files:
         return [writer.rows for writer in self.writers]
 
 
-@pytest.mark.parametrize(
-    ("times", "expected"),
-    [
-        ([0, 5, 9, 10, 19, 20], [[0, 5, 9], [10, 19], [20]]),
-        # Counted from the beginning, and no file for a time without messages.
-        ([1, 9, 35, 39, 40], [[1, 9], [35, 39], [40]]),
-        # What comes late stays in the file that is written; what is from before the beginning is in the first.
-        ([-5, 0, 12, 8, 13, 21], [[-5, 0], [12, 8, 13], [21]]),
-        ([], [[]]),
-    ],
-)
-def test_time_cuts_on_a_grid(times: list[int], expected: list[list[int]], tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(duration_ns=10), PLAIN)
-    assert [[row[1] for row in part] for part in files.write(*((0, time_ns, b"data") for time_ns in times))] == expected
-    assert [part.span_ns for part in files.split.parts] == [
-        (min(part), max(part)) if part else None for part in expected
-    ]
-
-
 def expected_parts(rows: list[Row], cut: Cut) -> list[list[Row]]:
     """Where each message belongs: forty bytes of each are counted too, and what lasts comes first in every part."""
     parts: list[list[Row]] = [[]]
@@ -136,18 +116,9 @@ def test_each_message_is_in_the_part_it_belongs_to(rows: list[Row], cut: Cut) ->
     parts = files.split.parts
     assert [sum(part.counts.values()) for part in parts] == files.finishing
     assert sum(part.own for part in parts) == len(rows)
+    times = [[row[1] for row in part] for part in expected]
+    assert [part.span_ns for part in parts] == [(min(each), max(each)) if each else None for each in times]
     assert [writer.calls.count("finished") for writer in files.writers] == [1] * len(expected)
-
-
-def test_what_lasts_is_repeated_at_the_time_of_the_part(tmp_path: Path) -> None:
-    files = Files(tmp_path, Cut(duration_ns=10, repeats=True), MAP, STATIC, PLAIN)
-    _, second, _, fourth = files.write(
-        (0, 0, b"first map"), (1, 1, b"left"), (1, 2, b"right"), (0, 3, b"second map"), (1, 4, b"left"),
-        (2, 12, b"data"), (0, 25, b"third map"), (2, 31, b"data"),
-    )  # fmt: skip
-    assert second == [(0, 12, b"second map"), (1, 12, b"right"), (1, 12, b"left"), (2, 12, b"data")]
-    assert fourth[0] == (0, 31, b"third map")
-    assert files.split.parts[1].counts == {0: 1, 1: 2, 2: 1}
 
 
 def test_of_very_many_static_transforms_the_last_are_repeated(tmp_path: Path) -> None:
@@ -221,8 +192,3 @@ def test_a_unit_that_was_mistaken_is_refused(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(UsageError, match="more than 10 files"):
         files.write(*((0, time_ns, b"") for time_ns in range(20)))
     assert len(files.writers) == 10
-
-
-def test_names_of_parts_are_numbered() -> None:
-    found = [part_name(name, 3) for name in ("drive.bag", "a.b.mcap", "drive")]
-    assert found == ["drive_3.bag", "a.b_3.mcap", "drive_3"]

@@ -76,15 +76,6 @@ def test_a_chunk_alone_is_handed_on_whole() -> None:
     assert [calls(made) for made in units] == [[False], [True], [False]]
 
 
-def test_the_callback_makes_the_items() -> None:
-    items = merge_by_time([unit(1, [0, 4]), unit(2, [2])], lambda message: message._replace(sequence=7))
-    assert [(item.log_time_ns, item.sequence) for item in items if isinstance(item, RawMessage)] == [
-        (0, 7),
-        (2, 7),
-        (4, 7),
-    ]
-
-
 def test_units_are_made_when_they_are_needed() -> None:
     made: list[int] = []
 
@@ -98,13 +89,6 @@ def test_units_are_made_when_they_are_needed() -> None:
     # The next unit bounds the messages of the first one, and one more waits to be announced.
     assert len(made) <= 3
     assert len(list(items)) == 8
-
-
-def test_what_overlaps_beyond_the_bound_is_loaded_again() -> None:
-    units = [unit(number, [number, 10 + number, 20 + number], size=10) for number in range(4)]
-    expected = sorted((time, number) for number in range(4) for time in (number, 10 + number, 20 + number))
-    assert found(merge_by_time(units, max_open_bytes=25)) == expected
-    assert max(len(calls(made)) for made in units) > 1
 
 
 def test_a_unit_that_declares_too_much_drives_no_other_out() -> None:

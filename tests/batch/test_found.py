@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -12,10 +13,10 @@ import pc2scan
 from pc2scan.batch.identity import Identity, checksum_of, identity_of
 from support.batches import batch, manifest_of, place
 from support.builders import CONTENT, SECOND, Item, Recording, write_mcap, write_rosbag1
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 def found(sources: object, out: Path | None = None, **words: Any) -> dict[str, str]:
@@ -57,29 +58,10 @@ def test_parts_are_one_recording_and_drives_are_not(folder: Path) -> None:
     assert read["part_0.mcap"] == sum((folder / f"part_{number}.mcap").stat().st_size for number in (0, 1))
 
 
-MEETING: list[tuple[dict[str, Any], dict[str, str]]] = [
-    ({}, {"x/a.bag": "x/a_scan.bag", "a.db3": "a_scan", "a.bag": "a_scan.bag", "a.mcap": "a_scan.mcap"}),
-    (
-        {"to": "mcap"},
-        {"a.bag": "a_bag_scan.mcap", "a.mcap": "a_mcap_scan.mcap", "a": "a_folder_scan.mcap", "b.bag": "b_scan.mcap"},
-    ),
-    # Results share no folder; recordings do not meet there: their names end with _scan.
-    ({"export": "npz"}, {"drive.bag": "drive_bag", "drive/x.bag": "drive/x", "other.bag": "other"}),
-    ({}, {"drive.bag": "drive_scan.bag", "drive/x.bag": "drive/x_scan.bag"}),
-    (
-        {"to": "rosbag2"},
-        {"a.bag": "a_bag_scan", "a_scan/b.bag": "a_scan/b_scan", "A_SCAN/c/d.bag": "A_SCAN/c/d_scan"},
-    ),
-    # Where they meet all the same, they are refused.
-    (
-        {"export": "npz"},
-        {"a.bag": "a_bag", "a/x.bag": "a/x", "a_bag/y.bag": "would be in a_bag, the result of a.bag"},
-    ),
-    ({}, {f"{a}.bag": f"would be the output of both {a}.bag and {b}.bag" for a, b in ("Aa", "aA")}),
-]
-
-
-@pytest.mark.parametrize(("words", "expected"), MEETING)
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    rows(Path(__file__).with_name("results.txt"), "options, recordings, and where their results are"),
+)
 def test_results_have_names_of_their_own(words: dict[str, Any], expected: dict[str, str], folder: Path) -> None:
     place(folder, *expected)
     assert found(folder, **words) == expected

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,9 +20,7 @@ from pc2scan.options.table import dataset_options, options_of
 from support import ROOT
 from support.batches import in_this_process, manifest_of, place
 from support.command import run
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from support.tables import rows
 
 
 def test_the_schema_of_dataset_files_is_that_of_the_options() -> None:
@@ -62,43 +61,13 @@ def digests(tmp_path: Path) -> Digests:
     return Digests(tmp_path)
 
 
-#: Options as they are typed, and as keywords.
-TYPED: dict[str, Any] = {
-    "--topic /points:=/a --topic /b": {"topics": ("/points:=/a", "/b")},
-    "--keep /x --drop /y": {"keep": ("/x",), "drop": ("/y",)},
-    "--keep-clouds": {"keep_clouds": True},
-    "--only-scans": {"only_scans": True},
-    "--start 1 --end 2": {"start": "1", "end": "2"},
-    "--min-height 10cm --use-inf": {"min_height": "10cm", "use_inf": True},
-    "--beams 360 --no-return nan": {"beams": 360, "no_return": "nan"},
-    "--param min_height:=0.5": {"param": ("min_height:=0.5",)},
-    "--remap scan:=/front --ros-args": {"remap": ("scan:=/front",)},
-    "--preset gmapping": {"preset": "gmapping"},
-    "--where ring<3 --min-height-slope 0.1": {"where": ("ring<3",), "min_height_slope": 0.1},
-    "--tf-topic /robot/tf --target-frame base_link": {"tf_topics": ("/robot/tf",), "target_frame": "base_link"},
-    "--source-frame lidar": {"source_frame": "lidar"},
-    "--deskew --fixed-frame odom": {"deskew": True, "fixed_frame": "odom"},
-    "--deskew --fixed-frame odom --point-time t:ns": {"deskew": True, "fixed_frame": "odom", "point_time": "t:ns"},
-    "--deskew --fixed-frame odom --stamp middle": {"deskew": True, "fixed_frame": "odom", "stamp": "middle"},
-    "--level --imu /imu/data": {"level": True, "imu": "/imu/data"},
-    "--reverse --channel stamps --range-cutoff 50cm": {"reverse": True, "channels": ("stamps",), "range_cutoff": 0.5},
-    "--on-error fail --fail-on empty --min-used 5%": {"on_error": "fail", "fail_on": "empty", "min_used": 0.05},
-    "--no-verify": {"verify": False},
-    "--strict": {"strict": True},
-    "--storage sqlite3 --compression zstd --to rosbag2": {"storage": "sqlite3", "compression": "zstd", "to": "rosbag2"},
-    "--to mcap --profile ros1 --ros-distro humble": {"to": "mcap", "profile": "ros1", "ros_distro": "humble"},
-    "--split 60s --repeat-latched --to rosbag2": {"split": "60s", "repeat_latched": True, "to": "rosbag2"},
-    "--metadata-version 9": {"metadata_version": 9},
-    "--export npz --odom-topic /odom": {"export": "npz", "odom_topic": "/odom"},
-    "--export npz --pose-frame map --base-frame base": {"export": "npz", "pose_frame": "map", "base_frame": "base"},
-}
+TABLES = Path(__file__).with_name("options.txt")
 
 
-@pytest.mark.parametrize("text", TYPED)
+@pytest.mark.parametrize(("text", "keywords"), rows(TABLES, "typed options and keywords", text=True))
 def test_typed_options_mean_what_keywords_mean(
-    text: str, digests: Digests, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    text: str, keywords: dict[str, Any], digests: Digests, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    keywords = TYPED[text]
     assert digests.typed(*text.split()) == digests.of(**keywords) != digests.of()
     # For `convert`, too, where it has them.
     if not keywords.keys() & {"param", "remap", "export"}:
@@ -119,29 +88,7 @@ class _Done:
     warnings: list[str] = []  # noqa: RUF012
 
 
-@pytest.mark.parametrize(
-    ("keywords", "other", "same"),
-    [
-        ({"min_height": 1}, {"min_height": 1.0}, True),
-        ({"min_height": 1}, {"param": "min_height:=1"}, True),
-        ({"min_height": 1}, {"min_height": "100cm"}, True),
-        ({"min_height": 1}, {}, False),
-        ({"queue_size": 3}, {}, True),
-        ({"overwrite": True}, {}, True),
-        ({"topics": "/a:=/b"}, {"topics": ["/a:=/b"]}, True),
-        ({"where": "ring < 3"}, {"where": "ring < 4"}, False),
-        ({"exclude_box": "a 0 1 0 1 0 1"}, {"exclude_box": "a 0 1 0 1 0 2"}, False),
-        ({"static_tf": "a b 0 0 0 0 0 0"}, {"static_tf": "a b 0 0 0 0 0 0.1"}, False),
-        ({"start": 1}, {"start": "1.0"}, True),
-        ({"to": "mcap", "compression": "none"}, {"to": "mcap"}, False),
-        ({"split": "60s", "to": "rosbag2"}, {"split": "1min", "to": "rosbag2"}, True),
-        ({"split": "60s", "to": "rosbag2"}, {"split": "61s", "to": "rosbag2"}, False),
-        ({"split": "60s", "to": "rosbag2"}, {"split": "60s", "to": "rosbag2", "repeat_latched": True}, False),
-        ({"export": "npz"}, {}, False),
-        ({"export": "npz"}, {"export": "npz", "min_height": 0}, False),
-        ({"export": "npz"}, {"export": "npz", "pose_frame": "odom"}, False),
-    ],
-)
+@pytest.mark.parametrize(("keywords", "other", "same"), rows(TABLES, "keywords that mean the same, or not"))
 def test_options_that_mean_the_same_are_the_same(
     keywords: dict[str, Any], other: dict[str, Any], same: bool, digests: Digests
 ) -> None:
@@ -193,19 +140,7 @@ def test_a_dataset_file_may_be_empty(text: str, digests: Digests, tmp_path: Path
     assert digests.of(dataset=tmp_path / "dataset.yaml") == digests.of()
 
 
-@pytest.mark.parametrize(
-    ("line", "keywords"),
-    [
-        ("min_height: 0.5", {"min_height": 0.5}),
-        ("use_inf: false", {"use_inf": False}),
-        ("scan_time: auto", {"scan_time": "auto"}),
-        ("start: 12.5", {"start": 12.5}),
-        ("topics: /points:=/scan   # one", {"topics": ("/points:=/scan",)}),
-        ("drop: [/a, /b]", {"drop": ("/a", "/b")}),
-        ("params_file: params.yaml", {"beams": 77}),
-        ("{tf_from: [/abs/tf.bag, tf.bag], target_frame: a}", {"tf_from": ["/abs/tf.bag", "tf.bag"]}),
-    ],
-)
+@pytest.mark.parametrize(("line", "keywords"), rows(TABLES, "lines of dataset files and keywords"))
 def test_a_dataset_file_has_the_options_of_conversions(
     line: str, keywords: dict[str, Any], digests: Digests, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -220,22 +155,7 @@ def test_a_dataset_file_has_the_options_of_conversions(
     assert found == digests.of(**keywords, **more) != digests.of(**more)
 
 
-@pytest.mark.parametrize(
-    ("pattern", "matching", "others"),
-    [
-        ("a.bag", ["a.bag", "robot/a.bag", "a.bag/inner"], ["ba.bag", "a.bagx", "axbag"]),
-        ("*.bag", ["a.bag", "robot/day/b.bag"], ["a.mcap"]),
-        ("robot1", ["robot1/a.bag", "x/robot1/a.bag"], ["robot10/a.bag"]),
-        ("robot1/", ["robot1/a.bag"], ["robot10/a.bag"]),
-        ("robot1/**", ["robot1/a.bag", "robot1/day/a.bag"], ["x/robot1/a.bag"]),
-        ("robot1/*", ["robot1/a.bag", "robot1/day/a.bag"], ["robot2/a.bag"]),
-        ("robot?/[ab].bag", ["robot1/a.bag"], ["robot1/c.bag", "robot/a.bag"]),
-        ("robot[!1]/*", ["robot2/a"], ["robot1/a"]),
-        ("**/day1/*.bag", ["day1/a.bag", "x/y/day1/a.bag"], ["day2/a.bag"]),
-        ("./a/b.bag", ["a/b.bag"], ["b.bag"]),
-        ("a+(b).bag", ["a+(b).bag"], ["aab.bag"]),
-    ],
-)
+@pytest.mark.parametrize(("pattern", "matching", "others"), rows(TABLES, "patterns, what matches, and what does not"))
 def test_patterns_match_recordings(pattern: str, matching: list[str], others: list[str]) -> None:
     entry = DatasetEntry(1, (pattern,))
     assert [key for key in matching if not entry.matches(key)] == []

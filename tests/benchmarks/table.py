@@ -63,19 +63,6 @@ MEGABYTE = 1_000_000
 #: Of each of two lidars: enough that the start of a conversion takes at most a twentieth of the time.
 CLOUDS = 160
 
-#: What is printed, unless one of them is asked for.
-TABLES = (
-    "projection",
-    "deskewing",
-    "conversions",
-    "outputs",
-    "combining",
-    "batch",
-    "passing",
-    "maps",
-    "start-up",
-)
-
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
@@ -83,41 +70,19 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5, help="rounds, of which the median is taken (default: 5)")
     parser.add_argument("--memory", type=float, nargs="*", metavar="GB", help="peak memory too; default: 0.5 2 8")
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
-    parser.add_argument(
-        "--only",
-        choices=(*TABLES, "memory"),
-        help="one table",
-    )
+    parser.add_argument("--only", choices=(*TABLES, "memory"), help="one table")
     asked = parser.parse_args()
-    wanted = {asked.only} if asked.only else set(TABLES)
     keep_freed_memory()
     # Installed packages have bytecode. Here the first round, which does not count, writes it; without it, every process
     # would first compile pc2scan's sources, which takes 0.15 s.
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     with TemporaryDirectory(dir=asked.folder) as folder:
-        place = Path(folder)
         say(f"{len(os.sched_getaffinity(0))} cores, Python {sys.version.split()[0]}.\n")
-        if "projection" in wanted:
-            projection(asked.repeat)
-        if "deskewing" in wanted:
-            deskewing(asked.repeat)
-        if "conversions" in wanted:
-            conversions(place, int(asked.gb * 1e9), asked.repeat)
-            smaller_clouds(place, int(asked.gb * 0.25e9), asked.repeat)
-        if "outputs" in wanted:
-            outputs(place, int(asked.gb * 0.25e9), asked.repeat)
-        if "combining" in wanted:
-            combining(place, asked.repeat)
-        if "batch" in wanted:
-            datasets(place, int(asked.gb * 1e9), asked.repeat)
-        if "passing" in wanted:
-            passing(place, int(asked.gb * 0.25e9), asked.repeat)
-        if "maps" in wanted:
-            maps(place, asked.repeat)
-        if "start-up" in wanted:
-            start_up(place, asked.repeat)
-        if "memory" in wanted or asked.memory is not None:
-            memory(place, asked.memory or [0.5, 2, 8])
+        for name, print_table in TABLES.items():
+            if asked.only in (None, name):
+                print_table(Path(folder), int(asked.gb * 1e9), asked.repeat)
+        if asked.only == "memory" or asked.memory is not None:
+            memory(Path(folder), asked.memory or [0.5, 2, 8])
 
 
 def say(line: str) -> None:
@@ -152,7 +117,7 @@ def median(values: Iterable[float]) -> float:
 # --- Projection ---
 
 
-def projection(repeat: int) -> None:
+def projection(_place: Path, _size: int, repeat: int) -> None:
     def compared(points: int, layout: str, beams: int, heights: str) -> Sequence[str]:
         x, y, z = cloud(points, layout)
         params = params_of(beams, heights)
@@ -191,7 +156,7 @@ def projection(repeat: int) -> None:
 # --- Deskewing ---
 
 
-def deskewing(repeat: int) -> None:
+def deskewing(_place: Path, _size: int, repeat: int) -> None:
     def rows() -> Iterable[Sequence[str]]:
         for layout in ("organised", "ring-major", "column-major"):
             for heights in ("all", "band"):
@@ -307,7 +272,7 @@ def conversions(place: Path, size: int, repeat: int) -> None:
                    f"{median(row[5] / row[2] for row in found):.2f}") if chunks else ("", "")),
             )  # fmt: skip
             chunks.clear()
-            shutil.rmtree(source) if source.is_dir() else source.unlink()
+            remove(source)
 
     table(
         f"Converting** {count} clouds of 131,072 points of 32 bytes from a warm cache: uncompressed bytes and clouds "
@@ -326,6 +291,7 @@ def conversions(place: Path, size: int, repeat: int) -> None:
 
 
 def smaller_clouds(place: Path, size: int, repeat: int) -> None:
+    size //= 4
     form = FORMS["MCAP, none"]
 
     def rows() -> Iterable[Sequence[str]]:
@@ -373,6 +339,7 @@ scans:
 
 
 def outputs(place: Path, size: int, repeat: int) -> None:
+    size //= 4
     count = max(1, size // CLOUD_BYTES)
     four = place / "four.yaml"
     four.write_text(FOUR)
@@ -407,7 +374,7 @@ def outputs(place: Path, size: int, repeat: int) -> None:
 # --- Several sources ---
 
 
-def combining(place: Path, repeat: int) -> None:
+def combining(place: Path, _size: int, repeat: int) -> None:
     source = write_two(place / "two.mcap", CLOUDS)
 
     def rows() -> Iterable[Sequence[str]]:
@@ -493,11 +460,13 @@ def speed(count: int, duration: float) -> str:
 
 
 def passing(place: Path, size: int, repeat: int) -> None:
+    size //= 4
+
     def rows() -> Iterable[Sequence[str]]:
         for name, form in FORMS.items():
             source = write_recording(place, form, size)
             yield passed(name, source, form, place, repeat, max(1, size // CLOUD_BYTES))
-            shutil.rmtree(source) if source.is_dir() else source.unlink()
+            remove(source)
 
     table(
         "Passing through** clouds of 131,072 points of 32 bytes, written uncompressed or, by pc2scan, compressed as "
@@ -568,7 +537,7 @@ def passed(name: str, source: Path, form: Form, place: Path, repeat: int, count:
 # --- Maps ---
 
 
-def maps(place: Path, repeat: int) -> None:
+def maps(place: Path, _size: int, repeat: int) -> None:
     """How many times faster than the robot maps are drawn, of recordings that are read, too."""
 
     def rows() -> Iterable[Sequence[str]]:
@@ -597,7 +566,7 @@ def around(metres: float) -> Callable[[float, float, float], float]:
 # --- Start-up and memory ---
 
 
-def start_up(place: Path, repeat: int) -> None:
+def start_up(place: Path, _size: int, repeat: int) -> None:
     hall = Path(__file__).resolve().parents[2] / "fixtures" / "hall.bag"
 
     def process(*args: str | Path) -> Callable[[], float]:
@@ -629,10 +598,25 @@ def memory(place: Path, sizes: Sequence[float]) -> None:
                 source = write_recording(place, FORMS[name], int(gigabytes * 1e9))
                 report = command(source, "-o", place / "scans.mcap", "--topic", POINTS, "--jobs", "2")
                 peaks.append(f"{report['peak_kib'] * 1024 / MEGABYTE:.0f}")
-                shutil.rmtree(source) if source.is_dir() else source.unlink()
+                remove(source)
             yield f"{gigabytes:g}", *peaks
 
     table("Peak memory** of a conversion on 2 jobs, MB", ("GB of clouds", *forms), rows())
+
+
+#: What is printed, unless one of them is asked for.
+TABLES: dict[str, Callable[[Path, int, int], None]] = {
+    "projection": projection,
+    "deskewing": deskewing,
+    "conversions": conversions,
+    "smaller clouds": smaller_clouds,
+    "outputs": outputs,
+    "combining": combining,
+    "batch": datasets,
+    "passing": passing,
+    "maps": maps,
+    "start-up": start_up,
+}
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import random
 from contextlib import closing
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.errors import OutputError, RecordingError
+from pc2scan.errors import RecordingError
 from pc2scan.files import buffers
 from pc2scan.files import source as files
 from pc2scan.files.source import FreeIds, NewFile, SourceFile
@@ -32,13 +31,6 @@ def path(tmp_path: Path) -> Path:
 def file(path: Path) -> Iterator[SourceFile]:
     with closing(SourceFile(path)) as opened:
         yield opened
-
-
-def test_exactly_what_was_asked_for(file: SourceFile) -> None:
-    assert file.size == 100
-    assert file.read(0, 100) == bytes(range(100))
-    assert file.read(10, 3) == b"\x0a\x0b\x0c"
-    assert file.read(100, 0) == b""
 
 
 def test_short_answers_of_the_system_are_completed(file: SourceFile, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,15 +125,6 @@ def test_a_buffer_that_does_not_fit_into_memory_is_an_error(large: Path, monkeyp
         file.borrow(0, 1 << 20, bytes)
 
 
-@pytest.mark.parametrize("shorter", [0, 1 << 20, (3 << 20) - 1])
-def test_a_file_that_was_cut_is_an_error_where_it_is_borrowed(shorter: int, large: Path) -> None:
-    with closing(SourceFile(large)) as file:
-        os.truncate(large, shorter)
-        for _ in range(2):
-            with pytest.raises(RecordingError, match=f"ended at byte {shorter} while it was read; it had 3145728"):
-                file.borrow(0, 3 << 20, bytes)
-
-
 def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, large: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="2 bytes are declared from byte 99 on, but the file has 100 bytes"):
         file.read(99, 2)
@@ -185,25 +168,6 @@ def test_a_new_file_tells_where_everything_is(tmp_path: Path) -> None:
     file.replace(0, b"HEAD")
     file.finish()
     assert (tmp_path / "new").read_bytes() == b"HEADerbody"
-
-
-def test_a_new_file_overwrites_nothing(path: Path) -> None:
-    with pytest.raises(FileExistsError):
-        NewFile(path)
-    assert path.stat().st_size == 100
-
-
-def test_a_disk_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fsync(_fd: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    file = NewFile(tmp_path / "new")
-    monkeypatch.setattr(os, "fsync", fsync)
-    with pytest.raises(OutputError, match="cannot be written: No space left on device") as caught:
-        file.finish()
-    assert caught.value.path == tmp_path / "new"
-    file.abort()
-    file.abort()
 
 
 def test_kept_ids_are_for_those_who_ask_for_them() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from base64 import b64decode
 from collections import Counter
 from functools import cache
@@ -207,14 +206,6 @@ def test_a_type_without_definition_is_never_lost_in_silence(tmp_path: Path) -> N
     assert entry["lost"]
     assert "custom_msgs" in entry["note"]
     assert "/battery" in done.stdout
-
-
-@pytest.mark.parametrize(("name", "misleading"), [("bag-lz4", "a.mcap"), ("mcap-zstd", "a.bag"), ("db3", "a.txt")])
-def test_the_command_looks_at_content_not_at_names(name: str, misleading: str, tmp_path: Path) -> None:
-    disguised = shutil.copy(SOURCES[name](tmp_path, CONTENT), tmp_path / misleading)
-    done = run("convert", disguised, "-o", tmp_path / "out.mcap", *HEIGHTS)
-    assert done.status == 0, done.stderr
-    check_scans(opened(tmp_path / "out.mcap"))
 
 
 # --- The readers of ROS 1 and of web tools ---

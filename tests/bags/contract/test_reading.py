@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import os
 import random
-import sqlite3
 import subprocess
 import sys
 import tracemalloc
 from collections import Counter
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import pytest
@@ -25,7 +23,7 @@ from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import RecordingError
 from pc2scan.model import Attachment, Definition, Metadata
 from support import sampled
-from support.builders import CONTENT, IDL, SOURCES, Recording, definition, ros_version_of, write_db3, write_mcap
+from support.builders import CONTENT, IDL, SOURCES, Recording, definition, ros_version_of
 from support.command import environment
 from support.containers import FORMATS, KINDS, Row, read, recorded
 from support.mcap_files import LIBRARY_OPTIONS, SAMPLE, library_file
@@ -33,6 +31,8 @@ from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing, string
 from support.rosbag2_files import STORE, STRING, text
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from pc2scan.bags.reader import Reader
 
 #: Options of MCAP's library with which there is nothing to count by, at least for a part of the time.
@@ -337,27 +337,3 @@ def test_opening_and_counting_read_no_messages(tmp_path: Path) -> None:
             times = [item.log_time_ns for item in CONTENT.items]
             assert sum(reader.counts(reader.connections, min(times) + 1, max(times)).values()) > 10
             assert reader.bytes_read == 0
-
-
-def test_the_log_of_a_recorder_that_died_counts(tmp_path: Path) -> None:
-    live, path = tmp_path / "live.db3", tmp_path / "copy" / "drive.db3"
-    path.parent.mkdir()
-    write_db3(live, CONTENT)
-    last = max(item.log_time_ns for item in CONTENT.items) + 5
-    with closing(sqlite3.connect(live)) as database:
-        database.execute("PRAGMA journal_mode=WAL")
-        database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, x'00010000')", (last,))
-        database.commit()
-        for suffix in ("", "-wal"):
-            path.with_name(path.name + suffix).write_bytes(Path(f"{live}{suffix}").read_bytes())
-    before = {entry.name: entry.read_bytes() for entry in path.parent.iterdir()}
-    assert len(before) == 2
-    check_reader(path, [*content_in(2), ("/tf_static", last, b"\0\1\0\0")])
-    assert {entry.name: entry.read_bytes() for entry in path.parent.iterdir()} == before
-
-
-def test_equal_times_of_two_publishers_keep_file_order(tmp_path: Path) -> None:
-    items = tuple(CONTENT.items)
-    swapped = Recording(CONTENT.streams, (*items[:3], *items[4:7][::-1], items[3], *items[7:]))
-    path = write_mcap(tmp_path / "drive.mcap", swapped)
-    assert read(path) == in_time_order(content_in(2, swapped))

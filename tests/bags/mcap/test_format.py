@@ -8,13 +8,14 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from mcap.records import ChunkIndex, DataEnd, Footer, Schema
+from mcap.opcode import Opcode as LibrarysOpcode
+from mcap.records import ChunkIndex, DataEnd, Footer
 from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 
 from pc2scan.bags.mcap import index as mcap_index
 from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.bags.mcap.records import MAGIC, Opcode
 from support.mcap_files import (
     LIBRARY_OPTIONS,
     SAMPLE,
@@ -25,7 +26,6 @@ from support.mcap_files import (
     library_file,
     raw_channel,
     raw_chunk,
-    raw_file,
     raw_message,
     read,
     record,
@@ -40,6 +40,10 @@ if TYPE_CHECKING:
 EXPECTED = sorted(((i + 1, n, t, t + 5, data) for n, (i, t, data) in enumerate(SAMPLE)), key=lambda row: row[2])
 
 
+def test_opcodes_are_the_librarys() -> None:
+    assert {each.name: int(each) for each in Opcode} == {each.name: int(each) for each in LibrarysOpcode}
+
+
 def test_data_are_views_of_their_chunk(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", [(0, 1, b"abc"), (0, 2, b"def")])
     with closing(McapReader(path)) as reader:
@@ -47,28 +51,6 @@ def test_data_are_views_of_their_chunk(tmp_path: Path) -> None:
     assert isinstance(first, memoryview)
     assert isinstance(second, memoryview)
     assert first.obj is second.obj
-
-
-def test_chunks_may_have_no_messages(tmp_path: Path) -> None:
-    empty: dict[str, Any] = {"message_start_time": 0, "message_end_time": 0}
-    path = raw_file(
-        tmp_path / "a.mcap",
-        raw_chunk(raw_channel(), **empty),
-        raw_chunk(b"", **empty),
-        raw_chunk(b"", compression="zstd", **empty),
-        raw_chunk(raw_message(log_time=9), message_start_time=9, message_end_time=9),
-    )
-    with closing(McapReader(path)) as reader:
-        assert len(content(reader)) == 1
-        assert (reader.summary.start_ns, reader.summary.end_ns) == (9, 9)
-
-
-def test_a_schema_without_an_id_is_nobodys(tmp_path: Path) -> None:
-    schema = encoded(Schema(id=0, name="a/B", encoding="ros2msg", data=b""))
-    with closing(
-        McapReader(raw_file(tmp_path / "a.mcap", schema, raw_channel(), raw_message()), strict=True)
-    ) as reader:
-        assert [connection.msgtype for connection in reader.connections] == [""]
 
 
 def test_messages_beside_indexed_chunks_are_found(tmp_path: Path) -> None:

@@ -17,7 +17,6 @@ from support.rosbag1_files import (
     bag_header,
     chunk,
     chunk_info,
-    connection,
     connection_record,
     fails,
     given_bytes,
@@ -27,7 +26,6 @@ from support.rosbag1_files import (
     simple_bag,
     time,
     uint32,
-    write,
 )
 
 if TYPE_CHECKING:
@@ -58,14 +56,6 @@ def test_what_does_not_begin_as_a_bag_is_refused(data: bytes, told: str, hint: s
 def test_what_cannot_be_opened_is_refused(tmp_path: Path) -> None:
     assert "No such file" in fails(tmp_path / "missing.bag")
     assert "Is a directory" in fails(tmp_path)
-
-
-def test_a_cut_bag_is_refused_wherever_it_is_cut(tmp_path: Path) -> None:
-    rows = [(index % 2, index, b"x" * 300) for index in range(40)]
-    whole = write(tmp_path / "a.bag", [connection("/a"), connection("/b")], rows, "bz2", 4000).read_bytes()
-    for length in [*range(0, len(whole), 211), *range(len(whole) - 60, len(whole), 3)]:
-        told = fails(given_bytes(tmp_path, whole[:length]))
-        assert length <= 5000 or f"the file has {length} bytes" in told
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fuzz.mutants.layout import Field, Layout, Record
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -25,23 +27,9 @@ __all__ = [
 
 JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 
-#: Place, size, name and role of the values in the header of the file.
-_HEADER: tuple[tuple[int, int, str, Role], ...] = (
-    (0, 16, "magic", "text"),
-    (16, 2, "page_size", "size"),
-    (18, 1, "write_version", "number"),
-    (19, 1, "read_version", "number"),
-    (20, 1, "reserved", "size"),
-    (24, 4, "change_counter", "count"),
-    (28, 4, "pages", "count"),
-    (32, 4, "freelist", "place"),
-    (36, 4, "free_pages", "count"),
-    (40, 4, "schema_cookie", "number"),
-    (44, 4, "schema_format", "number"),
-    (52, 4, "largest_root", "number"),
-    (56, 4, "encoding", "number"),
-    (92, 4, "valid_for", "count"),
-)
+#: Place, size, name and role of the values in headers.
+_TABLES = Path(__file__).with_suffix(".txt")
+_VALUES = {kind: rows(_TABLES, kind) for kind in ("header", "wal", "frame", "journal")}
 _TABLE_LEAF, _TABLE_INNER, _INDEX_LEAF, _INDEX_INNER = 13, 5, 10, 2
 
 
@@ -50,10 +38,14 @@ def _field(kind: str, role: Role, start: int, size: int) -> Field:
     return Field(kind, "number" if role == "place" else role, start, start + size, "big")
 
 
+def _header(kind: str, start: int) -> list[Field]:
+    return [_field(f"{kind}.{name}", role, start + place, size) for place, size, name, role in _VALUES[kind]]
+
+
 def database_layout(data: bytes) -> Layout:
     """Lay out a sound database: its header, the headers and cells of its trees' pages, and the records in them."""
     made = Layout(data)
-    made.fields += [_field(f"header.{name}", role, place, size) for place, size, name, role in _HEADER]
+    made.fields += _header("header", 0)
     page_size = int.from_bytes(data[16:18], "big")
     page_size = 65_536 if page_size == 1 else page_size
     for start in range(0, len(data) - page_size + 1, page_size):
@@ -143,29 +135,11 @@ def varint(data: bytes, position: int) -> tuple[int, int]:
 def wal_layout(data: bytes) -> Layout:
     """Lay out a write-ahead log."""
     made = Layout(data)
-    names: tuple[tuple[str, Role], ...] = (
-        ("magic", "number"),
-        ("version", "number"),
-        ("page_size", "size"),
-        ("checkpoint", "count"),
-        ("salt", "number"),
-        ("salt", "number"),
-        ("checksum", "checksum"),
-        ("checksum", "checksum"),
-    )
-    made.fields += [_field(f"wal.{name}", role, 4 * i, 4) for i, (name, role) in enumerate(names)]
+    made.fields += _header("wal", 0)
     page_size = int.from_bytes(data[8:12], "big")
-    parts: tuple[tuple[str, Role], ...] = (
-        ("page", "number"),
-        ("committed_pages", "count"),
-        ("salt", "number"),
-        ("salt", "number"),
-        ("checksum", "checksum"),
-        ("checksum", "checksum"),
-    )
     for start in range(32, len(data) - page_size - 23, 24 + page_size):
         made.records.append(Record("frame", start, start + 24 + page_size))
-        made.fields += [_field(f"frame.{name}", role, start + 4 * i, 4) for i, (name, role) in enumerate(parts)]
+        made.fields += _header("frame", start)
         made.fields.append(_field("frame.content", "payload", start + 24, page_size))
 
     def seal(changed: bytearray, _: Callable[[int], int]) -> None:
@@ -198,19 +172,10 @@ def _wal_sum(order: str, data: bytes, sums: tuple[int, int]) -> tuple[int, int]:
 def journal_layout(data: bytes) -> Layout:
     """Lay out a rollback journal: segments of a header, which fills a sector, and pages."""
     made = Layout(data)
-    names: tuple[tuple[str, Role], ...] = (
-        ("pages", "count"),
-        ("nonce", "number"),
-        ("database_pages", "count"),
-        ("sector", "size"),
-        ("page_size", "size"),
-    )
     found = journal_segments(data)
     for segment in found:
         made.fields.append(Field("journal.magic", "text", segment.start, segment.start + 8))
-        made.fields += [
-            _field(f"journal.{name}", role, segment.start + 8 + 4 * i, 4) for i, (name, role) in enumerate(names)
-        ]
+        made.fields += _header("journal", segment.start)
         size = segment.page_size
         for start in segment.pages:
             made.records.append(Record("journal_page", start, start + size + 8))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import lz4.frame
 import zstandard
@@ -12,7 +13,7 @@ import zstandard
 from fuzz.mutants.layout import Field, Layout, Nested, Record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from fuzz.mutants.layout import Role
 
@@ -22,107 +23,20 @@ MAGIC = b"\x89MCAP0\r\n"
 #: Opcode and length of the content.
 RECORD = struct.Struct("<BQ")
 
-#: Codes: numbers as in `struct`; ``s`` a text and ``b`` a block with their lengths in 32 and 64 bits, ``z`` one in 32;
-#: ``m`` a map of texts; ``i`` entries of a message index, ``o`` channels and places, ``c`` channels and counts.
 _Spec = tuple[str, "Role", str]
-_SPECS: dict[int, tuple[str, tuple[_Spec, ...]]] = {
-    0x01: ("header", (("profile", "text", "s"), ("library", "text", "s"))),
-    0x02: (
-        "footer",
-        (("summary_start", "place", "Q"), ("summary_offset_start", "place", "Q"), ("summary_crc", "checksum", "I")),
-    ),
-    0x03: (
-        "schema",
-        (("id", "id", "H"), ("name", "name", "s"), ("encoding", "name", "s"), ("data", "text", "z")),
-    ),
-    0x04: (
-        "channel",
-        (
-            ("id", "id", "H"),
-            ("schema_id", "id", "H"),
-            ("topic", "name", "s"),
-            ("message_encoding", "name", "s"),
-            ("metadata", "text", "m"),
-        ),
-    ),
-    0x05: (
-        "message",
-        (
-            ("channel_id", "id", "H"),
-            ("sequence", "number", "I"),
-            ("log_time", "time", "Q"),
-            ("publish_time", "time", "Q"),
-            ("data", "payload", "r"),
-        ),
-    ),
-    0x06: (
-        "chunk",
-        (
-            ("start_time", "time", "Q"),
-            ("end_time", "time", "Q"),
-            ("uncompressed_size", "size", "Q"),
-            ("crc", "checksum", "I"),
-            ("compression", "name", "s"),
-            ("records", "payload", "b"),
-        ),
-    ),
-    0x07: ("message_index", (("channel_id", "id", "H"), ("entries", "payload", "i"))),
-    0x08: (
-        "chunk_index",
-        (
-            ("start_time", "time", "Q"),
-            ("end_time", "time", "Q"),
-            ("chunk_start", "place", "Q"),
-            ("chunk_length", "size", "Q"),
-            ("message_index", "place", "o"),
-            ("message_index_length", "size", "Q"),
-            ("compression", "name", "s"),
-            ("compressed_size", "size", "Q"),
-            ("uncompressed_size", "size", "Q"),
-        ),
-    ),
-    0x09: (
-        "attachment",
-        (
-            ("log_time", "time", "Q"),
-            ("create_time", "time", "Q"),
-            ("name", "name", "s"),
-            ("media_type", "text", "s"),
-            ("data", "payload", "b"),
-            ("crc", "checksum", "I"),
-        ),
-    ),
-    0x0A: (
-        "attachment_index",
-        (
-            ("offset", "place", "Q"),
-            ("length", "size", "Q"),
-            ("log_time", "time", "Q"),
-            ("create_time", "time", "Q"),
-            ("data_size", "size", "Q"),
-            ("name", "name", "s"),
-            ("media_type", "text", "s"),
-        ),
-    ),
-    0x0B: (
-        "statistics",
-        (
-            ("message_count", "count", "Q"),
-            ("schema_count", "count", "H"),
-            ("channel_count", "count", "I"),
-            ("attachment_count", "count", "I"),
-            ("metadata_count", "count", "I"),
-            ("chunk_count", "count", "I"),
-            ("start_time", "time", "Q"),
-            ("end_time", "time", "Q"),
-            ("channel_message_counts", "count", "c"),
-        ),
-    ),
-    0x0C: ("metadata", (("name", "name", "s"), ("metadata", "text", "m"))),
-    0x0D: ("metadata_index", (("offset", "place", "Q"), ("length", "size", "Q"), ("name", "name", "s"))),
-    0x0E: ("summary_offset", (("group", "opcode", "B"), ("start", "place", "Q"), ("length", "size", "Q"))),
-    0x0F: ("data_end", (("data_section_crc", "checksum", "I"),)),
-}
+
+
+def _specs(text: str) -> Iterator[tuple[int, tuple[str, tuple[_Spec, ...]]]]:
+    """Opcodes, and the name of each record and its fields: their names, roles and codes."""
+    for line in text.splitlines():
+        head, _, fields = line.partition(": ")
+        if line.startswith("0x"):
+            opcode, kind = head.split()
+            specs: Any = tuple(tuple(field.split()) for field in fields.split(", "))
+            yield int(opcode, 16), (kind, specs)
+
+
+_SPECS = dict(_specs(Path(__file__).with_suffix(".txt").read_text()))
 _SIZES = {"B": 1, "H": 2, "I": 4, "Q": 8}
 #: Arrays: the names, roles and codes of an entry's parts.
 _ENTRIES: dict[str, tuple[_Spec, ...]] = {

@@ -32,10 +32,6 @@ def read(path: Path) -> tuple[Rows, tuple[Damage, ...]]:
         return [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in reader.messages()], reader.damage
 
 
-def test_a_sound_database_has_nothing_to_report(path: Path) -> None:
-    assert read(path) == (SOUND, ())
-
-
 def test_rows_that_the_index_does_not_have(path: Path) -> None:
     data = bytearray(path.read_bytes())
     cells = next(field for field in database_layout(bytes(data)).fields if field.kind == "index.cells")
