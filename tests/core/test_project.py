@@ -20,7 +20,6 @@ from pc2scan.core import plain
 from pc2scan.core.params import CHOICES
 from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.rule import rule_of
 from support.loops import BOTH_LOOPS
 
 if TYPE_CHECKING:
@@ -96,23 +95,6 @@ def test_heights_are_compared_as_float64(limit: float) -> None:
     points = np.array([[1, 1, z] for z in around], np.float32)
     for low, high in ((limit, INF), (-INF, limit)):
         assert_as_reference(points, replace(OPEN, min_height=low, max_height=high))
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"use_inf": True}, [2, INF]),
-        ({"use_inf": False}, [2, 11]),
-        # Upstream's beam begins with 1 m, and 2 m are not below that.
-        ({"use_inf": False, "inf_epsilon": -9.0}, [1, 1]),
-        ({"use_inf": False, "inf_epsilon": -INF}, [-INF, -INF]),
-        ({"use_inf": False, "inf_epsilon": -INF, "range_max": OPEN.range_max}, [math.nan, math.nan]),
-    ],
-)
-@pytest.mark.parametrize("copies", [1, 5], ids=["more beams", "more points"])
-def test_what_empty_beams_read(changes: dict[str, Any], expected: list[float], copies: int) -> None:
-    sector = replace(OPEN, range_max=10.0, angle_min=0.0, angle_max=1.0, angle_increment=0.5)
-    np.testing.assert_array_equal(project([[2, 0, 0]] * copies, replace(sector, **changes)).ranges, expected)
 
 
 # Any points, any parameters.
@@ -310,38 +292,6 @@ def test_heights_do_not_count_for_parts_that_have_none() -> None:
         [PointsPart(x, zeros, zeros), PointsPart(x, zeros, zeros - 1, any_height=True)]
     )
     assert (found.counts.height, found.counts.used, found.ranges.min()) == (2, 2, 1)
-
-
-def test_a_centered_beam_is_not_off_to_one_side() -> None:
-    # Upstream reports the lower edge of a beam; a centered one is off by as much to the left as to the right.
-    angles = np.linspace(-3, 3, 50_000).astype(np.float32)
-    for geometry, bias in (("centered", 0.0), ("upstream", 0.5)):
-        params = replace(CENTERED, geometry=geometry)
-        layout = params.layout
-        bins = plain.bins_of(angles, rule_of(params), layout.count)
-        off = (angles.astype(np.float64) - layout.angle_min - bins * layout.angle_increment) / layout.angle_increment
-        assert off.mean() == pytest.approx(bias, abs=1e-2)
-
-
-def wall(reduce: str, far: float = 0.0) -> NDArray[np.float32]:
-    """Distances to a wall 4 m ahead, as 16 rings with 1 cm of noise see it; its right half is ``far`` metres away."""
-    random = np.random.default_rng(11)
-    angles = np.tile(np.arange(-0.6, 0.6, math.radians(0.2)), 16)
-    ahead = np.where((angles < 0.006) & (far > 0), far, 4.0) + random.normal(0, 0.01, angles.size)
-    points = np.stack([ahead, ahead * np.tan(angles), np.zeros(angles.size)], axis=1)
-    ranges = project(points, replace(CENTERED, angle_min=-0.5, angle_max=0.5, reduce=reduce)).ranges
-    cosines = np.cos(-0.5 + np.arange(ranges.size) * CENTERED.layout.angle_increment).astype(np.float32)
-    ahead_of_beams: NDArray[np.float32] = ranges * cosines
-    return ahead_of_beams
-
-
-def test_a_surface_is_at_the_wall_and_never_between_walls() -> None:
-    assert np.median(wall("min")) == pytest.approx(4 - 0.03, abs=0.015)
-    assert np.median(wall("surface")) == pytest.approx(4, abs=0.002)
-    assert np.abs(wall("surface") - 4).max() < 0.02
-    two_walls = {reduce: wall(reduce, far=8.0) for reduce in ("min", "mean", "surface")}
-    between = {reduce: np.count_nonzero((seen > 4.2) & (seen < 7.8)) for reduce, seen in two_walls.items()}
-    assert between == {"min": 0, "mean": 1, "surface": 0}
 
 
 # Layouts, types and threads.
