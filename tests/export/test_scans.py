@@ -196,15 +196,6 @@ def test_csv_is_exact(recording: Path, tmp_path: Path) -> None:
         assert (row["frame"], int(row["log_time_ns"])) == ("laser", scan.log_time_ns)
 
 
-def test_pandas_reads_the_csv(mcap: Path, tmp_path: Path) -> None:
-    pandas = pytest.importorskip("pandas")
-    pc2scan.export(mcap, tmp_path / "scans.csv", pose_frame="odom")
-    table = pandas.read_csv(tmp_path / "scans.csv")
-    assert table["stamp_ns"].tolist() == list(POSED)
-    assert table["range_2"].tolist() == [np.inf] * 4
-    assert table["range_3"].isna().all()
-
-
 def test_a_frame_with_commas_is_one_cell(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "odd.mcap", drive({"/scan": [replace(PATTERN, frame_id='a,"b"')]}))
     pc2scan.export(path, tmp_path / "scans.csv")

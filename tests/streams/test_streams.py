@@ -326,11 +326,6 @@ def test_several_recordings_are_one(tmp_path: Path) -> None:
     assert both == [FIRST_NS + i * 10**8 for i in range(5)]
 
 
-def test_nothing_there_is_an_error_at_once(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="does not exist"):
-        pc2scan.scans(tmp_path / "none.bag")
-
-
 @pytest.mark.parametrize("form", sampled(FORMS, 1))
 @pytest.mark.filterwarnings("ignore::pc2scan.RecordingWarning")
 def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:

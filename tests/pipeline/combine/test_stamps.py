@@ -12,14 +12,10 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.errors import ResultError, UsageError, stamp_text
-from pc2scan.messages.definitions import definition
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
-from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import Connection
 from pc2scan.pipeline.combine import grouping
 from support import ROOT, sampled
+from support.builders import CLOUD, SECOND, TF, Item, Recording, Stream, cloud, transforms, write_mcap
 from support.tables import rows
 
 if TYPE_CHECKING:
@@ -27,11 +23,9 @@ if TYPE_CHECKING:
 
 TABLES = Path(__file__).with_name("silence.txt")
 HALL = ROOT / "fixtures" / "hall.bag"
-SECOND = 1_000_000_000
 T0 = 1_700_000_000 * SECOND
 HOUR = 3600 * SECOND
 DAY = 86_400 * SECOND
-TF = "tf2_msgs/msg/TFMessage"
 
 #: Each cloud has one point, and its number decides in which of so many beams.
 BEAMS = 360
@@ -56,32 +50,22 @@ def tenths(begin: float, end: float, phase: float = 0.0) -> list[float]:
 
 def recorded(path: Path, found: Iterable[Cloud], points: int = 1, *, moving: float = 0.0) -> Path:
     """Write an MCAP file; with ``moving`` seconds of odometry."""
-    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
-    topics = {"/tf_static": TF, "/tf": TF, "/front": POINTCLOUD2, "/rear": POINTCLOUD2}
-    handles = {}
-    for topic, msgtype in topics.items():
-        text, digest = definition(msgtype, 2)
-        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
-    still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    static = [("base_link", frame, T0, *still) for frame in ("front", "rear")]
-    rows = [(T0 - SECOND, "/tf_static", encode_transforms(static, "cdr"))]
+    still = (0.0, 0.0, 0.0)
+    static = [("base_link", frame, T0, still) for frame in ("front", "rear")]
+    items = [Item(Stream("/tf_static", TF), T0 - SECOND, {2: transforms(static, 2)})]
     for number in range(round(-5 * bool(moving)), round(10 * moving)):
         time_ns = T0 + number * SECOND // 10
-        rows.append((time_ns, "/tf", encode_transforms([("odom", "base_link", time_ns, *still)], "cdr")))
-    fields = [PointField(axis, 4 * place, 7) for place, axis in enumerate("xyz")]
+        items.append(Item(Stream("/tf", TF), time_ns, {2: transforms([("odom", "base_link", time_ns, still)], 2)}))
+    streams = {topic: Stream(topic, CLOUD) for topic in ("/front", "/rear")}
     for number, (topic, at, off_ns) in enumerate(found):
         time_ns = T0 + round(at * 1e9)
         angle = np.radians(0.5 + number % BEAMS)
         xyz = np.tile(np.array([2 * np.cos(angle), 2 * np.sin(angle), 0.5], "<f4"), (points, 1))
-        data = encode_pointcloud2(
-            serialization="cdr", sequence=0, stamp_ns=time_ns + off_ns, frame_id=topic.removeprefix("/"),
-            fields=fields, point_step=12, data=xyz.tobytes(),
-        )  # fmt: skip
-        rows.append((time_ns + 5_000_000, topic, data))
-    for log_time_ns, topic, data in sorted(rows, key=lambda row: row[:2]):
-        writer.write(handles[topic], log_time_ns, data, log_time_ns)
-    writer.finish()
-    return path
+        data = cloud(xyz, 2, stamp_ns=time_ns + off_ns, frame_id=topic.removeprefix("/"))
+        items.append(Item(streams[topic], time_ns + 5_000_000, {2: data}))
+    items.sort(key=lambda each: (each.log_time_ns, each.stream.topic))
+    declared = dict.fromkeys([*(each.stream for each in items), *streams.values()])
+    return write_mcap(path, Recording(tuple(declared), tuple(items)))
 
 
 class Made(NamedTuple):
