@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -177,13 +176,6 @@ def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
         assert entry["joined"]["jumps"] == [{"stamp_ns": T0 + 10 * SECOND - HOUR, "by_ns": -HOUR}]
 
 
-def test_a_first_stamp_one_day_ahead_is_a_scan_of_its_own(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30), lambda at: 0 if at else DAY))
-    gathered = made(source, topics="/front:=/scan", accumulate=1)
-    assert sorted(gathered.sizes) == [1, *range(1, 10), *[10] * 290]
-    assert any("jump back by 86,400 s at 1700000000.100000000" in each for each in gathered.report.warnings)
-
-
 @pytest.mark.parametrize("options", sampled([{}, {"accumulate": "100ms"}, {"every": "100ms"}], 1))
 def test_four_wrong_first_stamps_are_no_other_clock(options: dict[str, Any], tmp_path: Path) -> None:
     rear = clouds("/rear", tenths(0, 30, 0.03), lambda at: DAY if at < 0.4 else 0)
@@ -261,11 +253,3 @@ def test_time_is_counted_back_from_the_last_message(options: dict[str, Any], tmp
     assert entry.messages_out > 1
     assert entry.empty_scans == 0
     assert not any("no return" in each for each in report.warnings)
-
-
-def test_scans_in_python_have_the_jumps_in_their_warnings(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 4), lambda at: 0 if at < 2 else -HOUR))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        assert len(list(pc2scan.scans(source, "/front:=/scan", every=1))) == 4
-    assert any("the stamps of /front jump back by 3,600 s" in str(each.message) for each in caught)
