@@ -219,10 +219,3 @@ def test_a_preset_is_beaten_by_what_is_given() -> None:
     with pytest.raises(ParameterError, match="there is no preset 'karto'") as caught:
         ProjectionParams.preset("karto")
     assert str(caught.value.hint).startswith("the presets are slam_toolbox, ")
-
-
-def test_params_are_immutable_and_hashable() -> None:
-    params = ProjectionParams(range_max=5)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        params.range_max = 6.0  # type: ignore[misc]
-    assert hash(params) == hash(ProjectionParams(range_max=5))

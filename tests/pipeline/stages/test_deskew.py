@@ -123,23 +123,6 @@ def test_quaternions_of_other_lengths_scale_as_in_a_lookup(fixed: str, squared: 
     assert_placed_by_lookups(Placer("base_link", "", builder.build(), 0), fixed, xyz, times)
 
 
-@pytest.mark.parametrize("unit", [1, 1_000, 1_000_000, 1_000_000_000])
-@pytest.mark.parametrize("times", [[20_000_000], [20_000_000, 20_400_000], [0, 999_000], [5_000_000, 105_000_000]])
-def test_absolute_times_are_those_after_the_stamp(times: list[int], unit: int) -> None:
-    xyz = np.arange(3 * len(times)).reshape(-1, 3) + 1.0
-    # A driver writes 0 for points without a return.
-    values = np.array([*((T0 + time) / unit for time in times), 0.0])
-    stage = Deskew(frames(rate=30), "odom", PointTime())
-    relative, absolute = (
-        moving_of(stage, points(some, these))
-        for some, these in ((xyz, np.array(times)), (np.concatenate([xyz, np.full((1, 3), np.nan)]), values))
-    )
-    expected = np.stack(relative.place(relative.points)[0].xyz(), axis=1)
-    found = np.stack(absolute.place(absolute.points)[0].xyz(), axis=1)[:-1]
-    # At 1.5 m/s and 1 rad/s, in the 0.24 us that a float64 of seconds since 1970 resolves.
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
-
-
 def test_a_direction_that_is_not_known_is_an_error() -> None:
     angles = np.random.default_rng(3).permutation(np.arange(600) * 2 * math.pi / 600)
     cloud = points(np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1), np.zeros(600), "x_again")
@@ -256,13 +239,6 @@ def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, hint: str) -> N
 def test_a_cloud_of_a_minute_has_a_bounded_number_of_nodes() -> None:
     moving = moving_of(Deskew(frames(end=61.0), "odom", PointTime()), points(np.ones((2, 3)), [0, 59 * SECOND], "t"))
     assert 20_000 < moving.transform.node_times.size < 24_000
-
-
-def test_a_unit_may_be_named() -> None:
-    moving = moving_of(
-        Deskew(frames(), "odom", PointTime.parse("when:us")), points(np.ones((2, 3)), [0, 50_000], "when")
-    )
-    np.testing.assert_allclose(moving.points.fields[TIME], [0, 0.05])
 
 
 def test_rows_with_gaps_keep_their_shape_and_other_fields() -> None:
