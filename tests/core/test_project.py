@@ -6,6 +6,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,9 +22,12 @@ from pc2scan.core.params import CHOICES
 from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous
 from pc2scan.core.rigid import Rigid
 from support.loops import BOTH_LOOPS
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+TABLES = Path(__file__).with_name("project.txt")
 
 Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
@@ -53,18 +57,7 @@ def assert_as_reference(points: NDArray[Any], params: ProjectionParams) -> None:
 # Single points, and limits.
 
 
-@pytest.mark.parametrize(
-    ("point", "what"),
-    [
-        ((1, 0, 1), "used"), ((0, 0, 1), "used"), ((1, 0, 1e-45), "used"), ((1, 0, MAX32), "used"),
-        ((MAX32, 0, 1), "used"), ((-1, -0.0, 1), "used"),
-        ((math.nan, 0, 1), "nan"), ((0, math.nan, 1), "nan"), ((1, 0, math.nan), "nan"), ((math.nan, 0, -1), "nan"),
-        ((INF, math.nan, 1), "nan"),
-        ((1, 0, 0), "height"), ((1, 0, -0.0), "height"), ((INF, 0, -1), "height"), ((1, 0, INF), "height"),
-        ((INF, 0, 1), "range"), ((-INF, INF, 1), "range"), ((MAX32, MAX32, 1), "range"),
-        ((-1, 0.0, 1), "past_end"), ((-1, 1e-45, 1), "past_end"), ((-0.0, 0.0, 1), "past_end"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("point", "what"), rows(TABLES, "single points"))
 def test_what_upstreams_defaults_make_of_a_point(point: tuple[float, float, float], what: str) -> None:
     for loops in BOTH_LOOPS:
         with loops():
@@ -242,42 +235,14 @@ def test_any_cloud_is_projected_as_by_the_reference(
 # What a beam reads.
 
 
-@pytest.mark.parametrize(
-    ("changes", "ranges"),
-    [
-        ({}, [1, 5, INF]),
-        ({"reduce": "max"}, [4, 5, INF]),
-        ({"reduce": "mean"}, [2.5, 5, INF]),
-        ({"reduce": "median"}, [2, 5, INF]),
-        ({"reduce": "kth", "kth": 3}, [3, INF, INF]),
-        # The three closest of 1, 2, 3 and 4 m; the width of a beam is 0.5 rad.
-        ({"reduce": "surface", "surface_depth": 0.5, "surface_slope": 3.0}, [2, 5, INF]),
-        ({"reduce": "surface", "surface_slope": 0.0}, [1, 5, INF]),
-        ({"min_points": 2}, [1, INF, INF]),
-        ({"reduce": "max", "no_return": "zero"}, [4, 5, 0]),
-        ({"reduce": "max", "no_return": "range-max-plus"}, [4, 5, 31]),
-        ({"no_return": "range-max-plus", "inf_epsilon": 0.5, "min_points": 2}, [1, 30.5, 30.5]),
-    ],
-)
+@pytest.mark.parametrize(("changes", "ranges"), rows(TABLES, "what a beam reads"))
 def test_what_a_beam_reads(changes: dict[str, Any], ranges: list[float]) -> None:
     params = replace(CENTERED, angle_min=0.0, angle_max=1.0, beams=3, **changes)
     along = [[reach * math.cos(a), reach * math.sin(a), 0] for reach, a in [(5, 0.5), (3, 0), (1, 0), (4, 0), (2, 0)]]
     assert project(np.array(along), params).ranges.tolist() == pytest.approx(ranges)
 
 
-@pytest.mark.parametrize(
-    ("params", "expected"),
-    [
-        ({}, ([1, 5], [2, 3])),
-        ({"reduce": "max"}, ([4, 5], [2, 3])),
-        ({"reduce": "mean"}, ([0, 1, 2, 4, 5], [2, 2, 2, 2, 3])),
-        ({"reduce": "median"}, ([0, 1, 2, 4, 5], [2, 2, 2, 2, 3])),
-        ({"reduce": "kth", "kth": 3}, ([0, 1, 2], [2, 2, 2])),
-        ({"reduce": "surface", "surface_slope": 0.0}, ([1, 2, 5], [2, 2, 3])),
-        ({"min_points": 2}, ([0, 1, 2, 4], [2, 2, 2, 2])),
-        ({"min_points": 5}, ([], [])),
-    ],
-)
+@pytest.mark.parametrize(("params", "expected"), rows(TABLES, "which points the beams read"))
 def test_which_points_the_beams_read(params: dict[str, Any], expected: Any) -> None:
     # Four returns of beam 2, one of beam 3, one too high, one NaN.
     cloud = np.array([(2, 1, 0), (1, 1, 0), (1, 1, 0), (9, 9, 9), (3, 1, 0), (-1, 1, 0), (math.nan, 0, 0)], np.float32)
