@@ -201,25 +201,3 @@ def test_a_full_circle_has_no_end() -> None:
         assert found.any()
         for turn in (1, 100, 359):
             np.testing.assert_array_equal(chosen(np.roll(ranges, turn)), np.roll(found, turn))
-
-
-def test_points_between_an_edge_and_its_wall_are_shadows() -> None:
-    ranges = np.full(200, 5.0, F)
-    ranges[80:120] = 2.0
-    ranges[[78, 79, 120, 121]] = [4.0, 3.0, 3.0, 4.0]
-    found = shadows(ranges, 0.005, min_angle=10, max_angle=170, window=1, neighbors=2)
-    assert found[[79, 120]].all()
-    assert not found[82:118].any()
-    assert not found[:70].any()
-    assert np.flatnonzero(veiled_beams(ranges, 0.0025)).tolist() == [78, 79, 120, 121]
-
-
-def test_a_single_near_return_is_a_speckle_and_a_far_one_is_not() -> None:
-    ranges = np.full(100, 1.5, F)
-    ranges[40], ranges[70] = 0.8, 3.0
-    limits: dict[str, Any] = {"max_range": 2.0, "max_range_difference": 0.1, "filter_window": 2}
-    assert np.flatnonzero(speckles_by_distance(ranges, **limits)).tolist() == [40]
-    # By their rule of neighbours, a return that is behind a good one is as good.
-    assert not speckles_by_neighbors(ranges, 0.01, **limits).any()
-    ranges[41] = 0.5
-    assert np.flatnonzero(speckles_by_neighbors(ranges, 0.01, **limits)).tolist() == [41]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from operator import attrgetter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,9 @@ from pc2scan.core.layout import beam_count
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, ScanTransforms, Verdict
 from support.consumer_rules import RULES, mrpt_2_5, number_of_range_readings
+from support.tables import rows
+
+TABLES = Path(__file__).with_name("consumers.txt")
 
 #: Degrees.
 FIELDS = (30, 45, 60, 90, 100, 120, 135, 150, 180, 190, 200, 220, 240, 250, 270, 300, 330, 350, 359, 360)
@@ -149,55 +153,9 @@ def test_the_last_beams_angle_satisfies_slam_toolbox(field: float, increment: fl
 # What is wrong with a scan: by what it differs from a good one, and for whom.
 
 SIDE: dict[str, Any] = {"angle_min": 0.0, "angle_max": 2.0}
-BETWEEN_BEAMS = {"slam_toolbox": "ignored", "gmapping": "accepted", "mrpt": "shifted"}
-DROPPED = dict.fromkeys(("slam_toolbox", "gmapping", "amcl"), "ignored")
 
 
-@pytest.mark.parametrize(
-    ("change", "outcomes"),
-    [
-        ({}, {}),
-        ({"infinite": 4, "nan": 2, "zero": 1, "short": 1, "long": 3}, {}),
-        ({"range_min": -0.5}, {"cartographer": "aborts"}),
-        ({"range_min": 31.0}, {"cartographer": "aborts"}),
-        ({"range_max": 0.0}, {"cartographer": "aborts", "amcl": "ignored"}),
-        ({"range_max": INF}, {}),
-        ({"range_max": INF, "infinite": 1}, {"cartographer": "misplaced", "gmapping": "aborts", "nav2": "misplaced"}),
-        ({"range_max": INF, "short": 1}, {"gmapping": "aborts"}),
-        ({"time_increment": -1e-4}, {"cartographer": "misplaced"}),
-        ({"time_increment": 1e-4}, {}),
-        ({"range_max": 25.0, "full": 3}, {"slam_toolbox": "misplaced"}),
-        ({"range_max": 25.001, "full": 3}, {}),
-        (SIDE, {"mrpt": "misplaced"}),
-        ({"angle_max": 1.25}, {"slam_toolbox": "ignored", "gmapping": "accepted", "mrpt": "misplaced"}),
-        ({"intensities": 9}, {}),
-        ({"intensities": 8}, {"cartographer": "aborts"}),
-        ({"intensities": 8, "returns": 0}, {}),
-        ({"beams": 8, "returns": 8}, BETWEEN_BEAMS),
-        # A hundredth off 0, and MRPT takes every range for that of the next beam.
-        ({"angle_max": 1.01}, {"mrpt": "shifted"}),
-        ({"angle_min": -1.01}, {"mrpt": "accepted"}),
-        ({"angle_min": 1.0, "angle_max": -1.0, "angle_increment": -0.25}, {}),
-        (
-            {"angle_min": 1.0, "angle_max": -1.0},
-            {"slam_toolbox": "ignored", "cartographer": "aborts", "gmapping": "misplaced", "mrpt": "misplaced"},
-        ),
-        ({"beams": 1, "angle_max": -1.0}, {"cartographer": "aborts", "mrpt": "aborts"}),
-        # Of the frame: without transforms, turned or moved since the first scan, tilted, upside down.
-        ({"odometry": False}, DROPPED),
-        ({"robot": False}, dict.fromkeys(CONSUMERS, "ignored")),
-        ({"turned": math.radians(1.9), "moved": 0.09}, {}),
-        ({"turned": math.radians(-30)}, {"slam_toolbox": "misplaced"}),
-        ({"moved": 0.2}, {"slam_toolbox": "misplaced", "amcl": "misplaced"}),
-        ({"up": math.cos(math.radians(7.6))}, {"gmapping": "ignored"}),
-        ({"up": -1.0}, {}),
-        # slam_toolbox turns its ranges over, where gmapping's beams are half an increment the other way.
-        ({"up": -1.0, **SIDE}, {"slam_toolbox": "misplaced", "mrpt": "misplaced"}),
-        ({"up": -1.0, "angle_max": 0.75}, BETWEEN_BEAMS),
-        ({"angle_min": 1.0, "angle_max": -0.75, "angle_increment": -0.25}, BETWEEN_BEAMS),
-    ],
-    ids=str,
-)  # fmt: skip
+@pytest.mark.parametrize(("change", "outcomes"), rows(TABLES, "what is wrong, and for whom"), ids=str)
 def test_what_is_wrong_and_for_whom(change: dict[str, Any], outcomes: dict[str, str]) -> None:
     names = {"odometry", "robot", "turned", "moved", "up"}
     placed = PLACED._replace(**{name: value for name, value in change.items() if name in names})
@@ -257,14 +215,7 @@ def test_upstreams_defaults_and_its_sample_launch_file() -> None:
         assert judged(scan)["slam_toolbox"] == outcome
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"angle_increment": 0.0}, {"angle_increment": NAN}, {"angle_max": INF}, {"angle_min": NAN},
-        {"angle_increment": 1e-45}, {"angle_min": -3e38, "angle_max": 3e38}, {"beams": 0},
-    ],
-    ids=str,
-)  # fmt: skip
+@pytest.mark.parametrize("change", [change for (change,) in rows(TABLES, "angles that are none")], ids=str)
 def test_angles_that_are_none(change: dict[str, float]) -> None:
     verdict = judge("slam_toolbox", replace(GOOD, **change))  # type: ignore[arg-type]
     assert verdict.outcome == "ignored"
@@ -328,19 +279,7 @@ def test_slam_toolbox_reads_an_inverted_circle_one_beam_off() -> None:
     assert judged(nothing, None, below)["slam_toolbox"] == "accepted"
 
 
-#: angle_min, angle_max, beams and angle_increment of scans that are symmetric but for roundings, and how many beams
-#: took another range in Debian's MRPT 2.5.8. An angle_min a few roundings lower changes everything.
-READ_BY_MRPT = [
-    (-1.5707964897155762, 1.570796251296997, 181, 0.01745329238474369, 71),
-    (-1.7429115772247314, 1.7429115772247314, 952, 0.003665429074317217, 951),
-    (-2.0862138271331787, 2.0862138271331787, 681, 0.006135920062661171, 0),
-    (-2.5540084838867188, 2.5540075302124023, 53, 0.09823107719421387, 0),
-    (-1.4437249898910522, 1.4437249898910522, 213, 0.013620046898722649, 0),
-    (-2.813497543334961, 2.8134965896606445, 1200, 0.004693072754889727, 0),
-]
-
-
-@pytest.mark.parametrize(("low", "high", "beams", "increment", "misread"), READ_BY_MRPT)
+@pytest.mark.parametrize(("low", "high", "beams", "increment", "misread"), rows(TABLES, "read by MRPT"))
 def test_the_rule_misreads_what_mrpt_2_5_misread(
     low: float, high: float, beams: int, increment: float, misread: int
 ) -> None:

@@ -42,12 +42,6 @@ def test_accelerations_of_driving_count_for_little() -> None:
     assert off.max() < 1.0
 
 
-def test_units_of_g() -> None:
-    world = simulated(20)
-    found = up_by_gravity(world.stamps_ns, world.turning, world.acceleration / GRAVITY, 1.0)
-    np.testing.assert_allclose(found, filtered(world), atol=1e-9)
-
-
 def test_an_imu_that_is_mounted_upside_down() -> None:
     world, turned = simulated(30), np.array([1.0, -1.0, -1.0])
     found = up_by_gravity(world.stamps_ns, world.turning * turned, world.acceleration * turned, GRAVITY)

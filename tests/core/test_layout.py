@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,28 +18,16 @@ from pc2scan.core.layout import (
     symmetric_layout,
     upstream_layout,
 )
+from support.tables import rows
+
+TABLES = Path(__file__).with_name("layouts.txt")
 
 PI = math.pi
 DEGREE = math.pi / 180
 
 
 @pytest.mark.parametrize(
-    ("angle_min", "angle_max", "angle_increment", "count", "full_circle"),
-    [
-        (-PI, PI, DEGREE, 360, True),
-        (0.0, 2 * PI, DEGREE, 360, True),
-        (-PI, PI - DEGREE, DEGREE, 360, True),
-        (-3.14, 3.14, 0.0174533, 360, True),
-        (-PI, PI, 0.0061359, 1024, True),
-        (-10.0, 10.0, 0.1, 63, True),
-        (-PI, PI, 0.349067, 18, True),
-        (-PI / 2, PI / 2, DEGREE, 181, False),
-        (-PI / 2, PI / 2, PI, 2, True),
-        (-1.5708, 1.5708, 0.0087, 362, False),
-        (-3.13, 3.13, 0.0174, 360, False),
-        (0.0, 1.0, 0.3, 4, False),
-        (5.0, 7.0, 0.5, 5, False),
-    ],
+    ("angle_min", "angle_max", "angle_increment", "count", "full_circle"), rows(TABLES, "beams of a sector")
 )
 def test_beams_of_a_sector(
     angle_min: float, angle_max: float, angle_increment: float, count: int, full_circle: bool

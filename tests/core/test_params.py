@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,9 @@ from pc2scan import ProjectionParams
 from pc2scan.core.layout import beam_count, float32
 from pc2scan.core.params import MAX_BEAMS
 from pc2scan.errors import ParameterError
+from support.tables import rows
+
+TABLES = Path(__file__).with_name("params.txt")
 
 ANGLES = st.floats(-7, 7)
 
@@ -33,20 +37,7 @@ def test_beam_count_is_the_ceiling_of_the_float32_quotient(low: float, high: flo
     assert beam_count(low, high, increment) == max(0, math.ceil(quotient))
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "increment", "count"),
-    [
-        (-math.pi, math.pi, math.pi / 180, 360),
-        (-math.pi, math.pi, 0.0061359, 1025),
-        (0.5, 2.6, 0.0035, 600),
-        (-1.5708, 1.5708, 0.0087, 362),
-        (0, 1, 5, 1),
-        (0, 1, 0, 0),
-        (0, 1, 1e-60, 0),
-        (1, 0, 0.1, 0),
-        (-3e38, 3e38, 1e38, 0),
-    ],
-)
+@pytest.mark.parametrize(("low", "high", "increment", "count"), rows(TABLES, "numbers of beams"))
 def test_beam_count(low: float, high: float, increment: float, count: int) -> None:
     assert beam_count(low, high, increment) == count
 
@@ -81,43 +72,7 @@ def test_defaults_are_upstreams() -> None:
     }
 
 
-#: Values of one parameter that are refused, whatever the others are.
-REFUSED: dict[str, list[Any]] = {
-    "min_height": [math.nan],
-    "inf_epsilon": [math.nan],
-    "scan_time": [-0.1, "automatic"],
-    "transform_tolerance": [-1.0],
-    "queue_size": [-1],
-    "angle_min": [-math.inf],
-    "angle_max": [math.inf],
-    "angle_increment": [math.inf, 0.0, -0.1, 1e-60, 1e-9, 1e300],
-    "geometry": ["centred", ""],
-    "beams": [1, -1, MAX_BEAMS + 1],
-    "no_return": ["range_max", "range-max-plus"],
-    "reduce": ["average"],
-    "kth": [2],
-    "min_points": [0],
-    "time_increment": [math.inf, math.nan],
-    "angle_rounding": ["glibc-2.41"],
-}
-
-
-@pytest.mark.parametrize(
-    ("named", "values"),
-    [
-        *((name, {name: value}) for name, values in REFUSED.items() for value in values),
-        ("angle_min", {"angle_min": 1.0, "angle_max": 1.0}),
-        ("angle_min", {"angle_min": 1.0, "angle_max": 1.0 + 1e-12}),
-        ("range_min", {"range_min": 2.0, "range_max": 1.0}),
-        ("min_height", {"min_height": 2.0, "max_height": 1.0}),
-        ("angle_increment", {"geometry": "centered", "angle_min": 0.0, "angle_max": 1.0, "angle_increment": 5.0}),
-        ("angle_increment", {"geometry": "centered", "angle_min": 1e9, "angle_max": 2e9}),
-        ("angle_increment", {"geometry": "centered", "angle_increment": 1e-7}),
-        ("no_return", {"no_return": "range-max-minus", "range_max": math.inf}),
-        ("kth", {"reduce": "kth"}),
-        ("kth", {"reduce": "kth", "kth": -2}),
-    ],
-)
+@pytest.mark.parametrize(("named", "values"), rows(TABLES, "values that cannot be"))
 def test_values_that_cannot_be_are_refused_by_name(named: str, values: dict[str, Any]) -> None:
     with pytest.raises(ParameterError) as caught:
         ProjectionParams(**values)
@@ -174,24 +129,7 @@ def test_too_many_beams_are_counted_in_the_message() -> None:
         ProjectionParams(angle_increment=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
-        ({}, math.inf),
-        ({"use_inf": False}, math.inf),
-        ({"use_inf": False, "range_max": 30.0}, 31.0),
-        ({"use_inf": False, "range_max": 30.0, "inf_epsilon": 0.1}, 30.100000381469727),
-        ({"use_inf": False, "range_max": 0.1, "inf_epsilon": 0.0}, 0.10000000149011612),
-        ({"use_inf": False, "range_max": 30.0, "inf_epsilon": -40.0}, -10.0),
-        ({"use_inf": True, "range_max": 30.0}, math.inf),
-        ({"no_return": "inf", "use_inf": False, "range_max": 30.0}, math.inf),
-        ({"no_return": "range-max-plus", "range_max": 30.0}, 31.0),
-        ({"no_return": "range-max-minus", "range_max": 30.0}, 29.999900817871094),
-        ({"no_return": "range-max-minus", "range_max": 5000.0}, 4999.99951171875),
-        ({"no_return": "zero"}, 0.0),
-        ({"no_return": "nan"}, math.nan),
-    ],
-)
+@pytest.mark.parametrize(("values", "expected"), rows(TABLES, "empty beams"))
 def test_what_an_empty_beam_reads(values: dict[str, float], expected: float) -> None:
     assert ProjectionParams(**values).empty_range == pytest.approx(expected, rel=0, abs=0, nan_ok=True)  # type: ignore[arg-type]
 
@@ -219,10 +157,3 @@ def test_a_preset_is_beaten_by_what_is_given() -> None:
     with pytest.raises(ParameterError, match="there is no preset 'karto'") as caught:
         ProjectionParams.preset("karto")
     assert str(caught.value.hint).startswith("the presets are slam_toolbox, ")
-
-
-def test_params_are_immutable_and_hashable() -> None:
-    params = ProjectionParams(range_max=5)
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        params.range_max = 6.0  # type: ignore[misc]
-    assert hash(params) == hash(ProjectionParams(range_max=5))

@@ -6,6 +6,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,11 +21,13 @@ from pc2scan.core import plain
 from pc2scan.core.params import CHOICES
 from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous
 from pc2scan.core.rigid import Rigid
-from pc2scan.core.rule import rule_of
 from support.loops import BOTH_LOOPS
+from support.tables import rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+TABLES = Path(__file__).with_name("project.txt")
 
 Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
@@ -54,18 +57,7 @@ def assert_as_reference(points: NDArray[Any], params: ProjectionParams) -> None:
 # Single points, and limits.
 
 
-@pytest.mark.parametrize(
-    ("point", "what"),
-    [
-        ((1, 0, 1), "used"), ((0, 0, 1), "used"), ((1, 0, 1e-45), "used"), ((1, 0, MAX32), "used"),
-        ((MAX32, 0, 1), "used"), ((-1, -0.0, 1), "used"),
-        ((math.nan, 0, 1), "nan"), ((0, math.nan, 1), "nan"), ((1, 0, math.nan), "nan"), ((math.nan, 0, -1), "nan"),
-        ((INF, math.nan, 1), "nan"),
-        ((1, 0, 0), "height"), ((1, 0, -0.0), "height"), ((INF, 0, -1), "height"), ((1, 0, INF), "height"),
-        ((INF, 0, 1), "range"), ((-INF, INF, 1), "range"), ((MAX32, MAX32, 1), "range"),
-        ((-1, 0.0, 1), "past_end"), ((-1, 1e-45, 1), "past_end"), ((-0.0, 0.0, 1), "past_end"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("point", "what"), rows(TABLES, "single points"))
 def test_what_upstreams_defaults_make_of_a_point(point: tuple[float, float, float], what: str) -> None:
     for loops in BOTH_LOOPS:
         with loops():
@@ -96,23 +88,6 @@ def test_heights_are_compared_as_float64(limit: float) -> None:
     points = np.array([[1, 1, z] for z in around], np.float32)
     for low, high in ((limit, INF), (-INF, limit)):
         assert_as_reference(points, replace(OPEN, min_height=low, max_height=high))
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"use_inf": True}, [2, INF]),
-        ({"use_inf": False}, [2, 11]),
-        # Upstream's beam begins with 1 m, and 2 m are not below that.
-        ({"use_inf": False, "inf_epsilon": -9.0}, [1, 1]),
-        ({"use_inf": False, "inf_epsilon": -INF}, [-INF, -INF]),
-        ({"use_inf": False, "inf_epsilon": -INF, "range_max": OPEN.range_max}, [math.nan, math.nan]),
-    ],
-)
-@pytest.mark.parametrize("copies", [1, 5], ids=["more beams", "more points"])
-def test_what_empty_beams_read(changes: dict[str, Any], expected: list[float], copies: int) -> None:
-    sector = replace(OPEN, range_max=10.0, angle_min=0.0, angle_max=1.0, angle_increment=0.5)
-    np.testing.assert_array_equal(project([[2, 0, 0]] * copies, replace(sector, **changes)).ranges, expected)
 
 
 # Any points, any parameters.
@@ -260,42 +235,14 @@ def test_any_cloud_is_projected_as_by_the_reference(
 # What a beam reads.
 
 
-@pytest.mark.parametrize(
-    ("changes", "ranges"),
-    [
-        ({}, [1, 5, INF]),
-        ({"reduce": "max"}, [4, 5, INF]),
-        ({"reduce": "mean"}, [2.5, 5, INF]),
-        ({"reduce": "median"}, [2, 5, INF]),
-        ({"reduce": "kth", "kth": 3}, [3, INF, INF]),
-        # The three closest of 1, 2, 3 and 4 m; the width of a beam is 0.5 rad.
-        ({"reduce": "surface", "surface_depth": 0.5, "surface_slope": 3.0}, [2, 5, INF]),
-        ({"reduce": "surface", "surface_slope": 0.0}, [1, 5, INF]),
-        ({"min_points": 2}, [1, INF, INF]),
-        ({"reduce": "max", "no_return": "zero"}, [4, 5, 0]),
-        ({"reduce": "max", "no_return": "range-max-plus"}, [4, 5, 31]),
-        ({"no_return": "range-max-plus", "inf_epsilon": 0.5, "min_points": 2}, [1, 30.5, 30.5]),
-    ],
-)
+@pytest.mark.parametrize(("changes", "ranges"), rows(TABLES, "what a beam reads"))
 def test_what_a_beam_reads(changes: dict[str, Any], ranges: list[float]) -> None:
     params = replace(CENTERED, angle_min=0.0, angle_max=1.0, beams=3, **changes)
     along = [[reach * math.cos(a), reach * math.sin(a), 0] for reach, a in [(5, 0.5), (3, 0), (1, 0), (4, 0), (2, 0)]]
     assert project(np.array(along), params).ranges.tolist() == pytest.approx(ranges)
 
 
-@pytest.mark.parametrize(
-    ("params", "expected"),
-    [
-        ({}, ([1, 5], [2, 3])),
-        ({"reduce": "max"}, ([4, 5], [2, 3])),
-        ({"reduce": "mean"}, ([0, 1, 2, 4, 5], [2, 2, 2, 2, 3])),
-        ({"reduce": "median"}, ([0, 1, 2, 4, 5], [2, 2, 2, 2, 3])),
-        ({"reduce": "kth", "kth": 3}, ([0, 1, 2], [2, 2, 2])),
-        ({"reduce": "surface", "surface_slope": 0.0}, ([1, 2, 5], [2, 2, 3])),
-        ({"min_points": 2}, ([0, 1, 2, 4], [2, 2, 2, 2])),
-        ({"min_points": 5}, ([], [])),
-    ],
-)
+@pytest.mark.parametrize(("params", "expected"), rows(TABLES, "which points the beams read"))
 def test_which_points_the_beams_read(params: dict[str, Any], expected: Any) -> None:
     # Four returns of beam 2, one of beam 3, one too high, one NaN.
     cloud = np.array([(2, 1, 0), (1, 1, 0), (1, 1, 0), (9, 9, 9), (3, 1, 0), (-1, 1, 0), (math.nan, 0, 0)], np.float32)
@@ -310,38 +257,6 @@ def test_heights_do_not_count_for_parts_that_have_none() -> None:
         [PointsPart(x, zeros, zeros), PointsPart(x, zeros, zeros - 1, any_height=True)]
     )
     assert (found.counts.height, found.counts.used, found.ranges.min()) == (2, 2, 1)
-
-
-def test_a_centered_beam_is_not_off_to_one_side() -> None:
-    # Upstream reports the lower edge of a beam; a centered one is off by as much to the left as to the right.
-    angles = np.linspace(-3, 3, 50_000).astype(np.float32)
-    for geometry, bias in (("centered", 0.0), ("upstream", 0.5)):
-        params = replace(CENTERED, geometry=geometry)
-        layout = params.layout
-        bins = plain.bins_of(angles, rule_of(params), layout.count)
-        off = (angles.astype(np.float64) - layout.angle_min - bins * layout.angle_increment) / layout.angle_increment
-        assert off.mean() == pytest.approx(bias, abs=1e-2)
-
-
-def wall(reduce: str, far: float = 0.0) -> NDArray[np.float32]:
-    """Distances to a wall 4 m ahead, as 16 rings with 1 cm of noise see it; its right half is ``far`` metres away."""
-    random = np.random.default_rng(11)
-    angles = np.tile(np.arange(-0.6, 0.6, math.radians(0.2)), 16)
-    ahead = np.where((angles < 0.006) & (far > 0), far, 4.0) + random.normal(0, 0.01, angles.size)
-    points = np.stack([ahead, ahead * np.tan(angles), np.zeros(angles.size)], axis=1)
-    ranges = project(points, replace(CENTERED, angle_min=-0.5, angle_max=0.5, reduce=reduce)).ranges
-    cosines = np.cos(-0.5 + np.arange(ranges.size) * CENTERED.layout.angle_increment).astype(np.float32)
-    ahead_of_beams: NDArray[np.float32] = ranges * cosines
-    return ahead_of_beams
-
-
-def test_a_surface_is_at_the_wall_and_never_between_walls() -> None:
-    assert np.median(wall("min")) == pytest.approx(4 - 0.03, abs=0.015)
-    assert np.median(wall("surface")) == pytest.approx(4, abs=0.002)
-    assert np.abs(wall("surface") - 4).max() < 0.02
-    two_walls = {reduce: wall(reduce, far=8.0) for reduce in ("min", "mean", "surface")}
-    between = {reduce: np.count_nonzero((seen > 4.2) & (seen < 7.8)) for reduce, seen in two_walls.items()}
-    assert between == {"min": 0, "mean": 1, "surface": 0}
 
 
 # Layouts, types and threads.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,26 +13,17 @@ from hypothesis import strategies as st
 
 from pc2scan.core.layout import TURN, centered_layout
 from pc2scan.core.timing import Sweep, azimuth_times, beam_times, fit_sweep, median_interval_ns, point_times
+from support.tables import rows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+TABLES = Path(__file__).with_name("timing.txt")
+
 STAMP = 1_700_000_000_123_456_789
 
 
-@pytest.mark.parametrize(
-    ("stamps", "expected"),
-    [
-        ([], None),
-        ([5], None),
-        ([5, 5], None),
-        ([0, 100], 100),
-        ([0, 100, 200, 900], 100),
-        ([0, 100, 201], 100),
-        ([900, 0, 100, 100, 200], 100),
-        ([STAMP, STAMP + 99_999_999, STAMP + 200_000_000, STAMP + 300_000_000], 100_000_000),
-    ],
-)
+@pytest.mark.parametrize(("stamps", "expected"), rows(TABLES, "median intervals"))
 def test_the_median_interval(stamps: list[int], expected: int | None) -> None:
     assert median_interval_ns(stamps) == expected
 

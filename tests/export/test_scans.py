@@ -10,7 +10,8 @@ import sys
 import tracemalloc
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,9 +23,9 @@ from support import ROOT
 from support.builders import write_mcap, write_rosbag1
 from support.command import run
 from support.scan_recordings import recording as recording_of
+from support.tables import rows
 
-if TYPE_CHECKING:
-    from pathlib import Path
+TABLES = Path(__file__).with_name("requests.txt")
 
 HALL = ROOT / "fixtures" / "hall.bag"
 
@@ -196,15 +197,6 @@ def test_csv_is_exact(recording: Path, tmp_path: Path) -> None:
         assert (row["frame"], int(row["log_time_ns"])) == ("laser", scan.log_time_ns)
 
 
-def test_pandas_reads_the_csv(mcap: Path, tmp_path: Path) -> None:
-    pandas = pytest.importorskip("pandas")
-    pc2scan.export(mcap, tmp_path / "scans.csv", pose_frame="odom")
-    table = pandas.read_csv(tmp_path / "scans.csv")
-    assert table["stamp_ns"].tolist() == list(POSED)
-    assert table["range_2"].tolist() == [np.inf] * 4
-    assert table["range_3"].isna().all()
-
-
 def test_a_frame_with_commas_is_one_cell(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "odd.mcap", drive({"/scan": [replace(PATTERN, frame_id='a,"b"')]}))
     pc2scan.export(path, tmp_path / "scans.csv")
@@ -301,27 +293,7 @@ def test_a_topic_of_which_nothing_can_be_written_has_no_file(form: str, tmp_path
 # --- what is wrong with requests ---
 
 
-@pytest.mark.parametrize(
-    ("how", "said"),
-    [
-        ({"destination": "scans.dat"}, "no format has this suffix"),
-        ({"destination": "robot.tum"}, "tum needs poses"),
-        ({"format": "nzp"}, "must be one of npz"),
-        ({"pose_frame": "map"}, "no transforms have the frame 'map'"),
-        ({"pose_frame": "odom", "base_frame": "bas_link"}, "no transforms have the frame 'bas_link'"),
-        ({"base_frame": "base_link"}, "needs `pose_frame`"),
-        ({"odom_topic": "/odom", "pose_frame": "odom"}, "two sources of poses"),
-        ({"odom_topic": "/scan"}, "is sensor_msgs/msg/LaserScan"),
-        ({"odom_topic": "/odo"}, "no topic /odo"),
-        ({"topics": "/scan:=/other"}, "renames a topic"),
-        ({"static_tf": "base_link laser 0 0 0 0 0 0"}, "no effect"),
-        ({"where": "x > 3"}, "have an effect only if clouds become scans"),
-        ({"deskew": True, "fixed_frame": "odom"}, "have an effect only if clouds become scans"),
-        ({"topics": ["/scan:=/a", "/front:=/a"]}, "no topic /front in the recording"),
-        ({"node": "a"}, "`node` chooses a section of a parameter file, but no file is given"),
-        ({"min_height": 0.1}, "no PointCloud2 topic"),
-    ],
-)
+@pytest.mark.parametrize(("how", "said"), rows(TABLES, "wrong requests"))
 def test_wrong_requests_write_nothing(how: dict[str, Any], said: str, mcap: Path, tmp_path: Path) -> None:
     how = dict(how)
     destination = tmp_path / how.pop("destination", "scans.npz")

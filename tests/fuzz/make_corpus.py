@@ -15,10 +15,10 @@ import zstandard
 
 from fuzz import clouds, rays
 from fuzz.decoders import CORPUS
-from pc2scan import ProjectionParams
 from pc2scan.compare.scan_text import render_messages
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import Connection, RawMessage
+from support import GOLDEN
 from support.builders import (
     BATTERY,
     CLOUD,
@@ -33,7 +33,6 @@ from support.builders import (
     qos_text,
     scan,
 )
-from support.params_files import render_params_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -71,7 +70,7 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
     yield "rays", "outside", rays.written(5, 5, 1, [((0, 0, 5, 5), 1), ((6, 0, 0, -1), 1), ((2**31 - 1, 0, 0, 0), 0)])
     yield "scan-text", "messages", _scan_text().encode()
     yield "qos", "profile", qos_text((POINTS,)).encode()
-    yield "parameters", "ros2", render_params_file(ProjectionParams()).encode()
+    yield "parameters", "ros2", (GOLDEN / "launch_sample" / "params.yaml").read_bytes()
     yield "parameters", "ros1", b"min_height: -0.5\nangle_min: rad(-pi/2)\nuse_inf: 1\n"
 
 

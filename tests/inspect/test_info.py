@@ -6,38 +6,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.errors import RecordingError
 from pc2scan.inspect.info import info
-from pc2scan.messages.definitions import definition
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
-from pc2scan.model import Connection
 from support import ROOT
+from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, write_mcap
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
+POINTS = Stream("/points", CLOUD)
 
 
-def write(path: Path, *clouds: object, fields: list[PointField] = XYZ) -> Path:
-    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
-    text, digest = definition(POINTCLOUD2, 2)
-    handle = writer.add_connection(Connection(0, "/points", POINTCLOUD2, "cdr", text, digest))
-    for i, points in enumerate(clouds):
-        data = np.asarray(points, "<f4").tobytes()
-        message = encode_pointcloud2(
-            serialization="cdr",
-            sequence=0,
-            stamp_ns=i,
-            frame_id="lidar",
-            fields=fields,
-            point_step=12,
-            data=data,
-        )
-        writer.write(handle, i * 10**9, message, i * 10**9)
-    writer.finish()
-    return path
+def write(path: Path, *clouds: object, names: str = "xyz") -> Path:
+    points = [np.array(each, np.float32).reshape(-1, len(names)) for each in clouds]
+    items = [Item(POINTS, T0 + i * SECOND, {2: cloud(each, 2, names=names)}) for i, each in enumerate(points)]
+    return write_mcap(path, Recording((POINTS,), tuple(items)))
 
 
 @pytest.mark.parametrize("name", ["hall.bag", "hall.mcap", "hall"])
@@ -86,7 +69,7 @@ def test_samples_are_spread_over_the_recording(tmp_path: Path) -> None:
 def test_clouds_that_are_empty_or_cannot_be_decoded(tmp_path: Path) -> None:
     (empty,) = info([write(tmp_path / "a.mcap", np.zeros((0, 3)))]).clouds
     assert (empty.points_max, empty.x, empty.height_counts) == (0, None, ())
-    (odd,) = info([write(tmp_path / "b.mcap", [[1, 2, 3]], fields=XYZ[:2])]).clouds
+    (odd,) = info([write(tmp_path / "b.mcap", [[1, 2]], names="xy")]).clouds
     assert "no field 'z'" in odd.problems[0]
     assert odd.fields == ()
 

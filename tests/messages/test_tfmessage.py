@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pc2scan.errors import DecodeError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms, encode_transforms
@@ -30,45 +29,6 @@ rows = st.lists(
     st.tuples(name, name, st.integers(0, 2**31 * 10**9 - 1), *[st.floats(allow_nan=False)] * 7),
     max_size=4,
 )
-
-
-def encoded_by_rosbags(transforms: list[TransformRow], serialization: str) -> bytes:
-    store = get_typestore(Stores.ROS1_NOETIC if serialization == "ros1" else Stores.ROS2_HUMBLE)
-    if "tf2_msgs/msg/TFMessage" not in store.types:
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
-    types = store.types
-    messages = []
-    for parent, child, stamp_ns, *pose in transforms:
-        stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 10**9))
-        sequence = (7,) if serialization == "ros1" else ()
-        messages.append(
-            types["geometry_msgs/msg/TransformStamped"](
-                types["std_msgs/msg/Header"](*sequence, stamp, parent),
-                child,
-                types["geometry_msgs/msg/Transform"](
-                    types["geometry_msgs/msg/Vector3"](*pose[:3]),
-                    types["geometry_msgs/msg/Quaternion"](*pose[3:]),
-                ),
-            )
-        )
-    message = types["tf2_msgs/msg/TFMessage"](messages)
-    serialize = store.serialize_ros1 if serialization == "ros1" else store.serialize_cdr
-    return bytes(serialize(message, "tf2_msgs/msg/TFMessage"))
-
-
-@pytest.mark.parametrize("serialization", FORMATS)
-@pytest.mark.parametrize("count", [0, 1, 3])
-def test_decodes_what_rosbags_encodes(serialization: str, count: int) -> None:
-    assert decode_transforms(encoded_by_rosbags(ROWS[:count], serialization), serialization) == ROWS[:count]
-
-
-@pytest.mark.parametrize("serialization", FORMATS)
-def test_encodes_what_rosbags_encodes(serialization: str) -> None:
-    expected = encoded_by_rosbags(ROWS, serialization)
-    if serialization == "ros1":
-        # Ours has no sequence numbers to give.
-        expected = expected.replace(struct.pack("<I", 7), bytes(4))
-    assert encode_transforms(ROWS, serialization) == expected
 
 
 @pytest.mark.parametrize("serialization", FORMATS)

@@ -5,18 +5,22 @@ from __future__ import annotations
 import builtins
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, parsed, ros1, ros2
+from messages.twins import CODES, SEPARATOR, Twin, check_both_ways, of_kind, parsed, ros1, ros2
 from pc2scan.errors import DecodeError, UsageError
 from pc2scan.messages import definitions, schema
 from pc2scan.messages.transcode import DISTROS, transcoder, with_definition
 from pc2scan.model import LATCHED_QOS, Connection, Definition, ros1_type
 from support import RECORDINGS, needs_shared, sampled
+from support.tables import rows
+
+TABLES = Path(__file__).with_name("damaged.txt")
 
 # --- every type that both ROS versions know ---
 
@@ -291,35 +295,9 @@ def test_same_ros_version_is_the_callers_mistake() -> None:
         transcoder(ros1("uint8 a\n"), 1)
 
 
-TWO = f"Item[] items\n{SEPARATOR}\nMSG: pkg/Item\nfloat64 a\nfloat64 b\n"
-
-
-@pytest.mark.parametrize(
-    ("connection", "data", "message"),
-    [
-        (ros1("int32 a\n"), b"\1\2", "pkg/msg/Type of 2 bytes cannot be re-encoded: its fields take 4"),
-        (ros1("int32 a\n"), bytes(5), "of 5 bytes cannot be re-encoded: its fields take 4"),
-        (
-            ros1("string a\n"),
-            b"\xff\xff\xff\xff",
-            "of 4 bytes cannot be re-encoded: Invalid string length 4294967295",
-        ),
-        (
-            ros1(TWO),
-            b"\xff\xff\xff\xff" + bytes(100),
-            "of 104 bytes cannot be re-encoded: Invalid sequence length",
-        ),
-        (ros2("int32 a\n"), b"", "pkg/Type of 0 bytes begins with nothing, expected a CDR header"),
-        (ros2("int32 a\n"), b"\0\7\0\0\1\1\1\1", "of 8 bytes begins with 00070000, expected a CDR header"),
-        (ros2("int32 a\n"), b"\0\1\0\0", "of 4 bytes cannot be re-encoded: its fields take 8"),
-        (ros2("int32 a\n"), b"\0\1\0\0\1", "of 5 bytes cannot be re-encoded: its fields take 8"),
-        (ros2("int32 a\n"), b"\0\0\0\0\1", "of 5 bytes cannot be re-encoded: Could not deserialize it"),
-        (ros2("int32 a\n"), b"\0\1\0\0" + bytes(12), "of 16 bytes cannot be re-encoded: its fields take 8"),
-        (ros2("string a\n"), b"\0\1\0\0\1\0\0\0x", "Missing string terminator"),
-        (ros2(TWO), b"\0\1\0\0\xff\xff\xff\xff" + bytes(99), "Invalid sequence length 4294967295"),
-    ],
-)
-def test_damaged_messages(connection: Connection, data: bytes, message: str) -> None:
+@pytest.mark.parametrize(("kind", "text", "data", "message"), rows(TABLES, "damaged messages"))
+def test_damaged_messages(kind: str, text: str, data: bytes, message: str) -> None:
+    connection = of_kind(kind, text)
     encode = transcoder(connection, 3 - (connection.ros_version or 1)).encode
     with pytest.raises(DecodeError, match=message) as caught:
         encode(data)

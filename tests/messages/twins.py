@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from pc2scan.messages.schema import Struct
 
-__all__ = ["CODES", "SEPARATOR", "Twin", "check_both_ways", "parsed", "ros1", "ros2"]
+__all__ = ["CODES", "SEPARATOR", "Twin", "check_both_ways", "of_kind", "parsed", "ros1", "ros2"]
 
 
 SEPARATOR = "=" * 80
@@ -117,6 +117,11 @@ def ros1(text: str, msgtype: str = "pkg/Type", **more: Any) -> Connection:
 
 def ros2(text: str, msgtype: str = "pkg/msg/Type", encoding: str = "ros2msg", **more: Any) -> Connection:
     return Connection(1, "/topic", msgtype, "cdr", Definition(encoding, text.encode()), **more)
+
+
+def of_kind(kind: str, text: str) -> Connection:
+    """A connection of a definition of ``ros1``, ``ros2`` or ``ros2idl``."""
+    return ros1(text) if kind == "ros1" else ros2(text, encoding="ros2idl" if kind == "ros2idl" else "ros2msg")
 
 
 def parsed(connection: Connection) -> dict[str, Struct]:

@@ -6,33 +6,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
 from pc2scan.core.unproject import UnprojectParams
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
-from pc2scan.messages.pointcloud2 import PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
+from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.conversion import Conversion, EncodedMessage, Measurements
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer
+from support import builders
 from support.tables import rows
 
 TABLES = Path(__file__).parent / "stages/times.txt"
-XYZ = [PointField("x", 0, 7), PointField("y", 4, 7), PointField("z", 8, 7)]
 SECOND = 1_000_000_000
 BAND = ProjectionParams(min_height=-1.0, max_height=1.0)
 
 
-def cloud(points: Any, stamp_ns: int = 5 * SECOND, frame: str = "lidar") -> bytes:
-    data = np.asarray(points, "<f4").tobytes()
-    return encode_pointcloud2(
-        serialization="ros1", sequence=9, stamp_ns=stamp_ns, frame_id=frame, fields=XYZ, point_step=12, data=data
-    )
+def cloud(points: Any, ros_version: int = 1, stamp_ns: int = 5 * SECOND) -> bytes:
+    return builders.cloud(np.array(points, np.float32), ros_version, seq=9, stamp_ns=stamp_ns)
 
 
 def scan(ranges: Any, stamp_ns: int = 5 * SECOND, **changes: Any) -> bytes:
@@ -82,10 +77,8 @@ def points_of(message: PointCloud2) -> Any:
 def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, expected: int) -> None:
     params = ProjectionParams(scan_time="auto", time_increment="auto")
     conversion = CloudToScan(params, Placer(), {"/front": Measurements(0.125, -0.25, first_beam_ns)})
-    serialization = "ros1" if stamp_ns >= 0 else "cdr"
-    message = encode_pointcloud2(
-        serialization=serialization, sequence=0, stamp_ns=stamp_ns, frame_id="f", fields=XYZ, point_step=12, data=b""
-    )
+    ros_version, serialization = (1, "ros1") if stamp_ns >= 0 else (2, "cdr")
+    message = cloud(np.empty((0, 3)), ros_version, stamp_ns)
     read = decode_laserscan(once(conversion, message, serialization, serialization, "/front").data, serialization)
     assert (read.stamp_ns, read.scan_time, read.time_increment) == (expected, 0.125, -0.25)
     other = decode_laserscan(once(conversion, message, serialization, serialization, "/rear").data, serialization)
@@ -200,33 +193,3 @@ def test_what_cannot_be_converted_is_an_error_with_the_stamp(
     with pytest.raises(kind, match=what) as caught:
         once(conversion, message)
     assert kind is TransformError or caught.value.stamp_ns == 5 * SECOND  # type: ignore[attr-defined]
-
-
-@given(
-    st.lists(
-        # A return at exactly pi may lie past the last beam.
-        st.tuples(st.floats(-math.pi, 3.14), st.floats(0.5, 25.0)),
-        min_size=1,
-        max_size=40,
-    ),
-    st.integers(8, 720),
-)
-def test_there_and_back_is_within_half_a_beam_of_its_middle(polar: list[tuple[float, float]], beams: int) -> None:
-    params = ProjectionParams(
-        min_height=-1, angle_min=-math.pi, angle_max=math.pi, angle_increment=2 * math.pi / beams, range_max=30.0
-    )
-    points = np.array([[r * math.cos(a), r * math.sin(a), 0] for a, r in polar], np.float32)
-    there = once(CloudToScan(params, Placer()), cloud(points))
-    back = once(ScanToCloud(None, Placer()), there.data)
-    returned = points_of(decode_pointcloud2(back.data, "ros1"))
-    assert len(returned) >= 1
-    angles = np.arctan2(points[:, 1], points[:, 0], dtype=np.float64)
-    distances = np.hypot(points[:, 0].astype(np.float64), points[:, 1])
-    increment = float(np.float32(params.angle_increment))
-    for x, y, _ in returned.astype(np.float64):
-        # Upstream reports a return at the lower edge of its beam; the middle is half a beam on.
-        middle = math.atan2(y, x) + increment / 2
-        apart = np.abs((angles - middle + math.pi) % (2 * math.pi) - math.pi)
-        # Some float32 roundings of the angle (pi * 2**-23 each) and of the coordinates.
-        close = (apart <= increment / 2 + 4e-6) & (np.abs(distances - math.hypot(x, y)) <= 1e-5)
-        assert close.any()

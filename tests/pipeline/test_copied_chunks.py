@@ -27,10 +27,10 @@ from pc2scan.bags.rosbag1.writer import Rosbag1Writer
 from pc2scan.bags.rosbag2.writer import Rosbag2Writer
 from pc2scan.errors import DamageError
 from pc2scan.messages.definitions import definition
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
 from pc2scan.threads import Threads
-from support import sampled
+from support import builders, sampled
 from support.mcap_files import encoded, streamed
 from support.outputs import opened, physical_order
 from support.rosbag1_files import ROS1, ROSBAG, ros1, ros1_missing, ros1_read
@@ -59,16 +59,9 @@ def image(number: int) -> bytes:
     return np.random.default_rng(number).integers(0, 16, 12_000).astype("u1").tobytes()
 
 
-def cloud(serialization: str, number: int) -> bytes:
-    return encode_pointcloud2(
-        serialization=serialization,
-        sequence=number,
-        stamp_ns=T0 + number,
-        frame_id="lidar",
-        fields=[PointField(name, offset, 7) for name, offset in (("x", 0), ("y", 4), ("z", 8))],
-        point_step=12,
-        data=np.random.default_rng(number).uniform(-8, 8, (20, 3)).astype("<f4").tobytes(),
-    )
+def cloud(ros_version: int, number: int) -> bytes:
+    points = np.random.default_rng(number).uniform(-8, 8, (20, 3)).astype("<f4")
+    return builders.cloud(points, ros_version, seq=number, stamp_ns=T0 + number)
 
 
 def write(path: Path, compression: str, messages: list[Row] | None = None, *, own_ids: bool = False) -> Path:
@@ -111,7 +104,7 @@ def drive(*, bag: bool = False) -> list[Row]:
     for number in range(ROUNDS * (IMAGES_A_CHUNK + 2)):
         time_ns = T0 + number * STEP
         if number % (IMAGES_A_CHUNK + 2) == 0:
-            found += [("", 0, b""), ("/points", time_ns, cloud("ros1" if bag else "cdr", number))]
+            found += [("", 0, b""), ("/points", time_ns, cloud(1 if bag else 2, number))]
         else:
             found.append(("/left" if number % 2 else "/right", time_ns, image(number)))
         if number % (IMAGES_A_CHUNK + 2) == 1:
@@ -259,7 +252,7 @@ def test_unsorted_and_overlapping_chunks_are_taken_apart(suffix: str, tmp_path: 
         [("/left", 70), ("/left", 71), ("/right", 90)],
         [("/left", 100), ("/left", 110), ("/left", 120)],
     ]
-    rows = [("/points", T0, cloud("ros1" if suffix == ".bag" else "cdr", 1))]
+    rows = [("/points", T0, cloud(1 if suffix == ".bag" else 2, 1))]
     for chunk in chunks:
         rows += [("", 0, b""), *((topic, T0 + time, image(time)) for topic, time in chunk)]
     source = write(tmp_path / f"drive{suffix}", "none", rows)
@@ -322,7 +315,7 @@ def declaring_chunks(path: Path, *, clouds_first: bool) -> list[bytes]:
         for number in range(8):
             writer.add_message(images, T0 + number * STEP, image(number), T0)
         points = points or declare_clouds()
-        writer.add_message(points, T0 + 8 * STEP, cloud("cdr", 8), T0)
+        writer.add_message(points, T0 + 8 * STEP, cloud(2, 8), T0)
         writer.finish()  # type: ignore[no-untyped-call]
     return [stored for _, _, stored in stored_chunks(path)]
 

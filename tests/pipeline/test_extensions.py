@@ -20,10 +20,11 @@ from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError, ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.filters import Frame
+from support import builders
 from support.builders import T0
 
 if TYPE_CHECKING:
@@ -98,12 +99,8 @@ def recorded(path: Path, msgtype: str, messages: list[bytes]) -> Path:
     return path
 
 
-def cloud(points: Any = FORWARD) -> bytes:
-    fields = [PointField(name, 4 * place, 7) for place, name in enumerate(("x", "y", "z", "ring"))]
-    data = np.asarray(points, "<f4").tobytes()
-    return encode_pointcloud2(
-        serialization="cdr", sequence=0, stamp_ns=T0, frame_id="lidar", fields=fields, point_step=16, data=data
-    )
+def cloud() -> bytes:
+    return builders.cloud(np.array(FORWARD, np.float32), 2, names=("x", "y", "z", "ring"))
 
 
 def messages_of(path: Path, topic: str = "/scan") -> list[bytes]:

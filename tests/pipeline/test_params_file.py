@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +13,9 @@ from hypothesis import strategies as st
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
-from pc2scan.options.table import PARAMETERS
 from pc2scan.pipeline.parameters import Setting, resolve
 from pc2scan.pipeline.params_file import ParamsFile, load_params_file
 from pipeline.param_settings import failure, params_of, yaml_like
-from support import GOLDEN, sampled
-from support.params_files import render_params_file
 from support.tables import rows
 
 if TYPE_CHECKING:
@@ -97,27 +93,6 @@ def test_what_is_left_aside_is_told(load: Load, text: str, ignored: list[str]) -
     assert params_of(file).queue_size in {0, 1}
 
 
-@pytest.mark.parametrize("case", sampled(sorted(path.name for path in GOLDEN.iterdir() if path.is_dir()), 5))
-def test_the_golden_files_load(case: str) -> None:
-    file = load_params_file(GOLDEN / case / "params.yaml")
-    assert file.direction == ("laserscan_to_pointcloud" if case.startswith("scan_") else P2L)
-    assert not file.ignored
-    origin = resolve(file.settings, direction=file.direction).origin
-    text = (GOLDEN / case / "params.yaml").read_text()
-    assert {name for name, source in origin.items() if source != "default"} == {
-        name for name in PARAMETERS if f" {name}:" in text
-    }
-
-
-def test_a_golden_file_gives_the_values_in_it() -> None:
-    assert params_of(load_params_file(GOLDEN / "launch_sample" / "params.yaml")) == ProjectionParams(
-        transform_tolerance=0.01, min_height=0.0, max_height=1.0, angle_min=-1.5708, angle_max=1.5708,
-        angle_increment=0.0087, scan_time=0.3333, range_min=0.45, range_max=4.0, use_inf=True, inf_epsilon=1.0,
-    )  # fmt: skip
-    extreme = params_of(load_params_file(GOLDEN / "nan_and_inf_points" / "params.yaml"))
-    assert extreme == ProjectionParams(min_height=-2.0, max_height=2.0, range_max=1e300)
-
-
 @pytest.mark.parametrize(("written", "value"), rows(TABLES / "values.txt", "angles of ROS 1", text=True))
 def test_angles_of_ros1_to_the_last_bit(load: Load, written: str, value: float) -> None:
     assert load(f"angle_max: {written}").settings[0].value == value
@@ -183,72 +158,8 @@ def test_no_text_whatever_raises_anything_else(load: Load, text: str | bytes) ->
         params_of(load(text if isinstance(text, bytes) else text.encode("utf-8", "replace")))
 
 
-# Writing
-
-
-finite = st.floats(allow_nan=False, allow_infinity=False)
-pairs = st.tuples(st.floats(allow_nan=False), st.floats(allow_nan=False)).map(sorted)
-
-
-@st.composite
-def any_params(draw: st.DrawFn) -> ProjectionParams:
-    (min_height, max_height), (range_min, range_max) = draw(pairs), draw(pairs)
-    angle_min = draw(st.floats(-3, 6.1))
-    return ProjectionParams(
-        target_frame=draw(st.text()),
-        transform_tolerance=draw(st.floats(0)),
-        min_height=min_height,
-        max_height=max_height,
-        angle_min=angle_min,
-        angle_max=draw(st.floats(angle_min + 0.1, min(angle_min + 6.28, 6.28))),
-        angle_increment=draw(st.floats(1e-4, 1e-1)),
-        scan_time=draw(st.floats(0)),
-        range_min=range_min,
-        range_max=range_max,
-        use_inf=draw(st.booleans()),
-        inf_epsilon=draw(finite),
-        queue_size=draw(st.integers(0, 10**6)),
-        geometry=draw(st.sampled_from(["upstream", "centered"])),
-        reduce=draw(st.sampled_from(["min", "max", "mean", "median"])),
-        min_points=draw(st.integers(1, 9)),
-        intensity_field=draw(st.text()),
-        time_increment=draw(st.one_of(finite, st.just("auto"))),
-        angle_rounding=draw(st.sampled_from(["correct", "glibc-2.40"])),
-    )
-
-
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(params=any_params())
-def test_a_rendered_file_reads_back_to_the_bit(load: Load, params: ProjectionParams) -> None:
-    file = load(render_params_file(params))
-    assert file.direction == P2L
-    assert asdict(params_of(file)) == asdict(params)
-
-
-FRAMES = ["1", "true", "null", "", "a: b", "# a", 'say "hi" \\', "a\tb\nc", "日本", "\u2028\x85"]
-
-
-@pytest.mark.parametrize("params", [ProjectionParams(), *(ProjectionParams(target_frame=frame) for frame in FRAMES)])
-def test_defaults_and_frames_of_every_kind_read_back(load: Load, params: ProjectionParams) -> None:
-    assert params_of(load(render_params_file(params))) == params
-
-
-def test_what_a_rendered_file_looks_like(load: Load) -> None:
-    params = ProjectionParams(target_frame="base_link", range_max=math.inf, max_height=1e300, use_inf=False)
-    lines = render_params_file(params).splitlines()
-    assert lines[:3] == [f"{P2L}:", "  ros__parameters:", '    target_frame: "base_link"']
-    assert {"    range_max: .inf  # m", "    max_height: 1.0e+300  # m", "    use_inf: false"} < set(lines)
-    assert not any("queue_size" in line or "geometry" in line for line in lines)
-    assert "    queue_size: 3" in render_params_file(ProjectionParams(queue_size=3)).splitlines()
-    # What follows from other parameters is not said again.
-    params = ProjectionParams(beams=720, no_return="nan", use_inf=False, scan_time="auto", reduce="kth", kth=3)
-    text = render_params_file(params)
-    assert "beams" not in text
-    assert "use_inf" not in text
-    assert params_of(load(text)) == replace(params, beams=0, use_inf=True)
-
-
-def test_a_rendered_file_of_the_way_back(load: Load) -> None:
-    params = ProjectionParams(target_frame="odom", transform_tolerance=0.5, queue_size=7)
-    file = load(render_params_file(params, direction=BACK))
-    assert (file.direction, params_of(file)) == (BACK, params)
+@given(value=st.floats(allow_nan=False, allow_infinity=False))
+def test_numbers_are_read_to_the_bit(load: Load, value: float) -> None:
+    (setting,) = load(ros2("/**", inf_epsilon=value)).settings
+    assert repr(setting.value) == repr(value)

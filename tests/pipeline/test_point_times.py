@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
-from pc2scan.model import Connection, Definition, RawMessage
+from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.point_times import time_warnings
 from pc2scan.pipeline.stages.deskew import PointTime
 from pc2scan.pipeline.stream import Span
+from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from numpy.typing import NDArray
-
-    from pc2scan.bags.reader import Reader
 
     Floats = NDArray[np.float64]
 
@@ -39,22 +39,21 @@ def option_warnings(
     asked: str = "t",
     period_ns: int = 100_000_000,
 ) -> list[str]:
-    class Recording:
-        def messages(self, *_: Any) -> Iterator[RawMessage]:
-            for number in range(6):
-                points = np.zeros(seconds.size, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", kind)])
-                stamp_ns = T0 + number * period_ns
-                points["x"], points["y"], points["t"] = np.cos(azimuth), np.sin(azimuth), stored(seconds)
-                if kind == "<f8" and stored(seconds)[0] > 1e9:
-                    points["t"] += number * period_ns / 1e9
-                fields = [PointField(name, 4 * place, 7) for place, name in enumerate("xyz")]
-                data = encode_pointcloud2(
-                    serialization="cdr", sequence=0, stamp_ns=stamp_ns, frame_id="lidar", point_step=points.itemsize,
-                    fields=[*fields, PointField("t", 12, CODES[kind])], data=points.tobytes(),
-                )  # fmt: skip
-                yield RawMessage(POINTS, stamp_ns, data, stamp_ns)
-
-    return list(time_warnings(cast("Reader", Recording()), [POINTS], PointTime.parse(asked), Span(None, None, T0)))
+    rows = []
+    for number in range(6):
+        points = np.zeros(seconds.size, [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", kind)])
+        stamp_ns = T0 + number * period_ns
+        points["x"], points["y"], points["t"] = np.cos(azimuth), np.sin(azimuth), stored(seconds)
+        if kind == "<f8" and stored(seconds)[0] > 1e9:
+            points["t"] += number * period_ns / 1e9
+        fields = [PointField(name, 4 * place, 7) for place, name in enumerate("xyz")]
+        data = encode_pointcloud2(
+            serialization="cdr", sequence=0, stamp_ns=stamp_ns, frame_id="lidar", point_step=points.itemsize,
+            fields=[*fields, PointField("t", 12, CODES[kind])], data=points.tobytes(),
+        )  # fmt: skip
+        rows.append((0, stamp_ns, data))
+    reader = MemoryReader(Path("made"), [POINTS], rows)
+    return list(time_warnings(reader, [POINTS], PointTime.parse(asked), Span(None, None, T0)))
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from pc2scan.pipeline.scans_file import load_scans, refuse_beside
 from pc2scan.pipeline.stages.ground import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
 from support import ROOT
+from support.schemas import violations
 
 
 def written(folder: Path, text: str) -> Path:
@@ -146,33 +147,6 @@ def test_the_file_has_whatever_an_output_has() -> None:
     assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= KEYS
 
 
-def valid(value: Any, rule: dict[str, Any], root: dict[str, Any]) -> bool:
-    """Whether a value fulfils a schema, as far as this one uses JSON Schema."""
-    if "$ref" in rule:
-        rule = root["$defs"][rule["$ref"].rpartition("/")[2]]
-    if "anyOf" in rule:
-        return any(valid(value, each, root) for each in rule["anyOf"])
-    if "enum" in rule:
-        return value in rule["enum"]
-    kinds: dict[str, Any] = {
-        "string": str, "number": (int, float), "integer": int, "object": dict, "array": list, "null": type(None)
-    }  # fmt: skip
-    wanted = [rule["type"]] if isinstance(rule["type"], str) else rule["type"]
-    if isinstance(value, bool) != (wanted == ["boolean"]):
-        return False
-    if not isinstance(value, bool) and not any(isinstance(value, kinds[kind]) for kind in wanted):
-        return False
-    if isinstance(value, dict):
-        known, further = rule.get("properties", {}), rule.get("additionalProperties", True)
-        if set(rule.get("required", ())) - value.keys():
-            return False
-        return all(
-            valid(each, known[key], root) if key in known else further and valid(each, further, root)
-            for key, each in value.items()
-        )
-    return not isinstance(value, list) or all(valid(each, rule["items"], root) for each in value)
-
-
 @pytest.mark.parametrize("name", [*sorted(KEYS), *PARAMETERS])
 def test_the_schema_and_the_code_agree_about_every_key(name: str) -> None:
     root = scans_schema()
@@ -188,4 +162,4 @@ def test_the_schema_and_the_code_agree_about_every_key(name: str) -> None:
             wrong = False
         as_text = isinstance(value, str) and name in PARAMETERS and PARAMETERS[name].unit
         if not as_text:
-            assert valid({"scans": {"/scan": {name: value}}}, root, root) is not wrong, value
+            assert bool(violations({"scans": {"/scan": {name: value}}}, root, root)) is wrong, value

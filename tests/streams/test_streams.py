@@ -310,30 +310,11 @@ def test_the_only_topic_is_taken_and_others_are_pointed_out(recording: Path, tmp
         pc2scan.scans(tmp_path / "none.bag")
 
 
-@pytest.mark.parametrize(
-    ("start", "end", "expected"),
-    [
-        (0.1, 0.3, [1, 2]),
-        (np.datetime64(FIRST_NS + 10**8, "ns"), None, [1, 2, 3, 4]),
-        (FIRST_NS + 10**8, FIRST_NS + 2 * 10**8, [1]),
-        ("0.3", None, [3, 4]),
-    ],
-)
-def test_a_cut_is_that_of_the_command(start: object, end: object, expected: list[int]) -> None:
-    clouds = pc2scan.clouds(HALL, start=start, end=end)  # type: ignore[arg-type]
-    assert [(cloud.log_time_ns - FIRST_NS) // 10**8 for cloud in clouds] == expected
-
-
 def test_several_recordings_are_one(tmp_path: Path) -> None:
     pc2scan.convert(HALL, tmp_path / "a.mcap", end=0.25, min_height=-0.3)
     pc2scan.convert(HALL, tmp_path / "b.mcap", start=0.25, min_height=-0.3)
     both = [scan.log_time_ns for scan in pc2scan.scans([tmp_path / "b.mcap", str(tmp_path / "a.mcap")])]
     assert both == [FIRST_NS + i * 10**8 for i in range(5)]
-
-
-def test_nothing_there_is_an_error_at_once(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="does not exist"):
-        pc2scan.scans(tmp_path / "none.bag")
 
 
 @pytest.mark.parametrize("form", sampled(FORMS, 1))

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from pc2scan.errors import TopicError, UsageError
-from pc2scan.model import Connection, RawMessage
+from pc2scan.model import Connection
 from pc2scan.tf.imu import ImuRequest, read_up
 from support import sampled
 from support.builders import imu_message
+from support.memory_reader import MemoryReader
 from support.worlds.inertial import Simulated, errors, simulated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
     from pc2scan.tf.imu import UpEstimate
@@ -25,22 +25,14 @@ EPOCH = 1_700_000_000_000_000_000
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 
-class Recording:
-    """The part of a reader that IMUs are read through; ``messages`` are arguments of `imu_message`."""
-
-    def __init__(self, *messages: dict[str, Any], topic: str = "/imu", ros_version: int = 2) -> None:
-        kind, serialization = ("sensor_msgs/Imu", "ros1") if ros_version == 1 else ("sensor_msgs/msg/Imu", "cdr")
-        self.connections = [Connection(0, topic, kind, serialization)]
-        self._messages = [
-            RawMessage(
-                self.connections[0], place, each["raw"] if "raw" in each else imu_message(ros_version, **each), place
-            )
-            for place, each in enumerate(messages)
-        ]
-
-    def messages(self, connections: list[Connection]) -> Iterator[RawMessage]:
-        assert connections == self.connections
-        return iter(self._messages)
+def recording(*messages: dict[str, Any], ros_version: int = 2) -> MemoryReader:
+    """A recording of an IMU; ``messages`` are arguments of `imu_message`."""
+    kind, serialization = ("sensor_msgs/Imu", "ros1") if ros_version == 1 else ("sensor_msgs/msg/Imu", "cdr")
+    rows = [
+        (0, place, each["raw"] if "raw" in each else imu_message(ros_version, **each))
+        for place, each in enumerate(messages)
+    ]
+    return MemoryReader(Path("made"), [Connection(0, "/imu", kind, serialization)], rows)
 
 
 def of(world: Simulated, **further: Any) -> list[dict[str, Any]]:
@@ -64,8 +56,8 @@ def orientations(ups: NDArray[np.float64]) -> list[tuple[float, ...]]:
     return made
 
 
-def read(recording: Recording, asked: str = "/imu") -> UpEstimate:
-    return read_up([recording], ImuRequest.parse(asked))  # type: ignore[list-item]  # a part of a reader
+def read(recorded: MemoryReader, asked: str = "/imu") -> UpEstimate:
+    return read_up([recorded], ImuRequest.parse(asked))
 
 
 @pytest.mark.parametrize("ros_version", [1, 2])
@@ -75,7 +67,7 @@ def test_valid_orientations_are_up(ros_version: int) -> None:
         each | {"orientation": turned, "first": (0.0, 0.0, 0.0)}
         for each, turned in zip(of(world), orientations(world.ups), strict=True)
     ]
-    found = read(Recording(*messages, ros_version=ros_version))
+    found = read(recording(*messages, ros_version=ros_version))
     assert (found.topic, found.frame) == ("/imu", "imu_link")
     assert found.stamps_ns.tolist() == (EPOCH + world.stamps_ns).tolist()
     np.testing.assert_allclose(found.directions, world.ups, atol=1e-12)
@@ -93,14 +85,14 @@ def test_valid_orientations_are_up(ros_version: int) -> None:
 )
 def test_without_them_gyroscope_and_accelerometer_are(further: dict[str, Any], why: str) -> None:
     world = simulated(20)
-    found = read(Recording(*of(world, **further)))
+    found = read(recording(*of(world, **further)))
     assert errors(found.directions, world.ups).max() < 0.8
     assert found.notes == (f"/imu: up is estimated from gyroscope and accelerometer of 2,000 messages: {why}",)
 
 
 def test_accelerations_in_g() -> None:
     world = simulated(20)
-    found = read(Recording(*of(world._replace(acceleration=world.acceleration / 9.81))))
+    found = read(recording(*of(world._replace(acceleration=world.acceleration / 9.81))))
     assert errors(found.directions, world.ups).max() < 0.8
     assert "accelerometer (in units of g)" in found.notes[0]
 
@@ -108,9 +100,9 @@ def test_accelerations_in_g() -> None:
 def test_messages_out_of_order_repeated_and_damaged() -> None:
     world = simulated(5)
     messages = of(world)
-    whole = read(Recording(*messages))
+    whole = read(recording(*messages))
     messages[10:12] = [messages[11], messages[10]]
-    found = read(Recording(*messages, messages[7], {"raw": b"\0\1\0\0abc"}))
+    found = read(recording(*messages, messages[7], {"raw": b"\0\1\0\0abc"}))
     assert found.directions.tobytes() == whole.directions.tobytes()
     assert any("1 message cannot be decoded" in warning for warning in found.warnings)
     assert any("1 message ignored: the stamp of another one" in warning for warning in found.warnings)
@@ -122,7 +114,7 @@ def test_messages_without_an_orientation_are_counted() -> None:
         each | {"orientation": turned, "first": (-1.0 if place % 10 == 0 else 0.0, 0.0, 0.0)}
         for place, (each, turned) in enumerate(zip(of(world), orientations(world.ups), strict=True))
     ]
-    found = read(Recording(*messages))
+    found = read(recording(*messages))
     assert len(found.stamps_ns) == 180
     assert found.warnings == ("/imu: 20 of 200 messages ignored: no valid orientation",)
 
@@ -133,7 +125,7 @@ def test_an_orientation_in_a_world_whose_z_is_down_is_reported() -> None:
         each | {"orientation": turned, "first": (0.0, 0.0, 0.0)}
         for each, turned in zip(of(world), orientations(-world.ups), strict=True)
     ]
-    (warning,) = read(Recording(*messages)).warnings
+    (warning,) = read(recording(*messages)).warnings
     assert "is 179 degrees from up by its accelerometer" in warning
 
 
@@ -149,7 +141,7 @@ def test_an_orientation_in_a_world_whose_z_is_down_is_reported() -> None:
 )
 def test_what_shows_no_up_is_refused(messages: list[dict[str, Any]], message: str) -> None:
     with pytest.raises(UsageError, match=message) as refused:
-        read(Recording(*messages))
+        read(recording(*messages))
     assert "fixed_frame=odom" in (refused.value.hint or "")
 
 
@@ -168,7 +160,7 @@ def test_garbage_is_a_direction_or_an_error(seed: int) -> None:
         for place in range(200)
     ]
     try:
-        found = read(Recording(*messages))
+        found = read(recording(*messages))
     except UsageError:
         return
     assert np.isfinite(found.directions).all()
@@ -177,27 +169,27 @@ def test_garbage_is_a_direction_or_an_error(seed: int) -> None:
 
 def test_stamps_of_0() -> None:
     with pytest.raises(UsageError, match="have no stamps"):
-        read(Recording(*of(simulated(1), stamp_ns=0)))
+        read(recording(*of(simulated(1), stamp_ns=0)))
 
 
 def test_a_topic_that_is_not_there_or_empty() -> None:
     with pytest.raises(TopicError, match="no topic /imu/data") as refused:
-        read(Recording(*of(simulated(0.1))), "/imu/data")
+        read(recording(*of(simulated(0.1))), "/imu/data")
     assert "/imu" in (refused.value.hint or "")
     with pytest.raises(TopicError, match="there are no messages on /imu"):
-        read(Recording())
+        read(recording())
     with pytest.raises(TopicError, match="1 cannot be decoded"):
-        read(Recording({"raw": b""}))
+        read(recording({"raw": b""}))
 
 
 def test_frames() -> None:
     messages = of(simulated(1))
     with pytest.raises(UsageError, match="have no frame_id") as refused:
-        read(Recording(*(each | {"frame_id": ""} for each in messages)))
+        read(recording(*(each | {"frame_id": ""} for each in messages)))
     assert refused.value.hint == "give it: `imu=/imu:imu_link`"
-    assert read(Recording(*(each | {"frame_id": ""} for each in messages)), "/imu:body").frame == "body"
+    assert read(recording(*(each | {"frame_id": ""} for each in messages)), "/imu:body").frame == "body"
     with pytest.raises(UsageError, match="have several frames: a, imu_link"):
-        read(Recording(messages[0] | {"frame_id": "a"}, *messages[1:]))
+        read(recording(messages[0] | {"frame_id": "a"}, *messages[1:]))
 
 
 @pytest.mark.parametrize("text", ["", ":a", "/imu:"])

@@ -5,7 +5,7 @@ import pytest
 from pc2scan.errors import TransformError
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Placement, Placer
-from tf.recorded import Recording, frames, row
+from tf.recorded import frames, made, row
 
 
 def test_no_target_frame_leaves_everything_in_its_place() -> None:
@@ -19,14 +19,14 @@ def test_a_message_that_is_in_the_target_frame_stays(own: str) -> None:
 
 
 def test_the_source_frame_is_overridden() -> None:
-    recording = Recording(("/tf_static", [row("base", "lidar", 0, 0.5)]))
+    recording = made(("/tf_static", [row("base", "lidar", 0, 0.5)]))
     known, _ = frames([recording], FrameOptions(source_frame="lidar"))
     assert known.place("", 5).target_from_source is not None
     assert Placer(source_frame="lidar").place("wrong", 5) == Placement("lidar", None)
 
 
 def test_the_tolerance_takes_the_nearest_transform() -> None:
-    recording = Recording(("/tf", [row("base", "lidar", 100, 1.0), row("base", "lidar", 200, 2.0)]))
+    recording = made(("/tf", [row("base", "lidar", 100, 1.0), row("base", "lidar", 200, 2.0)]))
     strict, _ = frames([recording])
     with pytest.raises(TransformError, match="too early"):
         strict.place("lidar", 95)

@@ -6,12 +6,12 @@ from pc2scan.errors import UsageError
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import tf_connections
 from pc2scan.tf.static import StaticTransform
-from tf.recorded import Recording, connection, frames, row
+from tf.recorded import connection, frames, made, row
 
 
 def test_transforms_of_several_recordings_are_merged() -> None:
-    first = Recording(("/tf", [row("odom", "base", 20, 1.0), row("odom", "base", 10, 0.0)]))
-    second = Recording(("/tf_static", [row("base", "lidar", 0, 0.5)]))
+    first = made(("/tf", [row("odom", "base", 20, 1.0), row("odom", "base", 10, 0.0)]))
+    second = made(("/tf_static", [row("base", "lidar", 0, 0.5)]))
     known, warnings = frames([first, second], target="odom")
     place = known.place("lidar", 15)
     assert warnings == []
@@ -21,7 +21,7 @@ def test_transforms_of_several_recordings_are_merged() -> None:
 
 
 def test_the_users_transform_beats_the_recordings() -> None:
-    recording = Recording(("/tf_static", [row("base", "lidar", 0, 0.5)]))
+    recording = made(("/tf_static", [row("base", "lidar", 0, 0.5)]))
     added = FrameOptions(static=(StaticTransform.parse("base lidar 7 0 0 0 0 0"),))
     known, _ = frames([recording], added)
     place = known.place("lidar", 15)
@@ -31,7 +31,7 @@ def test_the_users_transform_beats_the_recordings() -> None:
 
 def test_unusable_transforms_become_warnings() -> None:
     bad = [("base", "base", 1, *[0.0] * 6, 1.0), ("base", "lidar", 1, *[0.0] * 7)]
-    _, warnings = frames([Recording(("/tf", bad), ("/tf", b"\x01"))])
+    _, warnings = frames([made(("/tf", bad), ("/tf", b"\x01"))])
     told = "\n".join(warnings)
     assert "TF_SELF_TRANSFORM" in told
     assert "quaternion is zero" in told

@@ -14,7 +14,7 @@ from support.loops import BOTH_LOOPS
 from tf.small_buffers import at
 from tf.small_buffers import built as built_of
 from tf.small_buffers import row as moved
-from tf.trees import EPOCH, SECOND, built, changing_tree, random_pose, random_tree, row
+from tf.trees import EPOCH, SECOND, built, changing_tree, random_tree
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -101,31 +101,6 @@ def test_a_frame_that_changes_its_parent_jumps() -> None:
     # From the nanosecond before the change, and from the change itself.
     for begin_ns in (at(12) - 1, at(12)):
         assert_rows_are_lookups(buffer, "odom", "base", begin_ns, at(12) + 1)
-
-
-@pytest.mark.parametrize("far", [1.0, 1e3])
-def test_quaternions_scale_as_they_do_in_a_lookup(far: float) -> None:
-    rng = np.random.default_rng(8)
-    rows: Rows = []
-    for parent, child, static in (
-        ("map", "odom", False),
-        ("odom", "base", False),
-        ("base", "lidar", True),
-        ("odom", "other", False),
-        ("other", "camera", True),
-    ):
-        for second in [0] if static else range(4):
-            *place, i, j, k, r = random_pose(rng)
-            length = np.sqrt(rng.uniform(0.991, 1.009) / (i * i + j * j + k * k + r * r))
-            pose = (*(far * value for value in place), *(length * value for value in (i, j, k, r)))
-            rows.append((row(parent, child, EPOCH + second * SECOND, pose), static))
-    buffer = built(rows)
-    for target, source in (("map", "lidar"), ("lidar", "map"), ("camera", "lidar"), ("odom", "camera")):
-        stamps, found, _ = buffer.rows(target, source, EPOCH, EPOCH + 3 * SECOND, SECOND // 7, lambda *_: ENOUGH)
-        for time, ours in zip(times_of(stamps), found, strict=True):
-            theirs = buffer.lookup(target, source, time)
-            np.testing.assert_allclose(ours[:9].reshape(3, 3), theirs.matrix, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(ours[9:], theirs.translation, rtol=1e-12, atol=1e-9)
 
 
 def test_frames_in_each_other_have_no_transform() -> None:

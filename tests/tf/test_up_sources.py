@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pc2scan.core.gravity import up_in
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 from pc2scan.tf.placing import Placer
@@ -90,17 +89,3 @@ def test_outside_of_the_imu_and_in_its_gaps_nothing_is_known() -> None:
 def test_between_two_opposite_directions_is_the_older_one() -> None:
     up = replace(by_imu(), directions=np.array([(0.0, 0.0, 1.0), (0.0, 0.0, -1.0)] * 2))
     assert up("imu", EPOCH + 50_000_000) == (0, 0, 1)
-
-
-def test_an_imu_of_an_unknown_frame_says_what_to_type() -> None:
-    with pytest.raises(TransformError, match="the IMU of /imu: no transform has the source frame") as unknown:
-        by_imu(frame="imu_link")("base", EPOCH)
-    assert "static_tf='base imu_link 0 0 0 ROLL PITCH YAW'" in (unknown.value.hint or "")
-
-
-def test_up_by_a_frame_is_its_z_axis() -> None:
-    known = frames()
-    assert known.up is not None
-    np.testing.assert_allclose(known.up("base", EPOCH + SECOND), up_in(TILTED.quaternion.tolist()), atol=1e-12)
-    with pytest.raises(TransformError, match="too late"):
-        known.up("base", EPOCH + 2 * SECOND)

@@ -435,11 +435,6 @@ def test_the_first_interval_begins_before_its_first_lead() -> None:
     assert run.stamps() == [[60, *range(10, 110, 10)], [160, *range(110, 210, 10)]]
 
 
-def test_stamps_may_go_on_more_slowly_than_log_times() -> None:
-    slow = topic(0, range(0, 100_000, 1_000), lambda at: at // 10)
-    assert Run(Interval(SECOND), 1).all(slow).sizes == [10] * 10
-
-
 def test_of_two_equal_silences_the_first_is_the_longest() -> None:
     counts = SourceCounts()
     for stamps in ((0, 1), (3, 4), (6,)):

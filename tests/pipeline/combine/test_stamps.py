@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,14 +11,10 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.errors import ResultError, UsageError, stamp_text
-from pc2scan.messages.definitions import definition
-from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
-from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import Connection
 from pc2scan.pipeline.combine import grouping
 from support import ROOT, sampled
+from support.builders import CLOUD, SECOND, TF, Item, Recording, Stream, cloud, transforms, write_mcap
 from support.tables import rows
 
 if TYPE_CHECKING:
@@ -27,11 +22,9 @@ if TYPE_CHECKING:
 
 TABLES = Path(__file__).with_name("silence.txt")
 HALL = ROOT / "fixtures" / "hall.bag"
-SECOND = 1_000_000_000
 T0 = 1_700_000_000 * SECOND
 HOUR = 3600 * SECOND
 DAY = 86_400 * SECOND
-TF = "tf2_msgs/msg/TFMessage"
 
 #: Each cloud has one point, and its number decides in which of so many beams.
 BEAMS = 360
@@ -56,32 +49,22 @@ def tenths(begin: float, end: float, phase: float = 0.0) -> list[float]:
 
 def recorded(path: Path, found: Iterable[Cloud], points: int = 1, *, moving: float = 0.0) -> Path:
     """Write an MCAP file; with ``moving`` seconds of odometry."""
-    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
-    topics = {"/tf_static": TF, "/tf": TF, "/front": POINTCLOUD2, "/rear": POINTCLOUD2}
-    handles = {}
-    for topic, msgtype in topics.items():
-        text, digest = definition(msgtype, 2)
-        handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
-    still = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-    static = [("base_link", frame, T0, *still) for frame in ("front", "rear")]
-    rows = [(T0 - SECOND, "/tf_static", encode_transforms(static, "cdr"))]
+    still = (0.0, 0.0, 0.0)
+    static = [("base_link", frame, T0, still) for frame in ("front", "rear")]
+    items = [Item(Stream("/tf_static", TF), T0 - SECOND, {2: transforms(static, 2)})]
     for number in range(round(-5 * bool(moving)), round(10 * moving)):
         time_ns = T0 + number * SECOND // 10
-        rows.append((time_ns, "/tf", encode_transforms([("odom", "base_link", time_ns, *still)], "cdr")))
-    fields = [PointField(axis, 4 * place, 7) for place, axis in enumerate("xyz")]
+        items.append(Item(Stream("/tf", TF), time_ns, {2: transforms([("odom", "base_link", time_ns, still)], 2)}))
+    streams = {topic: Stream(topic, CLOUD) for topic in ("/front", "/rear")}
     for number, (topic, at, off_ns) in enumerate(found):
         time_ns = T0 + round(at * 1e9)
         angle = np.radians(0.5 + number % BEAMS)
         xyz = np.tile(np.array([2 * np.cos(angle), 2 * np.sin(angle), 0.5], "<f4"), (points, 1))
-        data = encode_pointcloud2(
-            serialization="cdr", sequence=0, stamp_ns=time_ns + off_ns, frame_id=topic.removeprefix("/"),
-            fields=fields, point_step=12, data=xyz.tobytes(),
-        )  # fmt: skip
-        rows.append((time_ns + 5_000_000, topic, data))
-    for log_time_ns, topic, data in sorted(rows, key=lambda row: row[:2]):
-        writer.write(handles[topic], log_time_ns, data, log_time_ns)
-    writer.finish()
-    return path
+        data = cloud(xyz, 2, stamp_ns=time_ns + off_ns, frame_id=topic.removeprefix("/"))
+        items.append(Item(streams[topic], time_ns + 5_000_000, {2: data}))
+    items.sort(key=lambda each: (each.log_time_ns, each.stream.topic))
+    declared = dict.fromkeys([*(each.stream for each in items), *streams.values()])
+    return write_mcap(path, Recording(tuple(declared), tuple(items)))
 
 
 class Made(NamedTuple):
@@ -193,13 +176,6 @@ def test_stamps_that_jump_back_begin_a_new_series(tmp_path: Path) -> None:
         assert entry["joined"]["jumps"] == [{"stamp_ns": T0 + 10 * SECOND - HOUR, "by_ns": -HOUR}]
 
 
-def test_a_first_stamp_one_day_ahead_is_a_scan_of_its_own(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 30), lambda at: 0 if at else DAY))
-    gathered = made(source, topics="/front:=/scan", accumulate=1)
-    assert sorted(gathered.sizes) == [1, *range(1, 10), *[10] * 290]
-    assert any("jump back by 86,400 s at 1700000000.100000000" in each for each in gathered.report.warnings)
-
-
 @pytest.mark.parametrize("options", sampled([{}, {"accumulate": "100ms"}, {"every": "100ms"}], 1))
 def test_four_wrong_first_stamps_are_no_other_clock(options: dict[str, Any], tmp_path: Path) -> None:
     rear = clouds("/rear", tenths(0, 30, 0.03), lambda at: DAY if at < 0.4 else 0)
@@ -277,11 +253,3 @@ def test_time_is_counted_back_from_the_last_message(options: dict[str, Any], tmp
     assert entry.messages_out > 1
     assert entry.empty_scans == 0
     assert not any("no return" in each for each in report.warnings)
-
-
-def test_scans_in_python_have_the_jumps_in_their_warnings(tmp_path: Path) -> None:
-    source = recorded(tmp_path / "d.mcap", clouds("/front", tenths(0, 4), lambda at: 0 if at < 2 else -HOUR))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        assert len(list(pc2scan.scans(source, "/front:=/scan", every=1))) == 4
-    assert any("the stamps of /front jump back by 3,600 s" in str(each.message) for each in caught)
