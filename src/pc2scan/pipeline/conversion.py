@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import LevelTransform
 
     from .combine.rebinning import Rebinning
-    from .first_clouds import Candidate, SharedSample
     from .motion import Motion
 
     #: One step between the decoded message and the result.
@@ -44,7 +43,7 @@ class ConvertedMessage:
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: Candidate | SharedSample | None = None
+    sample: object = None
     level: LevelTransform | None = None
     rebinned: Rebinning | None = None
     used: UsedPoints | None = None
@@ -59,7 +58,7 @@ class EncodedMessage:
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: Candidate | SharedSample | None = None
+    sample: object = None
     level: LevelTransform | None = None
     rebinned: Rebinning | None = None
     used: bytes | None = None

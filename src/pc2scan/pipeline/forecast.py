@@ -10,7 +10,7 @@ from pc2scan.result import Skipped
 
 from .checks import TransformCheck
 from .declarations import Declarations
-from .first_clouds import Candidate
+from .first_clouds import Candidate, SharedSample
 from .routes import count_skipped, open_routes
 
 if TYPE_CHECKING:
@@ -162,7 +162,7 @@ def _judge(result: EncodedMessage, log_time_ns: int) -> None:
     sample, result.sample = result.sample, None
     if isinstance(sample, Candidate):
         sample = sample.sample(log_time_ns)
-    if sample is not None:
+    if isinstance(sample, SharedSample):
         sample.add(result.counts)
 
 
