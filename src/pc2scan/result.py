@@ -288,14 +288,13 @@ def skipped_remarks(
     shown = 0
     for (topic, reason, missing), entries in list(reasons.items())[: None if verbose else SHOWN]:
         first, count = entries[0], sum(entry.messages for entry in entries)
+        more = f" and {count - 1:,} more" if count > 1 else ""
         if first.stamp_ns is not None:
-            of = f"{topic}, stamp {stamp(first.stamp_ns)}"
+            of = f"{topic}, stamp {stamp(first.stamp_ns)}{more}"
         elif first.log_time_ns is not None:
-            of = f"{topic}, log time {stamp(first.log_time_ns)}"
+            of = f"{topic}, log time {stamp(first.log_time_ns)}{more}"
         else:
             of = f"{count:,} of {topic}"
-        if count > 1 and not of.endswith(topic):
-            of += f" and {count - 1:,} more"
         to = f" (for {', '.join(missing)})" if targets and missing else ""
         yield Remark("skipped", f"{of}{to}: {reason}")
         # A message counts once for each output that lacks it, like in the counts of the topics.

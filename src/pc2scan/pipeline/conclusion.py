@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.core.consumers import CONSUMERS, judge
@@ -15,8 +15,7 @@ from pc2scan.text import agreeing, counted
 from .parameters import from_preset, preset_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Collection, Iterable, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.verdicts import Outcome, Verdict
@@ -36,65 +35,43 @@ _DOES: dict[Outcome, str] = {
 }
 
 
-class Tally(NamedTuple):
-    """What is compared and reported at the end of a conversion.
-
-    Attributes
-    ----------
-    path
-        The source.
-    counts
-        For each connection that is written its topic, its declared number of messages, and how many were read.
-    declared
-        How many messages the source declares; None if it does not say, or not all are written.
-    refusals
-        Warnings that consumers would refuse the scans, each with the topics that it is about.
-    """
-
-    path: Path
-    counts: Sequence[tuple[str, int | None, int]]
-    declared: int | None
-    refusals: Mapping[str, Sequence[str]]
-
-
-def tally_of(reader: Reader, routes: Mapping[int, OpenRoute], serialization: str) -> Tally:
-    """Return the tally of a conversion whose messages have all been read."""
-    written = [route for route in routes.values() if route.writes]
-    return Tally(
-        reader.path,
-        [(route.connection.topic, route.connection.message_count, route.messages) for route in written],
-        # MCAP's writers may omit the counts by channel, and store the sum.
-        reader.summary.message_count if len(written) == len(reader.connections) else None,
-        _refusals(routes.values(), serialization),
-    )
-
-
-def conclude(report: Report, tally: Tally, options: ConvertOptions) -> None:
+def conclude(
+    report: Report, reader: Reader, routes: Collection[OpenRoute], serialization: str, options: ConvertOptions
+) -> None:
     """Compare the counts, and add warnings about the whole conversion to its report.
+
+    Parameters
+    ----------
+    reader, routes
+        The source, and its connections; all their messages have been read.
+    serialization
+        That of the scans: ``ros1`` or ``cdr``.
 
     Raises
     ------
     Pc2ScanError
         If the result is not worth writing.
     """
-    report.warnings += [f"{', '.join(names)}: {text}" for text, names in tally.refusals.items()]
-    _compare_counts(tally, options, report)
+    report.warnings += [f"{', '.join(names)}: {text}" for text, names in _refusals(routes, serialization).items()]
+    _compare_counts(reader, [route for route in routes if route.writes], options, report)
     report.conclude()
     if not options.repair:
         refuse_nothing(report)
         refuse_unsatisfied(report, options)
 
 
-def _compare_counts(tally: Tally, options: ConvertOptions, report: Report) -> None:
+def _compare_counts(reader: Reader, written: Sequence[OpenRoute], options: ConvertOptions, report: Report) -> None:
     """Compare how many messages were read with how many the sources declare, for each connection.
 
     If known damage explains a difference, the report only has both numbers.
     """
     if options.start is not None or options.end is not None:
         return
-    counts = [(topic, known, read) for topic, known, read in tally.counts if known is not None]
-    declared = tally.declared
-    if declared is None and len(counts) == len(tally.counts):
+    declared_counts = ((route.connection, route.connection.message_count, route.messages) for route in written)
+    counts = [(connection.topic, known, read) for connection, known, read in declared_counts if known is not None]
+    # MCAP's writers may omit the counts by channel, and store the sum.
+    declared = reader.summary.message_count if len(written) == len(reader.connections) else None
+    if declared is None and len(counts) == len(written):
         declared = sum(count for _, count, _ in counts)
     if declared is None:
         return
@@ -106,8 +83,8 @@ def _compare_counts(tally: Tally, options: ConvertOptions, report: Report) -> No
         return
     missing = f"declares {counted(declared, 'message')}, {found:,} {agreeing(found, 'were')} found{details}"
     if options.strict:
-        raise DamageError(missing, path=tally.path, hint=RECOVER)
-    report.damage.append(Damage(missing, tally.path, messages_lost=max(0, lost)))
+        raise DamageError(missing, path=reader.path, hint=RECOVER)
+    report.damage.append(Damage(missing, reader.path, messages_lost=max(0, lost)))
 
 
 def _refusals(routes: Iterable[OpenRoute], serialization: str) -> dict[str, list[str]]:

@@ -40,7 +40,7 @@ from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads, cores
 
 from .checks import TransformCheck, cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
-from .conclusion import conclude, tally_of
+from .conclusion import conclude
 from .declarations import Declarations
 from .first_clouds import FirstClouds
 from .plan import make_plan
@@ -288,7 +288,7 @@ def _run(
                     report.warnings += (each for each in ghost_warnings(spec.params) if each not in report.warnings)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
-            conclude(report, tally_of(reader, routes, target.serialization), options)
+            conclude(report, reader, routes.values(), target.serialization, options)
             writer.finish()
         except BaseException:
             writer.abort()

@@ -268,14 +268,10 @@ def _write_info(folder: Path, info: Mapping[str, Any]) -> None:
 def _extent(parts: Sequence[RecordingPart | _File]) -> dict[str, Any]:
     """Return the times and the number of messages of files."""
     spans = [part.span_ns for part in parts if part.span_ns is not None]
-    return _extent_of(spans, sum(sum(part.counts.values()) for part in parts))
-
-
-def _extent_of(spans: Sequence[tuple[int, int]], message_count: int) -> dict[str, Any]:
     first_ns = min((first for first, _ in spans), default=MAX_ROSBAG2_NS)
     last_ns = max((last for _, last in spans), default=MAX_ROSBAG2_NS)
     return {
         "duration": {"nanoseconds": last_ns - first_ns},
         "starting_time": {"nanoseconds_since_epoch": first_ns},
-        "message_count": message_count,
+        "message_count": sum(sum(part.counts.values()) for part in parts),
     }
