@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from .look.plot import Plotted
     from .look.view import Page
     from .options.call import Options
+    from .pipeline.engine import Progress
     from .pipeline.report import Report
-    from .pipeline.stream import Progress
 
     Warn = Callable[[str], None]
 

@@ -131,7 +131,8 @@ class Threads:
         task = Task(partial(work, *args, **kwargs), self)
         self._tasks.put(task)
         if len(self._threads) < self.jobs - 1:
-            thread = Thread(target=self._serve, name=f"pc2scan_{len(self._threads)}")
+            # A process may end while a loop over scans is open, which the threads of this loop must not delay.
+            thread = Thread(target=self._serve, name=f"pc2scan_{len(self._threads)}", daemon=True)
             # If the system allows no more threads, the existing ones run the task.
             with suppress(RuntimeError):
                 thread.start()

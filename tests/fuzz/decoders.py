@@ -48,10 +48,12 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
 def _cloud(data: bytes) -> None:
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
+    from pc2scan.pipeline.conversion import converter
     from pc2scan.tf.placing import Placer
 
     content, serialization = _serialization(data)
-    CloudToScan(ProjectionParams(min_height=-9.0), Placer()).for_topic("/points", serialization, "cdr")(content)
+    conversion = CloudToScan(ProjectionParams(min_height=-9.0), Placer())
+    converter([conversion], "/points", serialization, "", [conversion.encoder("cdr")])(content)
 
 
 def _scan(data: bytes) -> None:

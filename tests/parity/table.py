@@ -28,6 +28,7 @@ from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.placing import Placer
 from support import ROOT
+from support.conversions import serialized_by
 from tf.through import assert_close, found, random_drive, random_throughs
 from tf.trees import SECOND, built, changing_tree, random_pose, random_questions, random_tree
 
@@ -154,11 +155,11 @@ def _way_back(oracle: Path, rng: np.random.Generator, count: int) -> Row:
     for target in ("laser", "base_link", "odom"):
         for deskewed in (False, True):
             conversion = ScanToCloud(None, Placer(target, "", built(rows), 0), deskewed=deskewed)
-            convert = conversion.for_topic("/scan", "ros1", "ros1")
+            convert = serialized_by(conversion, "/scan", "ros1", "ros1")
             scans = [debian.random_scan(rng) for _ in range(count // 6 + 1)]
             commands = [debian.scan_command(target, deskewed, scan) for scan in scans]
             for scan, theirs in zip(scans, debian.ask(oracle, rows, commands), strict=True):
-                cloud = decode_pointcloud2(convert(encode_laserscan(scan, "ros1")).data, "ros1")
+                cloud = decode_pointcloud2(convert(encode_laserscan(scan, "ros1")).message, "ros1")
                 compared += 1
                 differing += bytes(cloud.data).hex() != "".join(theirs.split()[3:])
     return Row("clouds from scans, deskewed too", "laser_geometry", compared, differing)

@@ -19,6 +19,7 @@ from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.placing import Placer
+from support.conversions import serialized_by
 from tf.trees import EPOCH, SECOND, built, row
 
 if TYPE_CHECKING:
@@ -43,7 +44,8 @@ def assert_same_clouds(program: Path, rows: Rows, target: str, deskewed: bool, s
 
     NaNs may have any sign and payload; all else, signs of zeros included, is equal.
     """
-    convert = ScanToCloud(None, Placer(target, "", built(rows), 0), deskewed=deskewed).for_topic("/t", "ros1", "ros1")
+    conversion = ScanToCloud(None, Placer(target, "", built(rows), 0), deskewed=deskewed)
+    convert = serialized_by(conversion, "/t", "ros1", "ros1")
     refused = 0
     answers = debian.ask(program, rows, [debian.scan_command(target, deskewed, scan) for scan in scans])
     for scan, theirs in zip(scans, answers, strict=True):
@@ -53,7 +55,7 @@ def assert_same_clouds(program: Path, rows: Rows, target: str, deskewed: bool, s
                 convert(encode_laserscan(scan, "ros1"))
             continue
         seq, sec, nsec, *data = theirs.split()
-        cloud = decode_pointcloud2(convert(encode_laserscan(scan, "ros1")).data, "ros1")
+        cloud = decode_pointcloud2(convert(encode_laserscan(scan, "ros1")).message, "ros1")
         assert (cloud.sequence, cloud.stamp_ns) == (int(seq), int(sec) * SECOND + int(nsec))
         ours, expected = (
             np.frombuffer(each, "<f4").reshape(-1, 4) for each in (bytes(cloud.data), bytes.fromhex("".join(data)))

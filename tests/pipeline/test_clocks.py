@@ -10,7 +10,7 @@ import pytest
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.pipeline.clocks import are_doubtful, clock_warnings
-from pc2scan.pipeline.stream import Span
+from pc2scan.pipeline.items import Span
 from support.worlds.moving import BEGIN_NS, Lidar, write_world
 
 if TYPE_CHECKING:

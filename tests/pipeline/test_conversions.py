@@ -14,11 +14,12 @@ from pc2scan.errors import DecodeError, TransformError
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import PointCloud2, decode_pointcloud2
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
-from pc2scan.pipeline.conversion import Conversion, EncodedMessage, Measurements
+from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Measurements
 from pc2scan.pipeline.scan_to_cloud import ScanToCloud
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer
 from support import builders
+from support.conversions import serialized_by
 from support.tables import rows
 
 TABLES = Path(__file__).parent / "stages/times.txt"
@@ -62,8 +63,9 @@ def frames(target: str, *rows: tuple[str, str, int, float, float]) -> Placer:
 
 def once(
     conversion: Conversion, message: bytes, source: str = "ros1", target: str = "ros1", topic: str = "/topic"
-) -> EncodedMessage:
-    return conversion.for_topic(topic, source, target)(message)
+) -> ConvertedMessage:
+    made: ConvertedMessage = serialized_by(conversion, topic, source, target)(message)
+    return made
 
 
 def points_of(message: PointCloud2) -> Any:
@@ -79,9 +81,9 @@ def test_a_timed_topic_has_its_own_stamps(stamp_ns: int, first_beam_ns: int, exp
     conversion = CloudToScan(params, Placer(), {"/front": Measurements(0.125, -0.25, first_beam_ns)})
     ros_version, serialization = (1, "ros1") if stamp_ns >= 0 else (2, "cdr")
     message = cloud(np.empty((0, 3)), ros_version, stamp_ns)
-    read = decode_laserscan(once(conversion, message, serialization, serialization, "/front").data, serialization)
+    read = decode_laserscan(once(conversion, message, serialization, serialization, "/front").message, serialization)
     assert (read.stamp_ns, read.scan_time, read.time_increment) == (expected, 0.125, -0.25)
-    other = decode_laserscan(once(conversion, message, serialization, serialization, "/rear").data, serialization)
+    other = decode_laserscan(once(conversion, message, serialization, serialization, "/rear").message, serialization)
     assert (other.stamp_ns, other.scan_time, other.time_increment) == (stamp_ns, 0, 0)
 
 
@@ -89,7 +91,7 @@ def test_a_cloud_is_transformed_before_the_limits_apply() -> None:
     known = frames("base", ("base", "lidar", 4 * SECOND, 0.0, 0.0), ("base", "lidar", 6 * SECOND, 2.0, math.pi))
     points = [[3, 0, 0.5], [2, 4, -0.5], [0, 0, 3]]
     made = once(CloudToScan(ProjectionParams(min_height=-1, max_height=1, target_frame="base"), known), cloud(points))
-    read = decode_laserscan(made.data, "ros1")
+    read = decode_laserscan(made.message, "ros1")
     moved = known.place("lidar", 5 * SECOND).target_from_source
     assert moved is not None
     expected = project(moved.apply(np.float32(points)), BAND)  # type: ignore[arg-type]
@@ -105,7 +107,7 @@ def test_the_way_back_carries_the_header_and_all_channels() -> None:
     ranges = [1, 2, math.nan, 40, 3, 0.01, math.inf]
     message = scan(ranges, intensities=np.arange(7, dtype=np.float32), time_increment=0.25)
     made = once(ScanToCloud(every, Placer()), message, "ros1", "cdr")
-    read = decode_pointcloud2(made.data, "cdr")
+    read = decode_pointcloud2(made.message, "cdr")
     assert (read.stamp_ns, read.frame_id, read.height, read.width, read.is_dense) == (5 * SECOND, "laser", 1, 3, False)
     names = ["x", "y", "z", "intensity", "index", "distances", "stamps", "vp_x", "vp_y", "vp_z"]
     assert [field.name for field in read.fields] == names
@@ -121,11 +123,11 @@ def test_deskewing_takes_each_beam_from_where_the_sensor_was() -> None:
     message = scan([2.0] * 5, angle_min=0.0, angle_increment=0.0, time_increment=0.25)
     made = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), message)
     expected = [[t + 2 * math.cos(t * math.pi / 2), 2 * math.sin(t * math.pi / 2), 0] for t in np.linspace(0, 1, 5)]
-    np.testing.assert_allclose(points_of(decode_pointcloud2(made.data, "ros1")), expected, atol=2e-6)
+    np.testing.assert_allclose(points_of(decode_pointcloud2(made.message, "ros1")), expected, atol=2e-6)
     none = once(ScanToCloud(None, frames("odom", *rows), deskewed=True), scan([], time_increment=0.1))
-    assert decode_pointcloud2(none.data, "ros1").points == 0
+    assert decode_pointcloud2(none.message, "ros1").points == 0
     plain = once(ScanToCloud(None, frames("odom", *rows)), message)
-    np.testing.assert_allclose(points_of(decode_pointcloud2(plain.data, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
+    np.testing.assert_allclose(points_of(decode_pointcloud2(plain.message, "ros1")), [[2, 0, 0]] * 5, atol=2e-6)
 
 
 @pytest.mark.parametrize(("stamp_ns", "increment", "message"), rows(TABLES, "last beams"))
@@ -144,7 +146,7 @@ def test_nans_that_signal_are_nans_like_any_other() -> None:
         message = scan(signalling, intensities=signalling[::-1].copy())
         made = once(ScanToCloud(every, known, deskewed=deskewed), message)
         assert (made.counts.used, made.counts.nan) == (1, 2)
-        (intensity,) = decode_pointcloud2(made.data, "ros1").field("intensity").view(np.uint32)
+        (intensity,) = decode_pointcloud2(made.message, "ros1").field("intensity").view(np.uint32)
         # The bits are the scan's: a signalling NaN stays one.
         assert intensity == 0x7F800001
 
@@ -164,7 +166,7 @@ def test_a_transformed_cloud_has_the_header_of_the_transform(stamp_ns: int, stat
         (ScanToCloud(None, known, deskewed=True), (9, stamp_ns, "odom")),
         (ScanToCloud(None, Placer()), (9, stamp_ns, "laser")),
     ):
-        read = decode_pointcloud2(once(conversion, message).data, "ros1")
+        read = decode_pointcloud2(once(conversion, message).message, "ros1")
         assert (read.sequence, read.stamp_ns, read.frame_id) == expected
 
 

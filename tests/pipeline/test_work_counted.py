@@ -23,9 +23,9 @@ from pc2scan.files import source as files
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, RawMessage
-from pc2scan.pipeline import cloud_to_scan, scheduler, stream
-from pc2scan.pipeline.conversion import EncodedMessage
-from pc2scan.pipeline.routes import OpenRoute
+from pc2scan.pipeline import cloud_to_scan, engine, recording, scheduler
+from pc2scan.pipeline.conversion import ConvertedMessage
+from pc2scan.pipeline.items import Item, OpenRoute, Output
 from pc2scan.pipeline.scheduler import DeferredMessage
 from pc2scan.pipeline.topic_report import TopicReport
 from support import sampled
@@ -219,27 +219,28 @@ def test_large_chunks_are_read_into_buffers_that_are_used_again(
 @pytest.mark.parametrize("shrinks_from", [2, 9])
 def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrinks_from: int) -> None:
     connection = Connection(1, "/points", POINTCLOUD2, "cdr")
-    converted = EncodedMessage(b"scan", PointCounts(), False)
+    converted = ConvertedMessage(b"scan", PointCounts(), False)
     report = TopicReport("/points", "", None, "")
-    route = OpenRoute(connection, report, lambda _: [converted], shrinks_from=shrinks_from)
+    output = Output(report, 0)
+    route = OpenRoute(connection, None, lambda _: [converted], outputs=[output], shrinks_from=shrinks_from)
     route.passing_handle = 1 if passes else -1
     message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
-    done = stream._outcome_or_deferral({1: route}, message)
+    done = engine._work({1: route}, message)
     assert isinstance(done, DeferredMessage) is (shrinks_from == 9)
     if isinstance(done, DeferredMessage):
         assert done.log_time_ns == 5
         # What waits is not borrowed.
         assert isinstance(done.message.data, bytes)
         done = done.work(done.message)
-    assert isinstance(done, stream._MessageOutcome)
-    assert (done.converted, done.passing) == ([converted], b"cloud" if passes else None)
+    assert isinstance(done, Item)
+    assert (done.results, done.passing) == ([(output, converted)], b"cloud" if passes else None)
     assert not isinstance(done.passing, memoryview)
 
 
 @pytest.mark.parametrize("queue_size", [1, 3])
 def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     read = written = worst = 0
-    load, write = units.load_unit, stream._write
+    load, write = units.load_unit, recording._write
     lock = threading.Lock()
 
     def loading(*args: Any, **options: Any) -> Any:
@@ -248,14 +249,15 @@ def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch:
             read += 1
         return load(*args, **options)
 
-    def writing(*args: Any) -> None:
+    def writing(*args: Any) -> Any:
         nonlocal written, worst
         worst = max(worst, read - written)
-        write(*args)
+        refused = write(*args)
         written += 1
+        return refused
 
     monkeypatch.setattr(scheduler, "load_unit", loading)
-    monkeypatch.setattr(stream, "_write", writing)
+    monkeypatch.setattr(recording, "_write", writing)
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
     convert(drive, jobs=2, params=params)
     # A chunk has one cloud.

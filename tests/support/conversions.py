@@ -9,12 +9,22 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags.opening import open_recording
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.tfmessage import decode_transforms
+from pc2scan.pipeline.conversion import converter
 from support.command import Finished, run
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
-__all__ = ["Made", "converted"]
+    from pc2scan.pipeline.conversion import Conversion
+
+__all__ = ["Made", "converted", "serialized_by"]
+
+
+def serialized_by(conversion: Conversion, topic: str, source: str, target: str) -> Callable[[bytes], Any]:
+    """Return what makes serialised messages of serialised messages, each with what is counted of it."""
+    convert = converter([conversion], topic, source, "", [conversion.encoder(target)])
+    return lambda message: convert(message)[0]
 
 
 class Made(NamedTuple):

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
     from pc2scan.files.records import Record
     from pc2scan.options.call import Options
+    from pc2scan.pipeline.engine import Progress
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.stream import Progress
 
     from .formats import ExportFormat, TopicWriter
     from .poses import Poses

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.pipeline.engine import Progress
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.stream import Progress
 
     from .map_drawing import MapOptions
     from .map_result import Map
@@ -121,14 +121,13 @@ def map_of(
     stream = _stream(sources, options, topics, converted=converted)
     drawn = Drawing(OccupancyGrid(asked.resolution, MAX_MAP_CELLS), buffer, asked, options)
     stream.listener = notes.append
-    with stream, closing(stream.reads(progress)) as reads:
-        for read in reads:
-            if read.error is not None:
-                read.error.topic = read.connection.topic
-                drawn.skip(read.connection.topic, read.error)
-            for scan in read.items:
-                level = None if read.converted is None else read.converted.level
-                drawn.add(scan, level)  # type: ignore[arg-type]
+    with stream, closing(stream.results(progress)) as results:
+        for result in results:
+            for error in result.errors:
+                error.topic = result.topic
+                drawn.skip(result.topic, error)
+            for scan, level in result.items:
+                drawn.add(scan, level)
     return drawn.result(
         list(dict.fromkeys((*stream.notes, *notes))),
         tuple(dict.fromkeys((*further, *stream.damage))),

@@ -5,11 +5,11 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .wire import MAX_CACHED_BYTES, Cursor, Packer
+from .wire import MAX_CACHED_BYTES, Cursor, Packer, seconds_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -133,20 +133,7 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
     serialization
         ``ros1`` or ``cdr``.
     """
-    geometry = (
-        scan.angle_min,
-        scan.angle_max,
-        scan.angle_increment,
-        scan.time_increment,
-        scan.scan_time,
-        scan.range_min,
-        scan.range_max,
-    )
-    try:
-        packed = _GEOMETRY.pack(*geometry)
-    except OverflowError:
-        with np.errstate(over="ignore"):
-            packed = np.array(geometry).astype("<f4").tobytes()
+    packed = _pack_geometry(scan)
     packer = Packer(serialization)
     packer.stamp(scan.sequence, scan.stamp_ns)
     cached = len(scan.frame_id) <= MAX_CACHED_BYTES
@@ -160,6 +147,50 @@ def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:
         packer.raw(_COUNT.pack(len(values)))
         packer.raw((values if values.dtype is _FLOAT32 else values.astype(_FLOAT32)).tobytes())
     return packer.finish()
+
+
+def _pack_geometry(scan: LaserScan) -> bytes:
+    """Return the angles, times and limits of a scan as float32."""
+    geometry = (
+        scan.angle_min,
+        scan.angle_max,
+        scan.angle_increment,
+        scan.time_increment,
+        scan.scan_time,
+        scan.range_min,
+        scan.range_max,
+    )
+    try:
+        return _GEOMETRY.pack(*geometry)
+    except OverflowError:
+        with np.errstate(over="ignore"):
+            return np.array(geometry).astype("<f4").tobytes()
+
+
+def as_message(scan: LaserScan, serialization: str) -> LaserScan:
+    """Return a scan with the numbers that its message has: float32, and in ROS 2 no sequence number.
+
+    Parameters
+    ----------
+    serialization
+        ``ros1`` or ``cdr``.
+
+    Returns
+    -------
+    LaserScan
+        What `decode_laserscan` returns for `encode_laserscan` of the scan, which is not changed.
+
+    Raises
+    ------
+    DecodeError
+        If the stamp does not fit into a message.
+    """
+    ros1 = serialization == "ros1"
+    seconds_of(scan.stamp_ns, ros1=ros1)
+    geometry: Any = _GEOMETRY.unpack(_pack_geometry(scan))
+    values: list[Any] = [scan.sequence if ros1 else 0, scan.stamp_ns, scan.frame_id, *geometry]
+    values += (each.astype(_FLOAT32, copy=False) for each in (scan.ranges, scan.intensities))
+    return LaserScan(*values)
 
 
 def scan_for_consumers(message: LaserScan) -> ConsumerScan:

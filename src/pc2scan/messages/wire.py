@@ -127,6 +127,22 @@ class Cursor:
         return self.sequence(), self.stamp_ns(), self.string()
 
 
+def seconds_of(stamp_ns: int, *, ros1: bool) -> tuple[int, int]:
+    """Return the seconds and nanoseconds of a stamp in a message.
+
+    Raises
+    ------
+    DecodeError
+        If it does not fit: ROS 1 counts uint32 seconds, ROS 2 int32.
+    """
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    low, high = (0, 2**32 - 1) if ros1 else (-(2**31), 2**31 - 1)
+    if not low <= seconds <= high:
+        message = f"a stamp of {seconds} s does not fit into ROS {1 if ros1 else 2}'s {low} to {high} s"
+        raise DecodeError(message, stamp_ns=stamp_ns)
+    return seconds, nanoseconds
+
+
 class Packer:
     """Writes primitives in order; the inverse of `Cursor`, always little-endian."""
 
@@ -179,19 +195,11 @@ class Packer:
         Raises
         ------
         DecodeError
-            If the stamp does not fit: ROS 1 counts uint32 seconds, ROS 2 int32.
+            See `seconds_of`.
         """
-        ros1 = not self._aligned
-        if ros1:
+        if self.ros1:
             self.write("I", sequence)
-        seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-        low, high = (0, 2**32 - 1) if ros1 else (-(2**31), 2**31 - 1)
-        if not low <= seconds <= high:
-            raise DecodeError(
-                f"a stamp of {seconds} s does not fit into ROS {1 if ros1 else 2}'s {low} to {high} s",
-                stamp_ns=stamp_ns,
-            )
-        self.write("II" if ros1 else "iI", seconds, nanoseconds)
+        self.write("II" if self.ros1 else "iI", *seconds_of(stamp_ns, ros1=self.ros1))
 
     def body(self) -> bytes:
         """Return what was appended."""

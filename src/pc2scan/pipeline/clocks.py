@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
 
-    from .stream import Span
+    from .items import Span
 
 #: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
 _MESSAGES = {True: 3, False: 50}

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from pc2scan.core.verdicts import Outcome, Verdict
     from pc2scan.model import Buffer
 
+    from .items import OpenRoute
     from .options import ConvertOptions
     from .report import Report
-    from .routes import OpenRoute
     from .topic_report import TopicReport
 
 #: What a consumer does with scans by its verdict, as part of a sentence.

@@ -1,4 +1,4 @@
-"""The parts of every conversion: a decoder, stages between arrays, and an encoder."""
+"""The parts of every conversion: a decoder, stages between arrays, and what a consumer of the results does last."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from pc2scan.core.counts import PointCounts
     from pc2scan.core.params import ProjectionParams
-    from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import LevelTransform
 
@@ -25,18 +24,18 @@ if TYPE_CHECKING:
     Step: TypeAlias = Callable[[Any], Any]
 
 
-# Instances are never changed. They are neither frozen nor named tuples, because creating those takes two to three times
-# as long, for every message.
+# Neither frozen nor a named tuple, because creating those takes two to three times as long, for every message.
 @dataclass(slots=True, eq=False)
 class ConvertedMessage:
-    """The result of the stages for one message: the new message as arrays, which the output's encoder serialises.
+    """The result of a conversion: the new message, and what is counted of it.
 
-    ``empty`` is whether it has no return, or no point; ``motion`` is how far the sensor moved, if it was deskewed.
-    ``sample`` is for `FirstClouds`, as long as that takes samples, and a candidate until the message's log time is
-    known. ``level`` is the transform of its frame, if that is made level. ``rebinned`` counts how beams of scans became
-    other beams. ``used`` are the points that beams read, if they are written. ``removed`` is how many beams had
-    ``returns``, how many of these were too ``sparse`` for ``min_points`` or ``kth``, and how many each beam filter
-    removed; None without any of them.
+    The stages make ``message`` and ``used`` of arrays; the consumer's last step may replace both by their serialised
+    form, and says in ``size`` how many bytes they take. ``empty`` is whether the message has no return, or no point;
+    ``motion`` is how far the sensor moved, if it was deskewed. ``sample`` is for `FirstClouds`, as long as that takes
+    samples, and a candidate until the message's log time is known. ``level`` is the transform of its frame, if that is
+    made level. ``rebinned`` counts how beams of scans became other beams. ``used`` are the points that beams read, if
+    they are written. ``removed`` is how many beams had ``returns``, how many of these were too ``sparse`` for
+    ``min_points`` or ``kth``, and how many each beam filter removed; None without any of them.
     """
 
     message: Any
@@ -46,28 +45,9 @@ class ConvertedMessage:
     sample: object = None
     level: LevelTransform | None = None
     rebinned: Rebinning | None = None
-    used: UsedPoints | None = None
+    used: Any = None
     removed: Mapping[str, int] | None = None
-
-
-@dataclass(slots=True, eq=False)
-class EncodedMessage:
-    """A `ConvertedMessage` whose message is serialised."""
-
-    data: bytes
-    counts: PointCounts
-    empty: bool
-    motion: Motion | None = None
-    sample: object = None
-    level: LevelTransform | None = None
-    rebinned: Rebinning | None = None
-    used: bytes | None = None
-    removed: Mapping[str, int] | None = None
-
-    @property
-    def size(self) -> int:
-        """Size in bytes."""
-        return len(self.data) + len(self.used or b"")
+    size: int = 0
 
 
 class Measurements(NamedTuple):
@@ -136,39 +116,24 @@ class Conversion(ABC):
         converted.
         """
 
-    def for_topic(
-        self, topic: str, source: str, target: str, source_type: str = ""
-    ) -> Callable[[Buffer], EncodedMessage]:
-        """Return the whole conversion of one source topic's messages.
-
-        Parameters
-        ----------
-        source, source_type
-            See `decoder`.
-        target
-            The serialisation of what they become: ``ros1`` or ``cdr``.
-        """
-        return partial(_in_turn, self._steps(topic, source, target, source_type))
-
-    def _steps(self, topic: str, source: str, target: str, source_type: str) -> tuple[Step, ...]:
-        return self.decoder(source, source_type), *self.stages(topic), self.encoder(target)
-
-    def encoder(self, target: str) -> Callable[[ConvertedMessage], EncodedMessage]:
-        """Return the encoder that serialises results as ``ros1`` or ``cdr``."""
-        return partial(_encoded, type(self).encode, target)
+    def encoder(self, serialization: str) -> Step:
+        """Return the last step of a consumer that writes results: serialises them as ``ros1`` or ``cdr``."""
+        return partial(_encode, type(self).encode, serialization)
 
 
 def converter(
-    conversions: Sequence[Conversion], topic: str, source: str, target: str, source_type: str = ""
-) -> Callable[[Buffer], Sequence[EncodedMessage | MessageError]]:
+    conversions: Sequence[Conversion], topic: str, source: str, source_type: str, last: Sequence[Step | None]
+) -> Callable[[Buffer], Sequence[ConvertedMessage | MessageError]]:
     """Return the function that converts one source topic's messages, with one result for each conversion.
 
     Parameters
     ----------
     conversions
         All of one direction.
-    topic, source, target, source_type
-        As for `Conversion.for_topic`.
+    topic, source, source_type
+        The topic; see `Conversion.decoder`.
+    last
+        For each conversion, the consumer's last step; None: there is none.
 
     Returns
     -------
@@ -176,20 +141,23 @@ def converter(
         It returns a result or an error for each conversion: the error of one does not stop the others. It raises the
         `MessageError` of a message that cannot be decoded, and the error of a conversion that is the only one.
     """
-    first = conversions[0]
-    if len(conversions) == 1:
-        return partial(_alone, first._steps(topic, source, target, source_type))  # noqa: SLF001  # of this module
+    decode = conversions[0].decoder(source, source_type)
+    chains = [
+        (*conversion.stages(topic), *filter(None, [own])) for conversion, own in zip(conversions, last, strict=True)
+    ]
+    if len(chains) == 1:
+        return partial(_alone, (decode, *chains[0]))
     tree: list[_StepNode] = []
-    for place, conversion in enumerate(conversions):
+    for place, chain in enumerate(chains):
         nodes = tree
-        for step in (*conversion.stages(topic), conversion.encoder(target)):
+        for step in chain:
             node = next((node for node in nodes if node.step == step), None)
             if node is None:
                 node = _StepNode(step, [], [])
                 nodes.append(node)
             node.places.append(place)
             nodes = node.further
-    return partial(_all, first.decoder(source, source_type), tree, len(conversions))
+    return partial(_all, decode, tree, len(conversions))
 
 
 class _StepNode(NamedTuple):
@@ -202,7 +170,7 @@ class _StepNode(NamedTuple):
 
 def _all(
     decode: Callable[[Buffer], Any], tree: Sequence[_StepNode], count: int, data: Buffer
-) -> list[EncodedMessage | MessageError]:
+) -> list[ConvertedMessage | MessageError]:
     found: list[Any] = [None] * count
     _follow(tree, decode(data), found)
     return found
@@ -223,30 +191,17 @@ def _follow(nodes: Sequence[_StepNode], value: Any, found: list[Any]) -> None:
                 found[place] = made
 
 
-def _in_turn(steps: Sequence[Step], value: Any) -> Any:
-    for step in steps:
-        value = step(value)
-    return value
-
-
 def _alone(steps: Sequence[Step], value: Any) -> tuple[Any]:
-    # Not by `_in_turn`: a call takes time for every message.
     for step in steps:
         value = step(value)
     return (value,)
 
 
-def _encoded(encode: Callable[[Any, str], bytes], target: str, result: ConvertedMessage) -> EncodedMessage:
-    data = encode(result.message, target)
-    used = None if result.used is None else result.used.encode(target)
-    return EncodedMessage(
-        data,
-        result.counts,
-        result.empty,
-        result.motion,
-        result.sample,
-        result.level,
-        result.rebinned,
-        used,
-        result.removed,
-    )
+def _encode(encode: Callable[[Any, str], bytes], serialization: str, result: ConvertedMessage) -> ConvertedMessage:
+    """Replace the arrays of a result by its serialised form; nothing else refers to it."""
+    result.message = encode(result.message, serialization)
+    result.size = len(result.message)
+    if result.used is not None:
+        result.used = result.used.encode(serialization)
+        result.size += len(result.used)
+    return result

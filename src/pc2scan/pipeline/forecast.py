@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from contextlib import closing
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import MessageError
-from pc2scan.result import Skipped
 
-from .checks import TransformCheck
-from .declarations import Declarations
-from .first_clouds import Candidate, SharedSample
-from .routes import count_skipped, open_routes
+from .conversion import ConvertedMessage
+from .engine import convert
+from .items import Item
+from .routes import count_skipped
+from .tally import Tally
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,13 +20,12 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
 
-    from .conversion import Conversion, EncodedMessage
+    from .combine.combiner import Combiner
     from .first_clouds import FirstClouds
+    from .items import OpenRoute, Output, Span
     from .options import ConvertOptions
-    from .plan import Combination, Plan
     from .report import Report
-    from .routes import OpenRoute
-    from .scan_spec import ScanSpec
+    from .routes import Routes
 
 #: How many of the first messages of a topic are converted, not counting those that fail, and how many are read at most,
 #: if there are transforms.
@@ -52,12 +51,10 @@ class _MeanSizes(NamedTuple):
 
 def forecast(
     reader: Reader,
-    plan: Plan,
     target: Destination,
-    conversions: Mapping[ScanSpec | Combination, Conversion],
+    opened: Routes,
     options: ConvertOptions,
-    start_ns: int | None,
-    stop_ns: int | None,
+    span: Span,
     report: Report,
     firsts: FirstClouds,
 ) -> float:
@@ -73,18 +70,19 @@ def forecast(
     MessageError
         With ``on_error`` ``fail``, if one of the first messages cannot be converted.
     """
-    declared = Declarations()
-    routes = open_routes(plan.routes, conversions, target, target.same_kind(reader.summary), options, declared, report)
-    routes = count_skipped(routes, reader, start_ns, stop_ns)
+    routes = count_skipped(opened.by_id, reader, span.start_ns, span.stop_ns)
+    tally = Tally(routes, options.on_error, firsts.warn)
+    report.skipped = tally.skipped
     sizes: dict[int, _MeanSizes] = _converted_sizes(
-        reader, routes, options, start_ns, stop_ns, report, firsts, is_packed=target.compression != "none"
+        reader, routes, opened.combiners, span, tally, is_packed=target.compression != "none"
     )
+    tally.finish()
     firsts.finish()
     report.damage += reader.damage
     report.conclude()
-    counts = reader.counts([route.connection for route in routes.values()], start_ns, stop_ns)
+    counts = reader.counts([route.connection for route in routes.values()], span.start_ns, span.stop_ns)
     _fill_in(routes, counts, report)
-    sizes |= _correct_intervals(reader, routes, sizes, start_ns, stop_ns)
+    sizes |= _correct_intervals(reader, routes, sizes, span.start_ns, span.stop_ns)
     others = [key for key in routes if key not in sizes]
     sizes |= _other_sizes(reader, [routes[key].connection for key in others])
     report.bytes_written = _written_size(reader, target, routes, counts, sizes)
@@ -94,76 +92,52 @@ def forecast(
 def _converted_sizes(
     reader: Reader,
     routes: Mapping[int, OpenRoute],
-    options: ConvertOptions,
-    start_ns: int | None,
-    stop_ns: int | None,
-    report: Report,
-    firsts: FirstClouds,
+    combiners: Mapping[Output, Combiner],
+    span: Span,
+    tally: Tally,
     *,
     is_packed: bool,
 ) -> dict[int, _MeanSizes]:
     """Convert the first messages of each topic."""
-    converting = {key: route for key, route in routes.items() if route.convert is not None}
-    unconnected = TransformCheck(firsts.warn)
     sizes: dict[int, _MeanSizes] = {}
-    for key, route in converting.items():
-        connection, read, sizes_made = route.connection, list[int](), list[int]()
-        with closing(reader.messages([connection], start_ns, stop_ns)) as messages:
-            for message in messages:
-                read.append(len(message.data))
-                assert route.convert is not None  # only such routes are chosen
-                converted: Sequence[EncodedMessage | MessageError]
-                try:
-                    converted = route.convert(message.data)
-                except MessageError as err:
-                    converted = [err] * (1 + max(output.place for output in route.outputs))
-                errors = {id(error): error for error in converted if isinstance(error, MessageError)}
-                for error in errors.values():
-                    error.topic = connection.topic
-                    if options.on_error == "fail":
-                        raise error
-                    skipped = Skipped(
-                        connection.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or ""
-                    )
-                    report.list_skipped(skipped)
-                size = 0
-                for output in route.outputs:
-                    output.report.messages_in += 1
-                    result = converted[output.place]
-                    if output.combiner is not None and not isinstance(result, MessageError):
-                        if output.handle < 0:
-                            # Its size counts with the topic that leads the scan.
-                            output.report.messages_out += 1
-                            continue
-                        result = output.combiner.alone(cast("Any", result))
-                    if not isinstance(result, MessageError):
-                        data = (result.used or b"") if output.used else result.data
-                        size += _compressed_size(data) if is_packed else len(data)
-                        output.report.messages_out += 1
-                    if not isinstance(result, MessageError) and not output.used:
-                        output.report.points += result.counts
-                        output.report.empty_scans += result.empty
-                        _judge(result, message.log_time_ns)
-                failed = all(isinstance(result, MessageError) for result in converted)
-                if not failed:
-                    sizes_made.append(size)
-                unconnected.note(connection.topic, next(iter(errors.values())) if failed else None)
+    for key, route in routes.items():
+        if route.convert is None:
+            continue
+        read, made = list[int](), list[int]()
+        with closing(convert(reader, {key: route}, span, None)) as items:
+            for found in items:
+                # No rule allows whole chunks here.
+                assert isinstance(found, Item)
+                results = [(output, _alone(combiners.get(output), output, result)) for output, result in found.results]
+                item = found._replace(results=results)
+                read.append(item.size_in)
+                tally.count(item)
+                if item.failure is None:
+                    made.append(sum(_size(output, result, is_packed) for output, result in item.results))
                 # Only all messages show that no transforms connect them.
-                if len(sizes_made) == _CONVERTED or (len(read) >= _LOOKED_AT and not unconnected.is_possible):
+                if len(made) == _CONVERTED or (len(read) >= _LOOKED_AT and tally.is_connected):
                     break
         kept = _mean(read) if route.passing_handle >= 0 else 0.0
-        sizes[key] = _MeanSizes(_mean(read), kept, _mean(sizes_made))
-    unconnected.finish()
+        sizes[key] = _MeanSizes(_mean(read), kept, _mean(made))
     return sizes
 
 
-def _judge(result: EncodedMessage, log_time_ns: int) -> None:
-    """Add a cloud to the checks of the first ones, once if it is written to several topics."""
-    sample, result.sample = result.sample, None
-    if isinstance(sample, Candidate):
-        sample = sample.sample(log_time_ns)
-    if isinstance(sample, SharedSample):
-        sample.add(result.counts)
+def _alone(combiner: Combiner | None, output: Output, result: Any) -> Any:
+    """Return the scan of a message alone, if it waits for others; if it leads them, its size counts for all."""
+    if combiner is None or output.handle < 0 or isinstance(result, MessageError):
+        return result
+    try:
+        return combiner.alone(result)
+    except MessageError as err:
+        return err
+
+
+def _size(output: Output, result: object, is_packed: bool) -> int:
+    """Return how many bytes of a result are written to an output."""
+    if not isinstance(result, ConvertedMessage):
+        return 0
+    data = (result.used or b"") if output.used else result.message
+    return _compressed_size(data) if is_packed else len(data)
 
 
 def _compressed_size(data: bytes) -> int:
@@ -221,7 +195,7 @@ def _correct_intervals(
     for key, route in routes.items():
         for output in route.outputs:
             spec, entry = output.report.spec, output.report
-            if output.combiner is None or output.handle < 0 or spec is None or not spec.combining.every_ns:
+            if output.used or output.handle < 0 or spec is None or not spec.combining.every_ns:
                 continue
             scans = min(entry.messages_out, duration_ns // spec.combining.every_ns + 1)
             found[key] = sizes[key]._replace(made=sizes[key].made * scans / max(1, entry.messages_in))

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from pc2scan.tf.options import FrameOptions
     from pc2scan.tf.static import StaticTransform
 
+    from .items import Span
     from .plan import Plan
     from .scan_spec import ScanSpec
-    from .stream import Span
 
 
 #: No sensor is this far from its robot, metres; in millimetres all but the nearest are.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.model import Connection
 
-    from .stream import Span
+    from .items import Span
 
 
 #: How many clouds of a topic are read, and how many stamps are needed to know its period.

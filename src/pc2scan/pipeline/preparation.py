@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
     from .conversion import Conversion, Measurements
     from .first_clouds import FirstClouds
+    from .items import Span
     from .options import ConvertOptions
     from .plan import Combination, Plan
     from .report import Report
     from .scan_spec import ScanSpec
     from .stages.deskew import Deskew
     from .stages.turn import Turn
-    from .stream import Span
 
 
 def prepare_conversions(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -39,24 +39,18 @@ from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads, cores
 
-from .checks import TransformCheck, cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
+from .checks import cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
 from .conclusion import conclude
-from .declarations import Declarations
+from .engine import convert
 from .first_clouds import FirstClouds
+from .items import Span
 from .plan import make_plan
 from .preparation import prepare_conversions
+from .recording import RecordingTopics, chunk_rule, copy_extras, static_connection, write_items, write_static
 from .report import Report
-from .routes import (
-    bind,
-    chunk_rule,
-    copy_extras,
-    count_skipped,
-    open_routes,
-    static_connection,
-    write_static,
-)
+from .routes import count_skipped, open_routes
 from .run_files import OutputOptions, RunFiles, report_file
-from .stream import Progress, Span, stream
+from .tally import Tally
 from .topic_report import TopicReport
 
 if TYPE_CHECKING:
@@ -65,9 +59,11 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Summary
+    from pc2scan.model import Connection, Summary
     from pc2scan.tf.buffer import TransformBuffer
 
+    from .conversion import Conversion, Step
+    from .engine import Progress
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .plan import Plan
@@ -255,16 +251,15 @@ def _run(
             copying = target.chunks == chunk_format(reader.summary) != ""
             if copying:
                 writer.keep_ids(reader.connections)
-            same_kind = target.same_kind(reader.summary)
-            declared = Declarations()
-            routes = open_routes(plan.routes, conversions, target, same_kind, options, declared, report)
-            added = declared.add(static_connection(target)) if options.frames.write_static else None
-            levels = _level_frames(reader, plan, target, options, declared, report)
-            handles = declared.declare(writer, one_a_topic=target.format.one_a_topic)
-            bind(routes.values(), handles)
+            topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
+            opened = open_routes(plan.routes, conversions, partial(_encoder, target), topics)
+            report.topics += opened.entries
+            added = topics.add(static_connection(target)) if options.frames.write_static else None
+            levels = _level_frames(reader, plan, topics, options, report)
+            handles = topics.declare(writer, opened.by_id.values())
             if levels is not None:
                 levels.handle = handles[levels.handle]
-            routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
+            routes = count_skipped(opened.by_id, reader, span.start_ns, span.stop_ns)
             if not options.only_scans:
                 copy_extras(reader, target, writer, report)
             if added is not None:
@@ -279,9 +274,22 @@ def _run(
                 from pc2scan.bags.splitting import narrow_rule  # noqa: PLC0415  # most recordings are one file
 
                 rule = narrow_rule(rule, cut, reader.connections)
-            unconnected = TransformCheck(firsts.warn)
-            stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
-            unconnected.finish()
+            tally = Tally(routes, options.on_error, firsts.warn)
+            report.skipped = tally.skipped
+            items = convert(
+                reader,
+                routes,
+                span,
+                pool,
+                combiners=opened.combiners,
+                rule=rule,
+                window=_window(options),
+                progress=progress,
+            )
+            with closing(items):
+                write_items(items, writer, tally, levels)
+            report.messages_read = tally.messages
+            tally.finish()
             firsts.finish()
             for spec in plan.specs:
                 if spec.made_type == LASERSCAN:
@@ -319,8 +327,11 @@ def _estimate(
     report.warnings += cut_warnings(reader, options.start, options.end)
     firsts = FirstClouds(report, None, partial(robot_transforms, files.read, options, span))
     conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
-    levels = _level_frames(reader, plan, target, options, Declarations(), report)
-    size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report, firsts)
+    topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
+    opened = open_routes(plan.routes, conversions, partial(_encoder, target), topics)
+    report.topics += opened.entries
+    levels = _level_frames(reader, plan, topics, options, report)
+    size = forecast(reader, target, opened, options, span, report, firsts)
     if levels is not None:
         made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
         levels.report.messages_out = max(made, default=0)
@@ -398,17 +409,27 @@ def _target(
 
 
 def _level_frames(
-    reader: Reader, plan: Plan, target: Destination, options: ConvertOptions, declared: Declarations, report: Report
+    reader: Reader, plan: Plan, topics: RecordingTopics, options: ConvertOptions, report: Report
 ) -> LevelFrames | None:
     """Declare and return the writer of the level frames' transforms; None if no scan is level."""
     if not any(spec.level for spec in plan.specs):
         return None
     from .levelling import LevelFrames, tf_connection  # noqa: PLC0415  # only where scans are level
 
-    connection = tf_connection(reader, options.frames, target)
+    connection = tf_connection(reader, options.frames, topics.target)
     entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
     report.topics.append(entry)
-    return LevelFrames(declared.add(connection), target.serialization, entry)
+    return LevelFrames(topics.add(connection), topics.target.serialization, entry)
+
+
+def _encoder(target: Destination, conversion: Conversion, _: Connection) -> Step:
+    """Return the last step of results that are written to a recording."""
+    return conversion.encoder(target.serialization)
+
+
+def _window(options: ConvertOptions) -> int | None:
+    """Return how many units may be loaded ahead, the node's `queue_size`; None: as many as memory allows."""
+    return min((spec.params.queue_size for spec in options.scans if spec.params.queue_size), default=None)
 
 
 def _threads(options: ConvertOptions, stack: ExitStack) -> Threads | None:

@@ -11,7 +11,7 @@ from pc2scan.core.counts import PointCounts
 if TYPE_CHECKING:
     from .combine.counts import SourceCounts
     from .combine.rebinning import Rebinning
-    from .conversion import EncodedMessage
+    from .conversion import ConvertedMessage
     from .scan_spec import ScanSpec
 
 
@@ -117,7 +117,7 @@ class TopicReport:
             "median_deg": math.degrees(median_low(self.tilts)),
         }
 
-    def count(self, result: EncodedMessage) -> None:
+    def count(self, result: ConvertedMessage) -> None:
         """Count what a message became: its points, the motion of the sensor, and its beams."""
         self.points += result.counts
         self.empty_scans += result.empty

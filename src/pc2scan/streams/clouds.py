@@ -15,13 +15,13 @@ from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder, P
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer, RawMessage
+    from pc2scan.model import Buffer
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -212,14 +212,10 @@ class Clouds(Stream[Cloud]):
     """
 
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
-        known = [connection for connection in reader.connections if connection.ros_version is not None]
-        decoders = {connection.id: CloudDecoder(connection.serialization) for connection in known}
+        return self._source_of_type(stack, reader, POINTCLOUD2, _hint_scans, _decoder)
 
-        def cloud(message: RawMessage) -> Cloud:
-            connection = message.connection
-            return Cloud(connection.topic, message.log_time_ns, decoders[connection.id](_own_data(message.data)))
-
-        return self._source_of_type(stack, reader, POINTCLOUD2, _hint_scans, cloud)
+    def _object(self, topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
+        return Cloud(topic, log_time_ns, message)
 
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each point of each cloud. Reads all clouds into memory.
@@ -243,6 +239,12 @@ class Clouds(Stream[Cloud]):
         if len(self.topics) > 1:
             table["topic"] = pandas.Categorical(np.repeat([cloud.topic for cloud in clouds], sizes))
         return pandas.DataFrame(table)
+
+
+def _decoder(serialization: str) -> Callable[[Buffer], PointCloud2]:
+    """Return the decoder of clouds that do not keep more than their message in memory."""
+    decode = CloudDecoder(serialization)
+    return lambda data: decode(_own_data(data))
 
 
 def _own_data(data: Buffer) -> Buffer:

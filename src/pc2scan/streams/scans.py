@@ -2,45 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pc2scan.core.unproject import UnprojectParams, unproject
-from pc2scan.errors import MessageError, UsageError, stamp_text, visible
+from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.pipeline.checks import TransformCheck, cut_warnings, option_warnings, refuse_unusable
-from pc2scan.pipeline.conversion import EncodedMessage
-from pc2scan.pipeline.first_clouds import Candidate, FirstClouds, SharedSample
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
+from pc2scan.pipeline.checks import cut_warnings, option_warnings, refuse_unusable
+from pc2scan.pipeline.first_clouds import FirstClouds
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.preparation import prepare_conversions
 from pc2scan.pipeline.report import Report
-from pc2scan.pipeline.routes import combiner_of
+from pc2scan.pipeline.routes import open_routes
 from pc2scan.pipeline.run import robot_transforms, span_of
-from pc2scan.pipeline.topic_report import TopicReport
 
-from .stream import MessageResult, NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
+from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer, RawMessage
-    from pc2scan.pipeline.combine.combiner import Arrival, CombinedScan, Combiner
+    from pc2scan.model import Buffer, Connection
+    from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.plan import Combination, Route
 
     from .stream import Selection
 
 #: The attributes that all scans of one Dataset must share, because they describe the beams.
 _GEOMETRY = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = ("range_min", "range_max", "time_increment", "scan_time")
+
+#: What a scan has of its message, in the order of `Scan`.
+_DECODED = (
+    *("stamp_ns", "frame_id", "sequence", "angle_min", "angle_max", "angle_increment", "time_increment", "scan_time"),
+    *("range_min", "range_max", "ranges", "intensities"),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -197,7 +200,10 @@ class Scans(Stream[Scan]):
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
         if self._conversion is not None:
             return self._converting(stack, reader, self._conversion)
-        return self._source_of_type(stack, reader, LASERSCAN, _hint_clouds, _read_scan)
+        return self._source_of_type(stack, reader, LASERSCAN, _hint_clouds, lambda form: partial(_decode, form))
+
+    def _object(self, topic: str, log_time_ns: int, message: Any) -> Scan:
+        return Scan(topic, log_time_ns, *map(message.__getattribute__, _DECODED))
 
     def _converting(self, stack: ExitStack, reader: Reader, options: ConvertOptions) -> StreamSource:
         """Convert clouds as `pc2scan.convert` does."""
@@ -215,43 +221,16 @@ class Scans(Stream[Scan]):
             *cut_warnings(reader, options.start, options.end),
             *plan.warnings,
         )
-        early: list[str] = []
+        found = _ScanWarnings(report)
         transforms = partial(robot_transforms, self._selection.paths, options, span)
-        firsts = FirstClouds(report, early.append, transforms)
-        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
-        early[:0] = report.warnings
+        found.firsts = FirstClouds(report, found.pending.append, transforms)
+        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, found.firsts)
+        found.pending[:0] = report.warnings
         self.notes = tuple(report.notes)
-        routes: dict[int, list[_Task]] = {}
-        joints: dict[Combination, Combiner] = {}
-        for route in plan.routes:
-            connection = route.connection
-            serial = connection.serialization
-            for task in route.tasks:
-                conversion = conversions[task.key]
-                convert = conversion.for_topic(connection.topic, serial, serial, connection.ros_type)
-                joint = combiner_of(joints, task, conversion, serial)
-                routes.setdefault(connection.id, []).append(_Task(convert, task.targets, joint))
-
-        def read(message: RawMessage) -> MessageResult:
-            return _convert(routes[message.connection.id], message)
-
-        connections = [route.connection for route in plan.routes if route.targets]
+        opened = open_routes(plan.routes, conversions, _reader)
+        report.topics += opened.entries
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
-        latched = [connection for connection in connections if connection.latching]
-        account = _ConversionCounter(report, plan.routes, joints, firsts, early)
-        return StreamSource(
-            stack,
-            [reader, *others],
-            topics,
-            connections,
-            span.start_ns,
-            span.stop_ns,
-            read,
-            latched,
-            account,
-            tuple(joints.values()),
-            _joint_result if joints else None,
-        )
+        return StreamSource(stack, [reader, *others], topics, opened.by_id, span, found, options.jobs, opened.combiners)
 
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each beam of each scan. Reads all scans into memory.
@@ -335,143 +314,39 @@ def _layout_text(scan: Scan) -> str:
     )
 
 
-def _scan(topic: str, log_time_ns: int, data: Buffer, serialization: str) -> Scan:
-    decoded = decode_laserscan(data, serialization)
-    return Scan(
-        topic,
-        log_time_ns,
-        decoded.stamp_ns,
-        decoded.frame_id,
-        decoded.sequence,
-        decoded.angle_min,
-        decoded.angle_max,
-        decoded.angle_increment,
-        decoded.time_increment,
-        decoded.scan_time,
-        decoded.range_min,
-        decoded.range_max,
-        # Copies: a view would keep the whole chunk in memory that the message was in.
-        decoded.ranges.astype(np.float32),
-        decoded.intensities.astype(np.float32),
-    )
+def _decode(serialization: str, data: Buffer) -> LaserScan:
+    """Return a scan that does not keep the message in memory."""
+    scan = decode_laserscan(data, serialization)
+    scan.ranges, scan.intensities = scan.ranges.astype(np.float32), scan.intensities.astype(np.float32)
+    return scan
 
 
-def _read_scan(message: RawMessage) -> Scan:
-    connection = message.connection
-    return _scan(connection.topic, message.log_time_ns, message.data, connection.serialization)
+def _reader(_: Conversion, connection: Connection) -> Callable[[ConvertedMessage], ConvertedMessage]:
+    """Return the last step of a conversion to `Scan`: the numbers of the arrays become those of a message."""
+    return partial(_read_back, connection.serialization)
 
 
-class _Task(NamedTuple):
-    """A conversion, and the topics of its scans; ``joint`` makes a scan of a message and others."""
-
-    convert: Callable[[Buffer], Any]
-    targets: Sequence[str]
-    joint: Combiner | None
+def _read_back(serialization: str, result: ConvertedMessage) -> ConvertedMessage:
+    result.message = as_message(result.message, serialization)
+    result.size = result.message.ranges.nbytes + result.message.intensities.nbytes
+    return result
 
 
-def _convert(tasks: Sequence[_Task], message: RawMessage) -> MessageResult:
-    connection, log_time_ns = message.connection, message.log_time_ns
-    scans: list[Scan] = []
-    arrived: list[Arrival] = []
-    alone: EncodedMessage | None = None
-    try:
-        for convert, targets, joint in tasks:
-            made = convert(message.data)
-            if isinstance(made, EncodedMessage) and isinstance(made.sample, Candidate):
-                made.sample = made.sample.sample(log_time_ns)
-            if joint is None:
-                alone = made
-                scans += _scans_of(made, targets, log_time_ns, connection.serialization)
-            else:
-                from pc2scan.pipeline.combine.combiner import Arrival  # noqa: PLC0415  # few scans are of several messages
+class _ScanWarnings:
+    """The warnings of a conversion to `Scan`; see `ConversionWarnings`."""
 
-                arrived.append(Arrival(joint, (connection, targets), made, message.sequence))
-    except MessageError as err:
-        return MessageResult(connection, log_time_ns, 0, error=err)
-    size = 0 if alone is None else len(alone.data)
-    converted = None if alone is None else replace(alone, data=b"")
-    return MessageResult(connection, log_time_ns, size, tuple(scans), converted=converted, arrived=tuple(arrived))
+    def __init__(self, report: Report) -> None:
+        self.pending: list[str] = []
+        self.firsts: FirstClouds
+        self._report = report
 
-
-def _joint_result(scan: CombinedScan) -> MessageResult:
-    """Return a scan of several messages as the result of the message that leads it."""
-    (connection, targets), log_time_ns, _, _, made = scan
-    if isinstance(made, MessageError):
-        return MessageResult(connection, log_time_ns, 0, error=made, is_joint=True)
-    scans = _scans_of(made, targets, log_time_ns, connection.serialization)
-    return MessageResult(
-        connection, log_time_ns, len(made.data), tuple(scans), converted=replace(made, data=b""), is_joint=True
-    )
-
-
-def _scans_of(made: EncodedMessage, targets: Sequence[str], log_time_ns: int, serialization: str) -> list[Scan]:
-    first = _scan(targets[0], log_time_ns, made.data, serialization)
-    return [first, *(replace(first, topic=target) for target in targets[1:])]
-
-
-class _ConversionCounter:
-    """Counts the results of a conversion, as `pc2scan.convert` does."""
-
-    def __init__(
-        self,
-        report: Report,
-        routes: Sequence[Route],
-        joints: Mapping[Combination, Combiner],
-        firsts: FirstClouds,
-        early: list[str],
-    ) -> None:
-        self._report, self._firsts, self._early = report, firsts, early
-        self._unconnected = TransformCheck()
-        entries: dict[tuple[str, str], TopicReport] = {}
-        #: The entries of each connection, and whether their scans are made of several messages.
-        self._entries: dict[int, list[tuple[TopicReport, bool]]] = {}
-        for route in routes:
-            topic, found = route.connection.topic, self._entries.setdefault(route.connection.id, [])
-            for task in route.tasks:
-                joint = joints.get(task.combination) if task.combination is not None else None
-                number = 0 if task.combination is None else task.combination.sources.index(topic)
-                for target in task.targets:
-                    entry = TopicReport(
-                        topic, route.connection.ros_type, target, "joined" if number else "converted", spec=task.spec
-                    )
-                    entry = entries.setdefault((topic, target), entry)
-                    found.append((entry, joint is not None))
-                    if joint is not None:
-                        joint.reports[number] = entry
-        report.topics += entries.values()
-
-    def note(self, message: MessageResult) -> None:
-        """Count a message; see `ResultCounter`."""
-        made = message.converted
-        if made is not None and isinstance(made.sample, SharedSample):
-            made.sample.add(made.counts)
-        if not message.is_joint:
-            self._unconnected.note(message.connection.topic, message.error)
-        for entry, is_joint in self._entries[message.connection.id]:
-            if message.is_joint and not is_joint:
-                continue
-            entry.messages_in += not message.is_joint
-            if message.error is not None:
-                entry.skipped += 1
-            elif message.converted is not None and message.is_joint == is_joint:
-                entry.messages_out += 1
-                entry.count(message.converted)
-
-    def finish(self) -> None:
-        """Raise if nothing could be converted; see `ResultCounter`."""
-        self._unconnected.finish()
-
-    def early_warnings(self) -> Sequence[str]:
-        """Return new warnings about the first clouds; see `ResultCounter`."""
-        if not self._early:
-            return ()
-        found = tuple(self._early)
-        self._early.clear()
+    def early(self) -> Sequence[str]:
+        found = tuple(self.pending)
+        self.pending.clear()
         return found
 
-    def warnings(self) -> Sequence[str]:
-        """Return warnings for the user; see `ResultCounter`."""
-        self._firsts.finish()
+    def conclude(self) -> Sequence[str]:
+        self.firsts.finish()
         self._report.conclude()
         return self._report.warnings
 

@@ -6,8 +6,8 @@ import warnings
 from abc import ABC, abstractmethod
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
-from itertools import chain
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeVar
 from weakref import WeakSet, finalize
 
@@ -15,15 +15,21 @@ import numpy as np
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
-from pc2scan.bags.units import merge_by_time
-from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list, visible
+from pc2scan.core.counts import PointCounts
+from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, visible
+from pc2scan.model import StoredChunk
 from pc2scan.pipeline.checks import refuse_no_messages
+from pc2scan.pipeline.conversion import ConvertedMessage
+from pc2scan.pipeline.engine import convert
+from pc2scan.pipeline.items import OpenRoute, Output
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import span_of
-from pc2scan.result import MAX_LISTED, Skipped
+from pc2scan.pipeline.tally import Tally
+from pc2scan.pipeline.topic_report import TopicReport
+from pc2scan.threads import Threads, cores
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Generator, Sequence
+    from collections.abc import Callable, Collection, Generator, Mapping, Sequence
     from pathlib import Path
     from types import TracebackType
 
@@ -31,11 +37,14 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection, RawMessage
+    from pc2scan.errors import MessageError
+    from pc2scan.model import Buffer, Connection
     from pc2scan.options.moment import TimeBound
-    from pc2scan.pipeline.combine.combiner import Arrival, CombinedScan, Combiner
-    from pc2scan.pipeline.conversion import EncodedMessage
-    from pc2scan.pipeline.stream import Progress
+    from pc2scan.pipeline.combine.combiner import Combiner
+    from pc2scan.pipeline.engine import Progress
+    from pc2scan.pipeline.items import Span
+    from pc2scan.result import Skipped
+    from pc2scan.tf.placing import LevelTransform
 
 
 def import_pandas() -> Any:
@@ -97,8 +106,7 @@ Item = TypeVar("Item")
 #: How many topics ``repr`` names.
 _SHOWN = 3
 
-#: How many messages are between two calls of a progress function.
-_PROGRESS_EVERY = 64
+_NO_POINTS = PointCounts()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,40 +187,15 @@ class Selection:
         return {name: found[name] for name in dict.fromkeys(names)}
 
 
-class MessageResult(NamedTuple):
-    """The result of a message: its items, or the error; for a conversion, also the counts of its points.
+class ConversionWarnings(Protocol):
+    """Collects the warnings of a conversion."""
 
-    ``arrived`` is its part of a scan of several messages. ``is_joint`` is whether this is such a scan, whose connection
-    is the one that leads.
-    """
-
-    connection: Connection
-    log_time_ns: int
-    size: int
-    items: tuple[object, ...] = ()
-    error: MessageError | None = None
-    converted: EncodedMessage | None = None
-    arrived: tuple[Arrival, ...] = ()
-    is_joint: bool = False
-
-
-class ResultCounter(Protocol):
-    """Counts the results of all messages."""
-
-    def note(self, message: MessageResult) -> None:
-        """Count a message."""
+    def early(self) -> Sequence[str]:
+        """Return those that are new since the last call."""
         ...
 
-    def finish(self) -> None:
-        """Raise a `MessageError` if, in the end, no message could be used."""
-        ...
-
-    def early_warnings(self) -> Sequence[str]:
-        """Return new warnings for the user, after any message; `warnings` returns them, too."""
-        ...
-
-    def warnings(self) -> Sequence[str]:
-        """Return warnings for the user, at the end."""
+    def conclude(self) -> Sequence[str]:
+        """Return all of them, at the end."""
         ...
 
 
@@ -225,67 +208,39 @@ class StreamSource(NamedTuple):
         The recording, and others that were opened for it; all are closed with ``stack``.
     topics
         The topics of the items.
-    connections
-        The connections that are read.
-    start_ns, stop_ns
-        The cut: ``start_ns <= log_time_ns < stop_ns``.
-    read
-        Makes the items of a message.
-    latched
-        Connections whose messages that are latched at the beginning of the cut are read, too.
-    account
-        Counts the result of each message; None if not needed.
-    joints
-        What makes scans of several messages.
-    read_joint
-        Makes the items of such scans.
+    routes
+        What is done with the messages of each connection.
+    span
+        The cut.
+    warnings
+        The warnings of a conversion; None if messages are read as they are.
+    jobs
+        The number of threads; 0: one for each processor core.
+    combiners
+        What makes scans of several messages, by the outputs of these.
     """
 
     stack: ExitStack
     readers: Sequence[Reader]
     topics: tuple[str, ...]
-    connections: Sequence[Connection]
-    start_ns: int | None
-    stop_ns: int | None
-    read: Callable[[RawMessage], MessageResult]
-    latched: Collection[Connection] = ()
-    account: ResultCounter | None = None
-    joints: Sequence[Combiner] = ()
-    read_joint: Callable[[CombinedScan], MessageResult] | None = None
+    routes: Mapping[int, OpenRoute]
+    span: Span
+    warnings: ConversionWarnings | None = None
+    jobs: int = 0
+    combiners: Mapping[Output, Combiner] = {}
 
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage in the parts of the recordings that were read."""
         return tuple(damage for reader in self.readers for damage in reader.damage)
 
-    def messages(self) -> Generator[MessageResult]:
-        """Yield the results of the messages, by log time; a scan of several follows the last of them."""
-        if self.read_joint is None:
-            yield from self._results()
-            return
-        from pc2scan.pipeline.combine.combiner import add_scans  # noqa: PLC0415  # few scans are made of several messages
 
-        with closing(add_scans(self._results(), _arrivals, self.joints, None)) as found:
-            for each in found:
-                yield each if isinstance(each, MessageResult) else self.read_joint(each)
-                del each
+class StreamedResult(NamedTuple):
+    """What a message became: its objects, with the transform of a level scan's frame, or the errors in their place."""
 
-    def _results(self) -> Generator[MessageResult]:
-        reader = self.readers[0]
-        parts = [reader.units(self.connections, self.start_ns, self.stop_ns)]
-        if self.latched and self.start_ns is not None:
-            from pc2scan.pipeline.stream import latched_at  # noqa: PLC0415  # few streams have them
-
-            parts.insert(0, [latched_at(reader.messages(self.latched, None, self.start_ns), self.start_ns)])
-        for units in parts:
-            with closing(merge_by_time(units, self.read, path=reader.path)) as found:
-                # Readers yield whole chunks only if they are given a rule for them, which is not the case here.
-                yield from found  # type: ignore[misc]
-
-
-def _arrivals(read: MessageResult | CombinedScan) -> tuple[int, int, tuple[Arrival, ...]]:
-    assert isinstance(read, MessageResult)
-    return read.log_time_ns, read.size, read.arrived
+    topic: str
+    items: Sequence[tuple[Any, LevelTransform | None]]
+    errors: Sequence[MessageError]
 
 
 class Stream(ABC, Generic[Item]):
@@ -328,29 +283,34 @@ class Stream(ABC, Generic[Item]):
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
         """Return what is read from an open recording."""
 
+    @abstractmethod
+    def _object(self, topic: str, log_time_ns: int, message: Any) -> Item:
+        """Return the object of a message, as a route of the source has made it."""
+
     def _source_of_type(
         self,
         stack: ExitStack,
         reader: Reader,
         msgtype: str,
         hint: Callable[[Reader], str | None],
-        item_of: Callable[[RawMessage], Item],
+        decoder: Callable[[str], Callable[[Buffer], Any]],
     ) -> StreamSource:
-        """Return the messages of a type, each of which becomes one item; see `Selection.select_connections`."""
+        """Return the messages of a type, each of which becomes one object; see `Selection.select_connections`.
+
+        ``decoder`` returns the decoder of messages in a serialisation.
+        """
         selection = self._selection
         chosen = selection.select_connections(reader, (msgtype,), hint)
         span = span_of(reader, ConvertOptions(start=selection.start, end=selection.end))
-        connections = list(chain.from_iterable(chosen.values()))
-
-        def read(message: RawMessage) -> MessageResult:
-            connection, log_time_ns = message.connection, message.log_time_ns
-            try:
-                item = item_of(message)
-            except MessageError as err:
-                return MessageResult(connection, log_time_ns, 0, error=err)
-            return MessageResult(connection, log_time_ns, message.size, (item,))
-
-        return StreamSource(stack, [reader], tuple(chosen), connections, span.start_ns, span.stop_ns, read)
+        routes = {}
+        for topic, connections in chosen.items():
+            output = Output(TopicReport(topic, msgtype, topic, "converted"), 0)
+            for each in connections:
+                convert = partial(_read, decoder(each.serialization))
+                # A message is decoded at once: its object takes no more memory.
+                routes[each.id] = OpenRoute(each, convert=convert, outputs=[output], shrinks_from=0)
+        # Objects are as large as their messages: other threads would hold many of them ahead of the loop.
+        return StreamSource(stack, [reader], tuple(chosen), routes, span, jobs=1)
 
     def _open(self) -> StreamSource:
         selection = self._selection
@@ -358,9 +318,11 @@ class Stream(ABC, Generic[Item]):
             readers = open_recordings(selection.paths, stack, verify=selection.verify, strict=selection.strict)
             source = self._source(stack, as_one(readers))
             # A topic without messages gives an empty loop, but a cut outside of the recording is an error.
-            if source.start_ns is not None or source.stop_ns is not None:
+            start_ns, stop_ns, _ = source.span
+            if start_ns is not None or stop_ns is not None:
+                connections = [route.connection for route in source.routes.values()]
                 with suppress(TopicError):
-                    refuse_no_messages(source.readers[0], source.connections, source.start_ns, source.stop_ns)
+                    refuse_no_messages(source.readers[0], connections, start_ns, stop_ns)
             # No error: the files stay open.
             return source._replace(stack=stack.pop_all())
 
@@ -371,8 +333,8 @@ class Stream(ABC, Generic[Item]):
         next(items)
         return items
 
-    def reads(self, progress: Progress | None = None) -> Generator[MessageResult]:
-        """Yield the result of each message, for callers that report it themselves: Python's warnings are not used.
+    def results(self, progress: Progress | None = None) -> Generator[StreamedResult]:
+        """Yield what each message became, for callers that report errors themselves: Python's warnings are not used.
 
         At the end, `listener` receives the warnings of a conversion.
 
@@ -387,18 +349,44 @@ class Stream(ABC, Generic[Item]):
             If it is certain that no message can be used.
         """
         source = self._take_source()
-        with source.stack, closing(_count_results(source)) as messages:
-            reader = source.readers[0]
-            total = reader.summary.size_bytes
-            for number, message in enumerate(messages):
-                if progress is not None and number % _PROGRESS_EVERY == 0:
-                    progress(min(reader.bytes_read, total), total, number)
-                yield message
-                del message
+        with source.stack, closing(self._read(source, progress)) as results:
+            for result in results:
+                yield result
+                del result
             self.damage = source.damage
-            if source.account is not None and self.listener is not None:
-                for text in source.account.warnings():
+            if source.warnings is not None and self.listener is not None:
+                for text in source.warnings.conclude():
                     self.listener(text)
+
+    def _read(self, source: StreamSource, progress: Progress | None) -> Generator[StreamedResult]:
+        """Yield what each message became, after it was counted."""
+        tally = Tally(source.routes, self._selection.on_error)
+        self.skipped, self.skipped_count = tally.skipped, 0
+        jobs = source.jobs or cores()
+        with ExitStack() as stack:
+            threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
+            found = convert(
+                source.readers[0],
+                source.routes,
+                source.span,
+                threads,
+                combiners=source.combiners,
+                progress=progress,
+            )
+            stack.enter_context(closing(found))
+            for item in found:
+                # No rule allows whole chunks here.
+                assert not isinstance(item, StoredChunk)
+                tally.count(item)
+                self.skipped_count = tally.failures
+                made = [
+                    (self._object(output.report.target or "", item.log_time_ns, result.message), result.level)
+                    for output, result in item.results
+                    if isinstance(result, ConvertedMessage)
+                ]
+                yield StreamedResult(item.route.connection.topic, made, item.errors)
+                del item, made
+        tally.finish()
 
     def _take_source(self) -> StreamSource:
         """Return the open recording; the caller closes it."""
@@ -409,51 +397,35 @@ class Stream(ABC, Generic[Item]):
         return source
 
     def _items(self, source: StreamSource) -> Generator[Item]:
-        """Yield the items, after a first None: once the generator has begun, it closes the files in any case."""
+        """Yield the objects, after a first None: once the generator has begun, it closes the files in any case."""
         with source.stack:
             yield None  # type: ignore[misc]
-            self.skipped, self.skipped_count = [], 0
             self.damage = source.damage
             warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
             told: set[str] = set()
-            with closing(_count_results(source)) as messages:
-                for number, message in enumerate(messages):
-                    if self.progress is not None and number % _PROGRESS_EVERY == 0:
-                        first = source.readers[0]
-                        self.progress(first.bytes_read, first.summary.size_bytes, number)
-                    if source.account is not None and not self.listener:
-                        for text in source.account.early_warnings():
+            with closing(self._read(source, self.progress)) as results:
+                for result in results:
+                    if source.warnings is not None and not self.listener:
+                        for text in source.warnings.early():
                             told.add(text)
                             warnings.warn(text, RecordingWarning, stacklevel=2)
-                    if message.error is None:
-                        yield from message.items  # type: ignore[misc]
-                    else:
-                        self._skip(message)
-                    del message
+                    if result.errors and self.skipped_count == 1 and not self.listener:
+                        error = result.errors[0]
+                        hint = f" ({error.hint})" if error.hint else ""
+                        more = "see .skipped for all such messages; on_error='fail' makes them errors"
+                        warnings.warn(f"skipped: {error}{hint}; {more}", RecordingWarning, stacklevel=2)
+                    for item, _ in result.items:
+                        yield item
+                        del item
+                    del result
             self.damage = source.damage
             if not self.listener:
                 _warn_of_damage(self.damage, warned)
-            for text in () if source.account is None else source.account.warnings():
+            for text in () if source.warnings is None else source.warnings.conclude():
                 if self.listener:
                     self.listener(text)
                 elif text not in told:
                     warnings.warn(text, RecordingWarning, stacklevel=2)
-
-    def _skip(self, message: MessageResult) -> None:
-        """Count a message that cannot be used; warn of the first one, list the others."""
-        error = message.error
-        assert error is not None
-        error.topic = message.connection.topic
-        if self._selection.on_error == "fail":
-            raise error
-        if not self.skipped_count and not self.listener:
-            hint = f" ({error.hint})" if error.hint else ""
-            text = f"skipped: {error}{hint}; see .skipped for all such messages; on_error='fail' makes them errors"
-            warnings.warn(text, RecordingWarning, stacklevel=3)
-        self.skipped_count += 1
-        if len(self.skipped) < MAX_LISTED:
-            found = Skipped(error.topic, message.log_time_ns, error.stamp_ns, error.message, error.hint or "")
-            self.skipped.append(found)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Return how to open the recording anew, for copies, and for processes that read it, too."""
@@ -480,16 +452,9 @@ class Stream(ABC, Generic[Item]):
         return f"<{type(self).__name__} on {', '.join(map(visible, self.topics[:_SHOWN]))}{more} of {paths}>"
 
 
-def _count_results(source: StreamSource) -> Generator[MessageResult]:
-    """Yield the result of each message, after the account has counted it."""
-    with closing(source.messages()) as messages:
-        for message in messages:
-            if source.account is not None:
-                source.account.note(message)
-            yield message
-            del message
-    if source.account is not None:
-        source.account.finish()
+def _read(decode: Callable[[Buffer], Any], data: Buffer) -> tuple[ConvertedMessage]:
+    """Return a message as it was recorded, in the form of the result of a conversion."""
+    return (ConvertedMessage(decode(data), _NO_POINTS, empty=False, size=len(data)),)
 
 
 def _warn_of_damage(damage: tuple[Damage, ...], warned: int) -> int:

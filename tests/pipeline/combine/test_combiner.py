@@ -10,7 +10,9 @@ from weakref import ref
 
 import pytest
 
-from pc2scan.pipeline.combine.combiner import Arrival, add_scans
+from pc2scan.pipeline.combine.combiner import Arrival, add_groups
+from pc2scan.pipeline.combine.conversion import Contribution
+from pc2scan.pipeline.items import Item, Output
 from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
@@ -62,18 +64,21 @@ def test_points_are_freed_before_the_next_message_is_read(jobs: int, *, quick: b
     combiner: Any = EachItsOwn(quick=quick)
     freed = []
 
-    def outcomes() -> Generator[int]:
+    unseen: Any = None
+    waiting = Contribution(*[unseen] * 13)
+    output = Output(unseen, 0)
+
+    def items() -> Generator[Any]:
         for number in range(3):
-            yield number
+            yield Item(unseen, number, number, number, 0, [(output, waiting)])
             # This message's scan was made: the next one is read into the same buffer.
             freed.append(combiner.hold_nothing())
 
-    def arrivals(number: Any) -> tuple[int, int, list[Arrival]]:
-        return number, 0, [Arrival(combiner, None, None, number)]  # type: ignore[arg-type]  # nothing looks at it
-
     with Threads(jobs) if jobs > 1 else nullcontext() as threads:
-        written = list(add_scans(outcomes(), arrivals, [combiner], threads))
-    assert written == [0, "scan 0", 1, "scan 1", 2, "scan 2"]
+        written: list[Any] = list(add_groups(items(), {output: combiner}, threads))
+    assert [each if isinstance(each, str) else each.log_time_ns for each in written] == [
+        *(0, "scan 0", 1, "scan 1", 2, "scan 2")
+    ]
     assert freed == [True] * 3
     if quick:
         # Handing the work to another thread takes longer.

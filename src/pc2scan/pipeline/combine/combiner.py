@@ -9,45 +9,38 @@ from __future__ import annotations
 
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import MessageError
+from pc2scan.model import StoredChunk
+from pc2scan.pipeline.items import Item
 from pc2scan.threads import InOrder
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable
+from .conversion import Contribution
 
-    from pc2scan.pipeline.conversion import EncodedMessage
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Mapping
+
+    from pc2scan.pipeline.conversion import ConvertedMessage
+    from pc2scan.pipeline.items import OpenRoute, Output
     from pc2scan.pipeline.topic_report import TopicReport
     from pc2scan.threads import Threads
 
-    from .conversion import Contribution, MessagesToScan
+    from .conversion import MessagesToScan
     from .grouping import Group
     from .rules import SourceMessage
-
-Outcome = TypeVar("Outcome")
 
 #: Bytes that may wait for each thread to be written.
 _AHEAD_BYTES = 6 << 20
 
 
 class Arrival(NamedTuple):
-    """A message for a scan, the output of the scan if this message leads it, and the sequence number."""
+    """A message for a scan: its route, the output of the scan if this message leads it, and the sequence number."""
 
-    combiner: Combiner
-    output: Any
+    route: OpenRoute
+    output: Output
     contribution: Contribution
     sequence: int
-
-
-class CombinedScan(NamedTuple):
-    """A scan to be written, or the error in its place; ``output`` is that of the leading message."""
-
-    output: Any
-    log_time_ns: int
-    stamp_ns: int
-    sequence: int
-    made: EncodedMessage | MessageError
 
 
 class Combiner:
@@ -57,8 +50,8 @@ class Combiner:
     ----------
     conversion
         The conversion of the messages.
-    serialization
-        The serialisation of the scans: ``ros1`` or ``cdr``.
+    last
+        The consumer's last step with each scan; None: there is none.
 
     Attributes
     ----------
@@ -66,12 +59,12 @@ class Combiner:
         The report's entry of each topic, by the topic's number. All publishers of a topic share one.
     """
 
-    def __init__(self, conversion: MessagesToScan, serialization: str) -> None:
+    def __init__(self, conversion: MessagesToScan, last: Callable[[ConvertedMessage], ConvertedMessage] | None) -> None:
         if conversion.grouper is None:
             raise ValueError("each message is a scan by itself")
         self.reports: dict[int, TopicReport] = {}
         self._conversion = conversion
-        self._serialization = serialization
+        self._last = last
         self._grouper = conversion.grouper()
 
     def add(self, arrival: Arrival, log_time_ns: int) -> list[Group[Any]]:
@@ -88,17 +81,21 @@ class Combiner:
                 entry.messages_out = entry.joined.used
         return groups
 
-    def make(self, group: Group[Arrival], log_time_ns: int) -> CombinedScan:
+    def make(self, group: Group[Arrival], log_time_ns: int) -> Item:
         """Make the scan of a group; runs on any thread."""
         lead: SourceMessage[Arrival] = group.lead
-        output, contribution, sequence = lead.item.output, lead.item.contribution, lead.item.sequence
-        made: EncodedMessage | MessageError
+        route, output, contribution, sequence = lead.item
+        made: ConvertedMessage | MessageError
         try:
             members = [member.item.contribution for member in group.members]
-            made = self._conversion.encode_scan(contribution, members, self._serialization)
+            made = self._finish(self._conversion.scan(contribution, members))
         except MessageError as err:
             made = err
-        return CombinedScan(output, log_time_ns, contribution.stamp_ns, sequence, made)
+            err.stamp_ns = err.stamp_ns or contribution.stamp_ns
+        results = [(output, made)]
+        if output.points is not None and not isinstance(made, MessageError):
+            results.append((output.points, made))
+        return Item(route, log_time_ns, log_time_ns, sequence, 0, results, is_group=True)
 
     def is_quick(self, group: Group[Arrival]) -> bool:
         """Whether making a scan takes less time than handing it to another thread."""
@@ -106,38 +103,36 @@ class Combiner:
             group.lead.item.contribution, [each.item.contribution for each in group.members]
         )
 
-    def alone(self, contribution: Contribution) -> EncodedMessage:
+    def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message alone, for forecasts."""
-        return self._conversion.encode_scan(contribution, (contribution,), self._serialization)
+        return self._finish(self._conversion.alone(contribution))
+
+    def _finish(self, scan: ConvertedMessage) -> ConvertedMessage:
+        return scan if self._last is None else self._last(scan)
 
 
-def add_scans(
-    outcomes: Generator[Outcome],
-    arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrival]]],
-    combiners: Iterable[Combiner],
-    threads: Threads | None,
-) -> Generator[Outcome | CombinedScan]:
-    """Add the scans of several messages to the results of single messages.
+def add_groups(
+    items: Generator[Item | StoredChunk], combiners: Mapping[Output, Combiner], threads: Threads | None
+) -> Generator[Item | StoredChunk]:
+    """Add the scans of several messages to the items of single messages.
 
     Parameters
     ----------
-    outcomes
-        The results of single messages, in the order of writing.
-    arrivals
-        Returns the log time of an outcome, its size in bytes, and the messages that it has for scans.
+    items
+        Those of single messages, in the order of writing.
     combiners
-        All combiners of the conversion.
+        By the outputs of the messages.
     threads
         The threads that make the scans, or None for the caller's alone. The scans do not depend on it.
 
     Yields
     ------
-    Outcome | CombinedScan
-        Each scan follows the outcome that completes it.
+    Item | StoredChunk
+        Each group follows the item that completes it.
     """
     if threads is None:
-        with closing(outcomes):
-            for work, _, _ in _work(outcomes, arrivals, combiners):
+        with closing(items):
+            for work, _, _ in _work(items, combiners):
                 done = work()
                 # The next message is read into the buffer that this scan's points were in.
                 del work
@@ -146,7 +141,7 @@ def add_scans(
     # Of scans with very many points, only one may wait.
     queue: InOrder[Any] = InOrder(threads, _AHEAD_BYTES, 1)
     try:
-        for work, size, takes_long in _work(outcomes, arrivals, combiners):
+        for work, size, takes_long in _work(items, combiners):
             while len(queue) and not queue.has_room(size):
                 yield queue.take()
             queue.put(work, size, at_its_turn=not takes_long)
@@ -159,34 +154,44 @@ def add_scans(
     finally:
         queue.cancel()
         # Stops loading ahead.
-        outcomes.close()
+        items.close()
 
 
 def _work(
-    outcomes: Iterable[Outcome],
-    arrivals: Callable[[Outcome], tuple[int, int, Iterable[Arrival]]],
-    combiners: Iterable[Combiner],
-) -> Generator[tuple[Callable[[], Outcome | CombinedScan], int, bool]]:
+    items: Iterable[Item | StoredChunk], combiners: Mapping[Output, Combiner]
+) -> Generator[tuple[Callable[[], Item | StoredChunk], int, bool]]:
     """Yield the work in order, its size in bytes, and whether another thread should do it."""
     latest_ns = 0
-    for outcome in outcomes:
-        log_time_ns, size, found = arrivals(outcome)
+    for item in items:
+        arrivals: list[tuple[Combiner, Arrival]] = []
+        if isinstance(item, StoredChunk):
+            log_time_ns, size = item.span_ns()[1], len(item.stored)
+        else:
+            log_time_ns, size, arrivals = item.log_time_ns, item.size, _arrivals(item, combiners)
         latest_ns = max(latest_ns, log_time_ns)
-        arrival = list(found)
-        yield partial(_same, outcome), size, False
-        del outcome
-        for each in arrival:
-            for group in each.combiner.add(each, log_time_ns):
-                yield partial(each.combiner.make, group, log_time_ns), _size(group), not each.combiner.is_quick(group)
+        yield partial(_same, item), size, False
+        del item
+        for combiner, arrival in arrivals:
+            for group in combiner.add(arrival, log_time_ns):
+                yield partial(combiner.make, group, log_time_ns), _size(group), not combiner.is_quick(group)
                 # This frame must not hold the points in memory while the next message is read.
                 del group
-    for combiner in combiners:
+    for combiner in dict.fromkeys(combiners.values()):
         for group in combiner.finish():
             yield partial(combiner.make, group, latest_ns), _size(group), not combiner.is_quick(group)
 
 
-def _same(outcome: Outcome) -> Outcome:
-    return outcome
+def _arrivals(item: Item, combiners: Mapping[Output, Combiner]) -> list[tuple[Combiner, Arrival]]:
+    """Return the parts of a message in scans of several."""
+    return [
+        (combiners[output], Arrival(item.route, output, result, item.sequence))
+        for output, result in item.results
+        if isinstance(result, Contribution) and output in combiners
+    ]
+
+
+def _same(item: Item | StoredChunk) -> Item | StoredChunk:
+    return item
 
 
 def _size(group: Group[Arrival]) -> int:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from pc2scan.files.buffers import RetainedMemory
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
-    from pc2scan.pipeline.conversion import EncodedMessage, Measurements, Step
+    from pc2scan.pipeline.conversion import Measurements, Step
     from pc2scan.pipeline.first_clouds import SharedSample, TopicClouds
     from pc2scan.pipeline.scan_spec import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
@@ -223,14 +223,6 @@ class MessagesToScan(Conversion):
             return self._contribute(number, firsts, deskew, message)
 
         return (prepare,) if self.grouper is not None else (prepare, self.alone)
-
-    def encoder(self, target: str) -> Callable[[Any], Any]:
-        """Return the encoder of scans; messages that are grouped first are not encoded here."""
-        return super().encoder(target) if self.grouper is None else _as_it_is
-
-    def encode_scan(self, lead: Contribution, members: Sequence[Contribution], target: str) -> EncodedMessage:
-        """Make the scan of a group of messages, and serialise it as ``ros1`` or ``cdr``."""
-        return super().encoder(target)(self.scan(lead, members))
 
     def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message."""
@@ -482,10 +474,6 @@ class MessagesToScan(Conversion):
 def _fits(member: Contribution, lead: Contribution) -> bool:
     """Whether a member is projected as the scan needs it."""
     return member.nearest is not None and member.assumed in {None, (lead.reference_ns, lead.frame_id)}
-
-
-def _as_it_is(contribution: Contribution) -> Contribution:
-    return contribution
 
 
 def _transform_points(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:

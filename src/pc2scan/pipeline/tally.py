@@ -1,0 +1,150 @@
+"""Counts what becomes of each message of a conversion, item by item, in the order of the items."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import MessageError
+from pc2scan.result import MAX_LISTED, Skipped
+
+from .checks import TransformCheck
+from .conversion import ConvertedMessage
+from .first_clouds import SharedSample
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from pc2scan.model import StoredChunk
+
+    from .items import Item, OpenRoute
+    from .topic_report import TopicReport
+
+_NONE: Mapping[int, MessageError] = {}
+
+
+class Tally:
+    """The counts of a conversion: those of the routes, and those of the entries that the report has for each topic.
+
+    Parameters
+    ----------
+    routes
+        The routes by the id of their connection.
+    on_error
+        Whether to ``skip`` messages that cannot be converted, or to ``fail``.
+    warn
+        Called with a warning if no transforms connect any of the first messages with the target frame; None: there is
+        no such warning.
+
+    Attributes
+    ----------
+    skipped
+        The first `MAX_LISTED` messages that were not converted.
+    failures
+        How many messages, or groups, have an error.
+    messages
+        How many messages were read, of all topics that are not skipped.
+    """
+
+    def __init__(
+        self, routes: Mapping[int, OpenRoute], on_error: str, warn: Callable[[str], None] | None = None
+    ) -> None:
+        self.skipped: list[Skipped] = []
+        self.failures = 0
+        self._routes = routes
+        self._on_error = on_error
+        self._transforms = TransformCheck(warn)
+
+    @property
+    def messages(self) -> int:
+        """How many messages were read, of all topics that are not skipped."""
+        return sum(route.messages for route in self._routes.values())
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether transforms connect at least one message with the target frame, or none are needed."""
+        return not self._transforms.is_possible
+
+    def count(self, item: Item, refused: Mapping[int, MessageError] = _NONE) -> None:
+        """Count an item.
+
+        Parameters
+        ----------
+        refused
+            Why the destination cannot store a result, by the place of its output in the item's results; -1 is the
+            message as it passes.
+
+        Raises
+        ------
+        MessageError
+            With ``on_error`` ``fail``: the first error.
+        """
+        route = item.route
+        failed: list[tuple[MessageError, TopicReport]] = []
+        if not item.is_group:
+            if not route.writes:
+                for entry in route.reports:
+                    entry.skip(1)
+                return
+            route.messages += 1
+            if route.report is not None:
+                error = item.error or refused.get(-1)
+                route.report.messages_in += 1
+                if error is None:
+                    route.report.messages_out += 1
+                else:
+                    route.report.skipped += 1
+                    failed.append((error, route.report))
+        for place, (output, result) in enumerate(item.results):
+            entry = output.report
+            entry.messages_in += not item.is_group
+            if isinstance(result, MessageError) or place in refused:
+                entry.skipped += 1
+                failed.append((result if isinstance(result, MessageError) else refused[place], entry))
+            elif isinstance(result, ConvertedMessage):
+                entry.messages_out += 1
+                if not output.used:
+                    output.sample = output.sample or result.message
+                    entry.count(result)
+                if isinstance(result.sample, SharedSample):
+                    result.sample.add(result.counts)
+                    # Several outputs may have one result.
+                    result.sample = None
+        if failed:
+            self._skip(item, failed)
+        if route.convert is not None and not (item.is_group or self.is_connected):
+            self._transforms.note(route.connection.topic, item.failure)
+
+    def count_chunk(self, chunk: StoredChunk) -> None:
+        """Count the messages of a chunk that passes as a whole."""
+        for connection_id, entries in chunk.index.items():
+            route = self._routes[connection_id]
+            route.messages += len(entries)
+            (entry,) = route.reports
+            entry.messages_in += len(entries)
+            entry.messages_out += len(entries)
+
+    def finish(self) -> None:
+        """Raise if no message could be converted because no transforms connect any with the target frame.
+
+        Raises
+        ------
+        TransformError
+            The first error.
+        """
+        self._transforms.finish()
+
+    def _skip(self, item: Item, failed: Sequence[tuple[MessageError, TopicReport]]) -> None:
+        """List the errors of an item, or raise the first one."""
+        topic = item.route.connection.topic
+        self.failures += 1
+        # Equal errors are listed once, with all topics that miss the message.
+        errors: dict[str, tuple[MessageError, list[str]]] = {}
+        for error, entry in failed:
+            errors.setdefault(error.message, (error, []))[1].append(entry.target or "")
+        for error, targets in errors.values():
+            error.topic = topic
+            if self._on_error == "fail":
+                raise error
+            if len(self.skipped) < MAX_LISTED:
+                found = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
+                self.skipped.append(Skipped(*found, tuple(filter(None, targets))))
