@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -14,20 +14,21 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.mcap.records import RecordFile
+    from pc2scan.files.buffers import BorrowedBytes
 
 
 @pytest.fixture
 def loads(monkeypatch: pytest.MonkeyPatch) -> list[Segment]:
     """Every segment of an MCAP file whose payload is read."""
     seen: list[Segment] = []
-    original = mcap_chunks.with_payload
+    original = mcap_chunks.borrow_payload
 
-    def counting(file: RecordFile, segment: Segment, use: Any, *, verify: bool = True) -> Any:
+    def counting(file: RecordFile, segment: Segment, *, verify: bool = True) -> BorrowedBytes:
         seen.append(segment)
-        return original(file, segment, use, verify=verify)
+        return original(file, segment, verify=verify)
 
     for module in (mcap_chunks, mcap_reader):
-        monkeypatch.setattr(module, "with_payload", counting)
+        monkeypatch.setattr(module, "borrow_payload", counting)
     return seen
 
 

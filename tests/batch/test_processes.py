@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -64,15 +65,22 @@ def test_a_dataset_is_continued_after_kills(count: int, kills: int, tmp_path: Pa
     written = {line["output"]["path"] for line in manifest_of(clean).values() if line["report"]}
     assert len(written) == sum(outcome in ("converted", "incomplete") for outcome in expected.values())
     choice = random.Random(16)
-    for _ in range(kills):
+    missing = kills
+    while missing or len(manifest_of(killed)) == len(expected):
         goal = len(manifest_of(killed)) + choice.randrange(1, 30 if count == 200 else 10)
         process = start(folder, "-o", killed, *HEIGHTS, "--quiet", stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         while process.poll() is None and len(manifest_of(killed)) < goal:
             time.sleep(0.003)
         time.sleep(choice.uniform(0, 0.05))
-        assert process.poll() is None, "the run ended before it could be killed"
+        if process.poll() is not None:
+            # The machine was too busy to see how far the run was: once more from the beginning.
+            assert process.returncode == 1
+            shutil.rmtree(killed)
+            missing = kills
+            continue
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+        missing = max(0, missing - 1)
     assert 0 < len(manifest_of(killed)) < len(expected)
     assert batch(folder, killed).exit_status == 1
     assert {key: line["outcome"] for key, line in manifest_of(killed).items()} == expected

@@ -327,7 +327,7 @@ def test_a_source_that_is_cut_under_its_reader(
     if compression:
         monkeypatch.setitem(codecs._DECOMPRESS, compression, fifth(codecs._DECOMPRESS[compression], cut))
     else:
-        monkeypatch.setattr(CloudToScan, "_project", fifth(CloudToScan._project, cut))
+        monkeypatch.setattr(CloudToScan, "_make_scan", fifth(CloudToScan._make_scan, cut))
     with pytest.raises(RecordingError, match=r"drive.*ended at byte \d+ while it was read; it had"):
         pc2scan.convert(source, tmp_path / "out.mcap", jobs=jobs, only_scans=True, topics=["/points:=/again"])
     assert list(tmp_path.iterdir()) == [source]
@@ -359,7 +359,7 @@ def test_a_worker_that_fails(
     def fail() -> None:
         raise error
 
-    monkeypatch.setattr(CloudToScan, "_project", fifth(CloudToScan._project, fail))
+    monkeypatch.setattr(CloudToScan, "_make_scan", fifth(CloudToScan._make_scan, fail))
     with pytest.raises(error):
         pc2scan.convert(many, tmp_path / "out.mcap", jobs=jobs)
     assert list(tmp_path.iterdir()) == []

@@ -90,7 +90,8 @@ def test_what_is_borrowed_is_what_would_be_read(
         monkeypatch.setattr(os, "preadv", lambda fd, views, offset: preadv(fd, [views[0][:99_999]], offset))
     with closing(SourceFile(large)) as file:
         for _ in range(2):
-            seen = file.borrow(offset, length, lambda data: (data.readonly, bytes(data), own_data(data)))
+            data = file.borrow(offset, length).data
+            seen = (data.readonly, bytes(data), own_data(data))
             assert seen == (True, LARGE[offset : offset + length], file.read(offset, length))
 
 
@@ -98,17 +99,15 @@ def test_what_is_borrowed_is_what_would_be_read(
 def test_open_files_share_buffers_and_the_last_one_frees_them(large: Path) -> None:
     buffers: set[int] = set()
 
-    def use(data: memoryview) -> None:
-        buffers.add(id(data.obj))
-
     first, second = SourceFile(large), SourceFile(large)
     for length in (3 << 20, 1 << 19):
         for file in (first, second):
-            file.borrow(7, length - 7, use)
+            buffers.add(id(file.borrow(7, length - 7).data.obj))
     assert len(buffers) == 1
     # Who borrows while something is borrowed, or on another thread, has a buffer of its own.
-    first.borrow(0, 1 << 20, lambda data: second.borrow(0, 1 << 20, lambda other: [*map(use, (data, other))]))
-    assert len(buffers) == 2
+    both = [file.borrow(0, 1 << 20) for file in (first, second)]
+    assert len(buffers | {id(each.data.obj) for each in both}) == 2
+    del both
     first.close()
     assert files._shared[""] is second._buffers
     second.close()
@@ -122,7 +121,7 @@ def test_a_buffer_that_does_not_fit_into_memory_is_an_error(large: Path, monkeyp
 
     monkeypatch.setattr(buffers.BufferPool, "take", refuse)
     with closing(SourceFile(large)) as file, pytest.raises(RecordingError, match="do not fit into memory"):
-        file.borrow(0, 1 << 20, bytes)
+        file.borrow(0, 1 << 20)
 
 
 def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, large: Path, tmp_path: Path) -> None:
@@ -132,8 +131,6 @@ def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, large: Path
     with pytest.raises(RecordingError, match="ended at byte 60 while it was read; it had 100 bytes") as caught:
         file.read(50, 20)
     assert caught.value.path == path
-    with pytest.raises(ValueError, match="no sense"):
-        file.borrow(0, 10, own_error)
     file.close()
     file.close()
     with pytest.raises(RecordingError, match="cannot be read at byte 3: Bad file descriptor"):
@@ -142,13 +139,9 @@ def test_what_is_not_there_is_an_error(file: SourceFile, path: Path, large: Path
     closed.close()
     for length in (10, 1 << 20):
         with pytest.raises(RecordingError, match="cannot be read"):
-            closed.borrow(0, length, len)
+            closed.borrow(0, length)
     with pytest.raises(RecordingError, match="cannot be opened: No such file"):
         SourceFile(tmp_path / "none")
-
-
-def own_error(_: memoryview) -> None:
-    raise ValueError("these bytes make no sense")
 
 
 def test_a_format_makes_its_own_error_of_damage(path: Path) -> None:

@@ -145,7 +145,7 @@ class Counts:
         for module, name, what in (
             (mcap_chunks, "_decompress", "decompressed"),
             (rosbag1_reader, "decompress_chunk", "decompressed"),
-            (rosbag1_reader, "with_payload", "decompressed"),
+            (rosbag1_reader, "borrow_payload", "decompressed"),
             (mcap_reader, "scan_messages", "split"),
             (rosbag1_writer, "_compress", "compressed"),
             (mcap_writer, "compress", "compressed"),

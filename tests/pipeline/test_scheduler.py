@@ -3,13 +3,19 @@ from __future__ import annotations
 import time
 from contextlib import nullcontext
 from threading import Lock, current_thread, get_ident, main_thread
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from pc2scan.bags.units import Unit
+from pc2scan.core.counts import PointCounts
 from pc2scan.model import Connection, RawMessage, StoredChunk
-from pc2scan.pipeline.scheduler import AHEAD_BYTES, LARGEST_AHEAD, DeferredMessage, schedule
+from pc2scan.pipeline import engine
+from pc2scan.pipeline.conversion import ConvertedMessage
+from pc2scan.pipeline.items import Item, OpenRoute, Output, Span
+from pc2scan.pipeline.scheduler import AHEAD_BYTES, LARGEST_AHEAD, schedule
+from pc2scan.pipeline.topic_report import TopicReport
 from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
@@ -141,17 +147,22 @@ def test_quick_units_are_loaded_by_the_caller() -> None:
 def test_a_result_that_takes_more_memory_is_made_in_its_turn() -> None:
     made: list[int] = []
 
-    def work(message: RawMessage) -> RawMessage:
+    def convert(data: Any) -> list[ConvertedMessage]:
         assert current_thread() is main_thread()
-        made.append(message.log_time_ns)
-        return message._replace(sequence=1)
+        made.append(len(data))
+        return [ConvertedMessage(b"cloud", PointCounts(), empty=False)]
 
+    reader: Any = SimpleNamespace(
+        path=None,
+        summary=SimpleNamespace(size_bytes=0),
+        units=lambda *_: [unit(number, messages=1) for number in range(9)],
+    )
+    output = Output(TopicReport("/a", "", "/cloud", "converted"), 0)
+    route = OpenRoute(TOPIC, None, convert, outputs=[output], shrinks_from=1 << 30)
     with Threads(2) as threads:
-        items = schedule([unit(number) for number in range(9)], lambda message: DeferredMessage(message, work), threads)
-        for number, item in enumerate(items):
-            assert isinstance(item, RawMessage)
-            assert item.sequence == 1
-            assert made == [10 * before for before in range(number + 1)]
+        for number, item in enumerate(engine.convert(reader, {1: route}, Span(None, None, 0), threads)):
+            assert isinstance(item, Item)
+            assert len(made) == number + 1
 
 
 @pytest.mark.parametrize("jobs", [None, 2])

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.bags import units
 from pc2scan.bags.mcap import reader as mcap_reader
 from pc2scan.bags.mcap.reader import McapReader
 from pc2scan.bags.mcap.writer import McapWriter
@@ -23,10 +22,10 @@ from pc2scan.files import source as files
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, RawMessage
-from pc2scan.pipeline import cloud_to_scan, engine, recording, scheduler
+from pc2scan.pipeline import cloud_to_scan, engine, recording
 from pc2scan.pipeline.conversion import ConvertedMessage
+from pc2scan.pipeline.engine import DeferredMessage
 from pc2scan.pipeline.items import Item, OpenRoute, Output
-from pc2scan.pipeline.scheduler import DeferredMessage
 from pc2scan.pipeline.topic_report import TopicReport
 from support import sampled
 from support.builders import cloud, transforms
@@ -159,15 +158,13 @@ def test_the_thread_that_decompressed_clouds_projects_them(
     drive = record(tmp_path, *form, size=1 << 20)
     chunks: dict[int, Any] = {}
     reader = rosbag1_reader if drive.suffix == ".bag" else mcap_reader
-    original = reader.with_payload
+    original = reader.borrow_payload
     there: list[bool] = []
 
-    def spying(file: Any, segment: Segment, use: Any, **options: Any) -> Any:
-        def seen(chunk: Any) -> Any:
-            chunks[threading.get_ident()] = chunk
-            return use(chunk)
-
-        return original(file, segment, seen, **options)
+    def spying(file: Any, segment: Segment, **options: Any) -> Any:
+        payload = original(file, segment, **options)
+        chunks[threading.get_ident()] = payload.data
+        return payload
 
     class Spy:
         def __init__(self, params: pc2scan.ProjectionParams) -> None:
@@ -180,7 +177,7 @@ def test_the_thread_that_decompressed_clouds_projects_them(
 
     alone = convert(drive, jobs=1)
     expected = drive.with_name(f"scans{drive.suffix}").read_bytes()
-    monkeypatch.setattr(reader, "with_payload", spying)
+    monkeypatch.setattr(reader, "borrow_payload", spying)
     monkeypatch.setattr(cloud_to_scan, "Projector", Spy)
     together = convert(drive, jobs=2)
     assert there == [True] * CLOUDS
@@ -240,14 +237,14 @@ def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrin
 @pytest.mark.parametrize("queue_size", [1, 3])
 def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     read = written = worst = 0
-    load, write = units.load_unit, recording._write
+    work, write = engine._work, recording._write
     lock = threading.Lock()
 
-    def loading(*args: Any, **options: Any) -> Any:
+    def working(*args: Any, **options: Any) -> Any:
         nonlocal read
         with lock:
             read += 1
-        return load(*args, **options)
+        return work(*args, **options)
 
     def writing(*args: Any) -> Any:
         nonlocal written, worst
@@ -256,7 +253,7 @@ def test_chunks_in_flight_are_bounded(drive: Path, queue_size: int, monkeypatch:
         written += 1
         return refused
 
-    monkeypatch.setattr(scheduler, "load_unit", loading)
+    monkeypatch.setattr(engine, "_work", working)
     monkeypatch.setattr(recording, "_write", writing)
     params = pc2scan.ProjectionParams(min_height=-2, max_height=2, queue_size=queue_size)
     convert(drive, jobs=2, params=params)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
+from contextlib import closing
 from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
@@ -134,9 +135,8 @@ def sort_units(units: Iterable[Unit]) -> list[Unit]:
     return sorted(units, key=attrgetter("start_ns", "place"))
 
 
-def load_unit(unit: Unit, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
-    """Load a unit, its messages sorted by log time."""
-    found = unit.load(callback, whole=whole)
+def _sort(found: Loaded[Item]) -> Loaded[Item]:
+    """Return the items of a unit sorted by log time."""
     if isinstance(found, LazyItems):
         return found.sort_by_time()
     if not isinstance(found, StoredChunk):
@@ -148,7 +148,7 @@ def load_unit(unit: Unit, callback: Callable[[RawMessage], Item], *, whole: bool
 def load_when_due(units: Iterable[Unit], callback: Callable[[RawMessage], Item]) -> Generator[Handle]:
     """Load each unit when its result is needed."""
     for unit in units:
-        yield Handle(unit, partial(load_unit, unit, callback, whole=unit.may_be_whole))
+        yield Handle(unit, partial(unit.load, callback, whole=unit.may_be_whole))
 
 
 def merge_by_time(
@@ -186,11 +186,7 @@ def merge_by_time(
     RecordingError
         If units that overlap would have to be loaded again and again.
     """
-    handles = loading(_announce(units), callback)
-    try:
-        yield from _merge(handles, callback, max_open_bytes, path)
-    finally:
-        handles.close()
+    return _merge(loading(_announce(units), callback), callback, max_open_bytes, path)
 
 
 def _announce(units: Iterable[Unit]) -> Iterator[Unit]:
@@ -264,64 +260,66 @@ class _OpenUnit:
 
 
 def _merge(
-    handles: Iterator[Handle], callback: Callable[[RawMessage], Any], max_open_bytes: int, path: Path | None
+    handles: Generator[Handle], callback: Callable[[RawMessage], Any], max_open_bytes: int, path: Path | None
 ) -> Generator[Any]:
     """Merge units that are loaded in the order in which they are due."""
-    heap: list[_OpenUnit] = []
-    coming = next(handles, None)
-    total = again = 0
-    most = _MAX_FREE_MESSAGES
-    while heap or coming is not None:
-        while coming is not None and (not heap or coming.unit.start_ns <= heap[0].key[0]):
-            unit = coming.unit
-            total += unit.size
-            # Makes room before loading.
-            _evict(heap, max_open_bytes - unit.size)
-            found = coming.result()
-            if unit.extent and not isinstance(found, StoredChunk):
-                most += unit.extent.length - len(found)
-                if most < 0:
-                    raise RecordingError("has more messages than bytes, which no recording does", path=path)
-            if found:
-                heapq.heappush(heap, _OpenUnit(unit, found, max_open_bytes))
+    with closing(handles):
+        heap: list[_OpenUnit] = []
+        coming = next(handles, None)
+        total = again = 0
+        most = _MAX_FREE_MESSAGES
+        while heap or coming is not None:
+            while coming is not None and (not heap or coming.unit.start_ns <= heap[0].key[0]):
+                unit = coming.unit
+                total += unit.size
+                # Makes room before loading.
+                _evict(heap, max_open_bytes - unit.size)
+                found = _sort(coming.result())
+                if unit.extent and not isinstance(found, StoredChunk):
+                    most += unit.extent.length - len(found)
+                    if most < 0:
+                        raise RecordingError("has more messages than bytes, which no recording does", path=path)
+                if found:
+                    heapq.heappush(heap, _OpenUnit(unit, found, max_open_bytes))
+                    _evict(heap, max_open_bytes)
+                del found, unit
+                coming = next(handles, None)
+            if not heap:
+                continue
+            current = heapq.heappop(heap)
+            place = current.unit.place
+            # All items up to the next unit's turn are from this one, without a heap operation for each.
+            limit = heap[0].key if heap else None
+            if coming is not None:
+                arrival: tuple[int, tuple[int, ...]] = (coming.unit.start_ns, ())
+                limit = arrival if limit is None or arrival < limit else limit
+            if current.whole is not None and (limit is None or (current.whole.span_ns()[1], place) < limit):
+                yield current.whole
+                del current
+                continue
+            if current.items is None:
+                again += current.unit.size
+                if again > _MAX_AGAIN * total + (1 << 30):
+                    raise RecordingError(
+                        f"its chunks overlap in time so much that each would have to be read {_MAX_AGAIN} times",
+                        path=path,
+                    )
+                _evict(heap, max_open_bytes - current.unit.size)
+                split = _sort(current.unit.load(callback, whole=False))
+                assert not isinstance(split, StoredChunk)
+                current.items, current.whole = split, None
+                del split
+            items, position = current.items, current.position
+            while position < len(items) and (limit is None or (items[position].log_time_ns, place) < limit):
+                yield items[position]
+                position += 1
+            if position < len(items):
+                current.position = position
+                current.key = (items[position].log_time_ns, place)
+                heapq.heappush(heap, current)
                 _evict(heap, max_open_bytes)
-            del found, unit
-            coming = next(handles, None)
-        if not heap:
-            continue
-        current = heapq.heappop(heap)
-        place = current.unit.place
-        # All items up to the next unit's turn are from this one, without a heap operation for each.
-        limit = heap[0].key if heap else None
-        if coming is not None:
-            arrival: tuple[int, tuple[int, ...]] = (coming.unit.start_ns, ())
-            limit = arrival if limit is None or arrival < limit else limit
-        if current.whole is not None and (limit is None or (current.whole.span_ns()[1], place) < limit):
-            yield current.whole
-            del current
-            continue
-        if current.items is None:
-            again += current.unit.size
-            if again > _MAX_AGAIN * total + (1 << 30):
-                raise RecordingError(
-                    f"its chunks overlap in time so much that each would have to be read {_MAX_AGAIN} times", path=path
-                )
-            _evict(heap, max_open_bytes - current.unit.size)
-            split = load_unit(current.unit, callback, whole=False)
-            assert not isinstance(split, StoredChunk)
-            current.items, current.whole = split, None
-            del split
-        items, position = current.items, current.position
-        while position < len(items) and (limit is None or (items[position].log_time_ns, place) < limit):
-            yield items[position]
-            position += 1
-        if position < len(items):
-            current.position = position
-            current.key = (items[position].log_time_ns, place)
-            heapq.heappush(heap, current)
-            _evict(heap, max_open_bytes)
-        # The generator's frame must not keep a used unit in memory while the next one is loaded.
-        del items, current
+            # The generator's frame must not keep a used unit in memory while the next one is loaded.
+            del items, current
 
 
 def _evict(heap: list[_OpenUnit], max_open_bytes: int) -> None:

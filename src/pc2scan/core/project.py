@@ -168,19 +168,10 @@ class Projector:
 
     def nearest(self, part: PointsPart) -> ProjectedScan:
         """Project a part for `nearest_of`: beams without a return read infinity; intensities are ignored."""
-        return self._nearest(*self._check_arrays(part), self._rule_for(part), math.inf)
-
-    def _nearest(
-        self,
-        arrays: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
-        transform: NDArray[np.float32] | MovingTransform | None,
-        rule: NDArray[np.float64],
-        empty: float,
-    ) -> ProjectedScan:
-        """Return the closest return of each beam, and ``empty`` for beams without one."""
+        arrays, transform = self._check_arrays(part)
         ranges = np.empty(self._beams, _FLOAT32)
-        rejected = kernel.project(*arrays, rule, transform, ranges, self._limit, empty)
-        return ProjectedScan(ranges, PointCounts.of_projection(arrays[0].size, rejected), _NO_VALUES)
+        rejected = kernel.project(*arrays, self._rule_for(part), transform, ranges, self._limit, math.inf)
+        return ProjectedScan(ranges, PointCounts.of_projection(part.x.size, rejected), _NO_VALUES)
 
     def nearest_of(self, scans: Sequence[ProjectedScan]) -> ProjectedScan:
         """Return the scan of several parts, the same as `together`, if beams read the closest return."""
@@ -263,8 +254,10 @@ class Projector:
             If the shapes differ, or have not one or two dimensions.
         """
         if self.reads_nearest and intensities is None:
-            transform = _loop_transform(target_from_source)
-            return self._nearest(_coordinates(x, y, z, None), transform, self._rule, self._empty)
+            transform, ranges = _loop_transform(target_from_source), np.empty(self._beams, _FLOAT32)
+            arrays = _coordinates(x, y, z, None)
+            rejected = kernel.project(*arrays, self._rule, transform, ranges, self._limit, self._empty)
+            return ProjectedScan(ranges, PointCounts.of_projection(x.size, rejected), _NO_VALUES)
         counts, bins, returns, numbers = self._gather_parts(PointsPart(x, y, z, target_from_source, intensities))
         values = None if intensities is None else intensities.reshape(-1)[numbers]
         with np.errstate(all="ignore"):

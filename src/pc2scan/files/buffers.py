@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from threading import RLock
+from typing import NamedTuple
 from weakref import ref
 
 #: Buffers have multiples of this size, so that one serves chunks of different sizes.
@@ -55,6 +56,13 @@ class BorrowedBuffer:
     def __del__(self) -> None:
         with suppress(AttributeError):  # there was no memory for it
             self._buffers.append(self.buffer)
+
+
+class BorrowedBytes(NamedTuple):
+    """Bytes of a file: ``data`` is valid as long as this object exists, because the ``buffer`` is used again."""
+
+    data: memoryview
+    buffer: BorrowedBuffer | None
 
 
 class RetainedMemory:

@@ -6,12 +6,12 @@ import errno
 import os
 import stat
 from contextlib import suppress
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 from weakref import WeakValueDictionary
 
 from pc2scan.errors import OutputError, RecordingError
 
-from .buffers import BorrowedBuffer, BufferPool
+from .buffers import BorrowedBuffer, BorrowedBytes, BufferPool
 from .system import BINARY, read_at
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from typing import BinaryIO
 
     from pc2scan.model import Buffer
-
-_Result = TypeVar("_Result")
 
 #: Sizes that are read into a reused buffer. Memory for fewer bytes costs no page faults, and a larger buffer would take
 #: too much memory beside the results.
@@ -192,19 +190,22 @@ class SourceFile:
             raise self._truncation_error(offset + len(data))
         return data
 
-    def borrow(self, offset: int, length: int, callback: Callable[[memoryview], _Result]) -> _Result:
-        """Call ``callback`` with exactly these bytes; many bytes are read into a reused buffer.
+    def borrow(self, offset: int, length: int) -> BorrowedBytes:
+        """Read exactly these bytes; many bytes are read into a reused buffer.
 
         Parameters
         ----------
         offset, length
             The bytes' place.
-        callback
-            Must copy the bytes that it keeps (`pc2scan.model.own`), because the buffer is overwritten afterwards; or
-            keep the buffer (`pc2scan.files.buffers.retain`).
+
+        Returns
+        -------
+        BorrowedBytes
+            Whoever keeps bytes for longer than this object copies them (`pc2scan.model.own_data`), because the buffer
+            is overwritten afterwards; or keeps the buffer (`pc2scan.files.buffers.retain`).
         """
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
-            return callback(memoryview(self.read(offset, length)))
+            return BorrowedBytes(memoryview(self.read(offset, length)), None)
         self._expect_inside(offset, length)
         try:
             borrowed = BorrowedBuffer(self._buffers, length)
@@ -212,7 +213,7 @@ class SourceFile:
             raise self._too_large(offset, length) from err
         view = memoryview(borrowed.buffer)[:length]
         self._fill(view, self.start + offset)
-        return callback(view.toreadonly())
+        return BorrowedBytes(view.toreadonly(), borrowed)
 
     def _expect_inside(self, offset: int, length: int) -> None:
         if offset + length > self.size:

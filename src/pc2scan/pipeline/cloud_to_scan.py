@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
-    from pc2scan.core.project import ProjectedScan, Transform
+    from pc2scan.core.project import Transform
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Placer
@@ -132,13 +131,18 @@ class CloudToScan(Conversion):
     def _make_scan(
         self, timing: Measurements, beams: _Beams, firsts: TopicClouds | None, placed: PlacedCloud
     ) -> ConvertedMessage:
-        scan = self._project(placed, beams.project)
-        params, layout, stamp_ns = self.params, beams.layout, placed.stamp_ns
+        params, layout, points, stamp_ns = self.params, beams.layout, placed.points, placed.stamp_ns
+        intensities = points.field(params.intensity_field) if params.intensity_field else None
+        # A transform that is not applied yet is applied in the same loop.
+        scan = beams.project(*points.xyz(), _transform(placed), intensities)
+        counts = scan.counts
+        if placed.rejected:
+            counts += PointCounts(sum(placed.rejected.values()), **placed.rejected)
         if timing.first_beam_ns:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + timing.first_beam_ns)
         message = LaserScan(
-            placed.points.sequence,
+            points.sequence,
             stamp_ns,
             placed.place.frame_id,
             layout.angle_min,
@@ -156,7 +160,7 @@ class CloudToScan(Conversion):
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
         used = self._gather_used(placed, beams.project) if self._keeps_used else None
-        return ConvertedMessage(message, scan.counts, empty, motion, sample, level, used=used, removed=scan.removed)
+        return ConvertedMessage(message, counts, empty, motion, sample, level, used=used, removed=scan.removed)
 
     def _gather_used(self, placed: PlacedCloud, project: Projector) -> UsedPoints:
         """Return which of the decoded points the beams read."""
@@ -167,15 +171,6 @@ class CloudToScan(Conversion):
         if self._select is not None:
             numbers = points.field(NUMBER).reshape(-1)[numbers]
         return UsedPoints(placed.whole, numbers, beams)
-
-    def _project(self, placed: PlacedCloud, project: Projector) -> ProjectedScan:
-        """Project the points; a transform that is not applied yet is applied in the same loop."""
-        points, name = placed.points, self.params.intensity_field
-        scan = project(*points.xyz(), _transform(placed), points.field(name) if name else None)
-        if placed.rejected:
-            filtered = PointCounts(sum(placed.rejected.values()), **placed.rejected)
-            return dataclasses.replace(scan, counts=scan.counts + filtered)
-        return scan
 
 
 def _transform(placed: PlacedCloud) -> Transform | MovingTransform | None:

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 from pc2scan.bags.latching import NewestItems, is_static
 from pc2scan.bags.units import Unit
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.model import StoredChunk, own_data, own_message
+from pc2scan.model import RawMessage, StoredChunk, own_data, own_message
 
 from .conversion import ConvertedMessage
 from .first_clouds import Candidate
 from .items import Item
-from .scheduler import DeferredMessage, schedule
+from .scheduler import schedule
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
@@ -36,6 +36,23 @@ if TYPE_CHECKING:
 
 #: How many messages are between two calls of the progress function.
 _PROGRESS_EVERY = 64
+
+
+class DeferredMessage(NamedTuple):
+    """A message that a callback postpones until its turn, because its result takes more memory."""
+
+    message: RawMessage
+    work: Callable[[RawMessage], Any]
+
+    @property
+    def log_time_ns(self) -> int:
+        """The log time of the message."""
+        return self.message.log_time_ns
+
+    @property
+    def size(self) -> int:
+        """The size of the message in bytes."""
+        return self.message.size
 
 
 def convert(
@@ -114,7 +131,11 @@ def _messages(
     """Yield the items of the messages in the cut, after those of latched messages from before it."""
     work = partial(_work, routes)
     for units in _units_of_cut(reader, routes, span, rule, threads):
-        yield from schedule(units, work, threads, window=window, path=reader.path)
+        with closing(schedule(units, work, threads, window=window, path=reader.path)) as items:
+            for item in items:
+                yield item.work(item.message) if isinstance(item, DeferredMessage) else item
+                # The item is not in memory while the next one is made.
+                del item
 
 
 def _units_of_cut(
@@ -131,16 +152,11 @@ def _units_of_cut(
     yield reader.units(wanted, start, stop, rule)
 
 
-def _work(routes: Mapping[int, OpenRoute], message: RawMessage) -> Item | DeferredMessage:
-    """Work on a message; postpone it if its result takes more memory than itself. Runs on any thread."""
+def _work(routes: Mapping[int, OpenRoute], message: RawMessage, *, is_due: bool = False) -> Item | DeferredMessage:
+    """Convert or re-encode a message; postpone it if the result takes more memory, and is not due. On any thread."""
     route = routes[message.connection.id]
-    if route.convert is not None and len(message.data) < route.shrinks_from:
-        return DeferredMessage(own_message(message), partial(_item, route))
-    return _item(route, message)
-
-
-def _item(route: OpenRoute, message: RawMessage) -> Item:
-    """Convert or re-encode one message."""
+    if route.convert is not None and len(message.data) < route.shrinks_from and not is_due:
+        return DeferredMessage(own_message(message), partial(_work, routes, is_due=True))
     results: Sequence[tuple[Output, Any]] = ()
     passing = error = None
     try:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections import deque
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pc2scan.bags.lazy_items import LazyItems
-from pc2scan.bags.units import Handle, load_unit, load_when_due, merge_by_time
-from pc2scan.model import RawMessage, StoredChunk, own_message
+from pc2scan.bags.units import Handle, load_when_due, merge_by_time
+from pc2scan.model import StoredChunk, own_message
 from pc2scan.threads import InOrder
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.units import Loaded, TimedItem, Unit
+    from pc2scan.model import RawMessage
     from pc2scan.threads import Threads
 
     Item = TypeVar("Item", bound=TimedItem)
@@ -34,26 +35,9 @@ LARGEST_AHEAD = 20 << 20
 _PIECE_BYTES = 1 << 20
 
 
-class DeferredMessage(NamedTuple):
-    """A message that a callback postpones until its turn, because its result takes more memory."""
-
-    message: RawMessage
-    work: Callable[[RawMessage], Any]
-
-    @property
-    def log_time_ns(self) -> int:
-        """The log time of the message."""
-        return self.message.log_time_ns
-
-    @property
-    def size(self) -> int:
-        """The size of the message in bytes."""
-        return self.message.size
-
-
 def schedule(
     units: Iterable[Unit],
-    callback: Callable[[RawMessage], Item | DeferredMessage],
+    callback: Callable[[RawMessage], Item],
     threads: Threads | None,
     *,
     window: int | None = None,
@@ -81,14 +65,7 @@ def schedule(
         item.
     """
     loading = load_when_due if threads is None else partial(_load_ahead, threads, window)
-    items = merge_by_time(units, callback, loading=loading, path=path)
-    try:
-        for item in items:
-            yield item.work(item.message) if isinstance(item, DeferredMessage) else item
-            # Released here, so that the item is not in memory while the next one is made.
-            del item
-    finally:
-        items.close()
+    return merge_by_time(units, callback, loading=loading, path=path)
 
 
 def _load_ahead(
@@ -105,7 +82,7 @@ def _load_ahead(
             if too_large:
                 yield Handle(unit, partial(_load_together, threads, unit, callback))
             else:
-                load = partial(load_unit, unit, callback, whole=unit.may_be_whole)
+                load = partial(unit.load, callback, whole=unit.may_be_whole)
                 results.put(load, unit.size, at_its_turn=unit.is_quick)
                 waiting.append(unit)
         while waiting:
@@ -121,7 +98,7 @@ def _may_wait(unit: Unit, results: InOrder[Loaded[Any]], jobs: int) -> bool:
 
 def _load_together(threads: Threads, unit: Unit, callback: Callable[[RawMessage], Item]) -> Loaded[Item]:
     """Load a unit on this thread, and work on its messages on all threads."""
-    found = load_unit(unit, own_message, whole=unit.may_be_whole)
+    found = unit.load(own_message, whole=unit.may_be_whole)
     if isinstance(found, StoredChunk):
         return found
     if isinstance(found, LazyItems):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.chunked.segments import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.rosbag1.records import BagFile
+    from pc2scan.files.buffers import BorrowedBytes
 
 CONNECTIONS = [connection("/a"), connection("/b")]
 ROWS: list[Row] = [(i % 2, 1_000_000_000 + 10 * (i // 2) + (i * 7) % 13, string(f"{i:03}" * 6)) for i in range(9)]
@@ -134,14 +135,14 @@ def test_of_a_bag_never_closed_no_chunk_is_read_twice(
         data[at : at + 8] = bytes(8)
         path.write_bytes(data)
     read: list[int] = []
-    original = rosbag1_chunks.with_payload
+    original = rosbag1_chunks.borrow_payload
 
-    def counting(file: BagFile, segment: Segment, use: Any) -> Any:
+    def counting(file: BagFile, segment: Segment) -> BorrowedBytes:
         read.append(segment.offset)
-        return original(file, segment, use)
+        return original(file, segment)
 
     for module in (rosbag1_chunks, rosbag1_reader):
-        monkeypatch.setattr(module, "with_payload", counting)
+        monkeypatch.setattr(module, "borrow_payload", counting)
     rows, damage = recovered(path)
     assert (len(rows), bool(damage)) == (len(ROWS), not sound)
     assert len(read) == len(set(read)) == chunks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunked.segments import Segment
 from pc2scan.bags.formats import and_list
@@ -16,13 +16,10 @@ from pc2scan.model import own_data
 from .records import CHUNK, COMPRESSIONS, OP_CHUNK, RECORD, UINT64
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from pc2scan.files.buffers import BorrowedBytes
     from pc2scan.model import Buffer
 
     from .records import RecordFile
-
-_Result = TypeVar("_Result")
 
 # Maximum length of a compression's name. A longer one is damaged.
 _MAX_COMPRESSION_NAME = 64
@@ -105,22 +102,17 @@ def payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> memor
     RecordingError
         If bytes are missing, do not decompress to the declared size, or fail their CRC.
     """
-    return with_payload(file, segment, lambda data: memoryview(own_data(data)), verify=verify)
+    return memoryview(own_data(borrow_payload(file, segment, verify=verify).data))
 
 
-def with_payload(
-    file: RecordFile, segment: Segment, callback: Callable[[memoryview], _Result], *, verify: bool = True
-) -> _Result:
-    """Call ``callback`` with the result of `payload`, which may be borrowed; see `SourceFile.borrow`."""
+def borrow_payload(file: RecordFile, segment: Segment, *, verify: bool = True) -> BorrowedBytes:
+    """Return the result of `payload`, which may be borrowed; see `SourceFile.borrow`."""
     if not isinstance(segment, ChunkSegment):
-        return file.borrow(segment.offset, segment.length, callback)
+        return file.borrow(segment.offset, segment.length)
     head = segment.offset - segment.record_offset
-
-    def unpacked(record: memoryview) -> _Result:
-        chunk = _check_header(record, segment, file)
-        return callback(decompress_chunk(file, chunk, record[head:], verify=verify))
-
-    return file.borrow(segment.record_offset, head + segment.length, unpacked)
+    record = file.borrow(segment.record_offset, head + segment.length)
+    chunk = _check_header(record.data, segment, file)
+    return record._replace(data=decompress_chunk(file, chunk, record.data[head:], verify=verify))
 
 
 def stored_chunk(

@@ -16,11 +16,12 @@ from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.lazy_items import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
+from pc2scan.files.buffers import BorrowedBytes
 from pc2scan.files.crc32 import combine_crc32, crc32
 from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.model import StoredChunk
 
-from .chunks import ChunkSegment, chunk_at, payload, with_payload
+from .chunks import ChunkSegment, borrow_payload, chunk_at, payload
 from .copies import copy_by_content, copy_by_index, shared_channels
 from .index import McapIndex, find_declarations, find_index
 from .message_index import index_check, indexed_places
@@ -220,15 +221,18 @@ class McapReader(PartReader):
             if isinstance(seen, StoredChunk):
                 return seen
 
-            def taken(data: memoryview) -> Loaded[Item]:
-                if self._data_crc is not None:
-                    self._data_crc.add(segment, data)
-                unpacked = decompress_messages(sound(segment, data), intolerant, segment.offset, self._file.path)
-                return map_items(callback, unpacked)
-
             # A damaged segment is read again to recover its messages.
             with suppress(DamageError):
-                return with_payload(self._file, segment, taken, verify=self._verify) if seen is None else taken(seen)
+                # The messages refer to the records, which are overwritten as soon as nothing refers to `payload`.
+                payload = (
+                    borrow_payload(self._file, segment, verify=self._verify)
+                    if seen is None
+                    else BorrowedBytes(seen, None)
+                )
+                if self._data_crc is not None:
+                    self._data_crc.add(segment, payload.data)
+                messages = sound(segment, payload.data)
+                return map_items(callback, decompress_messages(messages, intolerant, segment.offset, self._file.path))
             place = self._locate(segment)
             data, problem = self._prefix(place)
             found: Messages = []

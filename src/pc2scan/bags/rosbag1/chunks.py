@@ -11,7 +11,7 @@ from array import array
 from dataclasses import dataclass, field
 from itertools import permutations
 from operator import itemgetter
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.lazy_items import MAX_LISTED_ITEMS, LazyItems
 from pc2scan.errors import stamp_text
@@ -36,11 +36,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.files.buffers import BorrowedBytes
     from pc2scan.model import Buffer, Connection
 
     from .records import BagFile
-
-_Result = TypeVar("_Result")
 
 #: Later than any time that a bag can hold.
 _LATEST_NS = (UINT32_MAX + 8) * SECOND_NS
@@ -48,16 +47,13 @@ _LATEST_NS = (UINT32_MAX + 8) * SECOND_NS
 
 def payload(file: BagFile, segment: Segment) -> bytes:
     """Read and decompress a chunk."""
-    return with_payload(file, segment, bytes)
+    return bytes(borrow_payload(file, segment).data)
 
 
-def with_payload(file: BagFile, segment: Segment, callback: Callable[[Buffer], _Result]) -> _Result:
-    """Call ``callback`` with a decompressed chunk, which may be borrowed; see `SourceFile.borrow`."""
-
-    def unpacked(data: memoryview) -> _Result:
-        return callback(decompress_chunk(file, segment, data))
-
-    return file.borrow(segment.offset, segment.length, unpacked)
+def borrow_payload(file: BagFile, segment: Segment) -> BorrowedBytes:
+    """Read and decompress a chunk; see `SourceFile.borrow`."""
+    stored = file.borrow(segment.offset, segment.length)
+    return stored._replace(data=memoryview(decompress_chunk(file, segment, stored.data)))
 
 
 def decompress_chunk(file: BagFile, segment: Segment, data: Buffer) -> Buffer:

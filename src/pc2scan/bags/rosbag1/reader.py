@@ -14,7 +14,7 @@ from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.lazy_items import LazyItems, map_items
 from pc2scan.model import StoredChunk, Summary
 
-from .chunks import Places, decompress_chunk, is_readable_lz4, scan_messages, with_payload
+from .chunks import Places, borrow_payload, decompress_chunk, is_readable_lz4, scan_messages
 from .index import ConnectionCheck, contained_span, read_index
 from .index_data import index_check
 from .records import BagFile, FormatError, uint32_field
@@ -181,16 +181,15 @@ class Rosbag1Reader(PartReader):
                     found = load_whole(segment, rule)
                     return found if isinstance(found, StoredChunk) else map_items(callback, found)
 
-            def taken(chunk: Buffer) -> Loaded[Item]:
-                describe, span = partial(self._agrees, segment), (segment.start_ns, segment.end_ns)
-                check = self._check_index(segment, chunk, chosen)
-                found = scan_messages(chunk, wanted, start_ns, stop_ns, span=span, describe=describe)
-                is_cut = segment.start_ns < (start_ns or 0) or (stop_ns is not None and stop_ns <= segment.end_ns)
-                self._compare_index(segment, check, None if is_cut else len(found))
-                return map_items(callback, found)
-
             try:
-                return with_payload(self._file, segment, taken)
+                # The messages refer to the chunk, which is overwritten as soon as nothing refers to `payload`.
+                payload = borrow_payload(self._file, segment)
+                describe, span = partial(self._agrees, segment), (segment.start_ns, segment.end_ns)
+                check = self._check_index(segment, payload.data, chosen)
+                messages = scan_messages(payload.data, wanted, start_ns, stop_ns, span=span, describe=describe)
+                is_cut = segment.start_ns < (start_ns or 0) or (stop_ns is not None and stop_ns <= segment.end_ns)
+                self._compare_index(segment, check, None if is_cut else len(messages))
+                return map_items(callback, messages)
             except FormatError as err:
                 problem = err
             return map_items(callback, self._salvage(segment, problem).select(chosen, start_ns, stop_ns))
