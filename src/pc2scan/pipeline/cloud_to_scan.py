@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
-    from pc2scan.core.project import Transform
+    from pc2scan.core.project import ProjectedScan, Transform
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import Placer
@@ -37,15 +37,44 @@ if TYPE_CHECKING:
     from .stages.placement import PlacedCloud
 
 
-class _Beams:
-    """The parts that all scans of a topic share: their beams, and the projection to them."""
+class Beams:
+    """The beams of all scans of a topic: points are projected to them, and their ranges become a message.
 
-    __slots__ = ("layout", "no_returns", "project")
+    Parameters
+    ----------
+    params
+        The projection's parameters.
+    measured
+        What was measured in the topic's first clouds.
 
-    def __init__(self, params: ProjectionParams) -> None:
-        self.layout = params.layout
+    Attributes
+    ----------
+    layout
+        Their directions.
+    project
+        The projection to them.
+    """
+
+    __slots__ = ("_geometry", "_no_returns", "layout", "project")
+
+    def __init__(self, params: ProjectionParams, measured: Measurements) -> None:
+        params = measured.resolve(params)
+        layout = self.layout = params.layout
         self.project = Projector(params)
-        self.no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
+        self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
+        with np.errstate(over="ignore"):
+            # Rounded here once instead of for every scan; upstream's default is the largest float64.
+            range_max = float(np.float32(params.range_max))
+        angles = layout.angle_min, layout.angle_max, layout.angle_increment
+        self._geometry = (*angles, measured.time_increment, measured.scan_time, params.range_min, range_max)
+
+    def message(self, sequence: int, stamp_ns: int, frame_id: str, scan: ProjectedScan) -> LaserScan:
+        """Return the message of projected points."""
+        return LaserScan(sequence, stamp_ns, frame_id, *self._geometry, scan.ranges, scan.intensities)
+
+    def is_empty(self, scan: ProjectedScan) -> bool:
+        """Return whether no beam has a return."""
+        return scan.ranges.tobytes() == self._no_returns
 
 
 class CloudToScan(Conversion):
@@ -98,9 +127,6 @@ class CloudToScan(Conversion):
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
-        with np.errstate(over="ignore"):
-            # Rounded here once instead of for every scan; upstream's default is the largest float64.
-            self._range_max = float(np.float32(params.range_max))
         self._place = PlaceStage(frames, deskew)
         self._select: Callable[[PlacedCloud], PlacedCloud] | None = None
         if filters or deskew is not None:
@@ -113,7 +139,6 @@ class CloudToScan(Conversion):
             from .beam_removal import RemoveStage  # noqa: PLC0415  # few scans are filtered
 
             self._remove = (RemoveStage(remove, params.empty_range),)
-        self._beams = _Beams(params) if params.beams != "auto" else None
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Points]:
         """Return the decoder of clouds; see `Conversion`."""
@@ -122,40 +147,27 @@ class CloudToScan(Conversion):
     def stages(self, topic: str) -> tuple[Step, ...]:
         """Return the stages of one topic's messages, with its timing: place, select, project; see `Conversion`."""
         measured = self._timings.get(topic, self._default)
-        beams = self._beams or _Beams(measured.resolve(self.params))
+        beams = Beams(self.params, measured)
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
-        project = partial(self._make_scan, measured, beams, firsts)
+        project = partial(self._make_scan, measured.first_beam_ns, beams, firsts)
         select = () if self._select is None else (self._select,)
         return (self._place.of(topic), *select, project, *self._remove)
 
     def _make_scan(
-        self, timing: Measurements, beams: _Beams, firsts: TopicClouds | None, placed: PlacedCloud
+        self, first_beam_ns: int, beams: Beams, firsts: TopicClouds | None, placed: PlacedCloud
     ) -> ConvertedMessage:
-        params, layout, points, stamp_ns = self.params, beams.layout, placed.points, placed.stamp_ns
-        intensities = points.field(params.intensity_field) if params.intensity_field else None
+        points, stamp_ns, name = placed.points, placed.stamp_ns, self.params.intensity_field
+        intensities = points.field(name) if name else None
         # A transform that is not applied yet is applied in the same loop.
         scan = beams.project(*points.xyz(), _transform(placed), intensities)
         counts = scan.counts
         if placed.rejected:
             counts += PointCounts(sum(placed.rejected.values()), **placed.rejected)
-        if timing.first_beam_ns:
+        if first_beam_ns:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
-            stamp_ns = max(0, stamp_ns + timing.first_beam_ns)
-        message = LaserScan(
-            points.sequence,
-            stamp_ns,
-            placed.place.frame_id,
-            layout.angle_min,
-            layout.angle_max,
-            layout.angle_increment,
-            timing.time_increment,
-            timing.scan_time,
-            params.range_min,
-            self._range_max,
-            scan.ranges,
-            scan.intensities,
-        )
-        empty = scan.ranges.tobytes() == beams.no_returns
+            stamp_ns = max(0, stamp_ns + first_beam_ns)
+        message = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
+        empty = beams.is_empty(scan)
         sample = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)

@@ -17,13 +17,14 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
-from pc2scan.core.project import PointsPart, ProjectedScan, Projector, contiguous, transform_rows
+from pc2scan.core.project import PointsPart, ProjectedScan, contiguous, transform_rows
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
 from pc2scan.files.buffers import ReadBuffer, retain
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.pipeline.cloud_to_scan import Beams
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
 from pc2scan.pipeline.motion import Motion
 from pc2scan.tf.placing import Placement
@@ -166,18 +167,14 @@ class MessagesToScan(Conversion):
         first_clouds: Callable[[str], TopicClouds] | None = None,
     ) -> None:
         params = measured.resolve(spec.params)
+        self._beams = Beams(params, measured)
         self.spec = spec
         self.topics = tuple(topics)
         self.grouper = grouper
         self._frames = frames
-        self._measured = measured
         self._deskew = deskew
         self._first_clouds = first_clouds
-        self._params = params
-        self._projector = Projector(params)
-        self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
-        with np.errstate(over="ignore"):
-            self._range_max = float(np.float32(params.range_max))
+        self._projector = self._beams.project
         #: Whether the transform of points does not depend on the scan's time, so that no message waits for that.
         self._rigid = not spec.fixed_frame and frames.up is None
         #: Whether a message is in at most one scan. A leading message is in the scan of its own time.
@@ -394,22 +391,8 @@ class MessagesToScan(Conversion):
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
             scan = self._projector.together(parts)
-        layout = self._params.layout
-        message = LaserScan(
-            lead.points.sequence,
-            lead.reference_ns,
-            lead.frame_id,
-            layout.angle_min,
-            layout.angle_max,
-            layout.angle_increment,
-            self._measured.time_increment,
-            self._measured.scan_time,
-            self._params.range_min,
-            self._range_max,
-            scan.ranges,
-            scan.intensities,
-        )
-        empty = scan.ranges.tobytes() == self._no_returns
+        message = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
+        empty = self._beams.is_empty(scan)
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
         shared = self._rebin(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
@@ -465,7 +448,7 @@ class MessagesToScan(Conversion):
         for part, numbers in beams:
             bins, used = self._projector.bins(part)
             found.append((bins, numbers[used]))
-        layout = self._params.layout
+        layout = self._beams.layout
         # Upstream's layout does not join the two ends of a circle, but neighbouring points lie on both sides of them.
         around = layout.full_circle or layout.angle_max - layout.angle_min > TURN - 2 * layout.angle_increment
         return count_rebinning(found, layout.count, full_circle=around)
