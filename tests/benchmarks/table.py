@@ -105,6 +105,12 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - began
 
 
+def timed(work: Callable[[], object]) -> tuple[float, float]:
+    """How long work takes, and its processor time on all threads."""
+    before = time.process_time()
+    return seconds(work), time.process_time() - before
+
+
 def rounds(repeat: int, *works: Callable[[], float]) -> list[list[float]]:
     """Take turns, so that what else the machine does meets all alike; the first round warms up."""
     return [[work() for work in works] for _ in range(repeat + 1)][1:]
@@ -323,6 +329,49 @@ def smaller_clouds(place: Path, size: int, repeat: int) -> None:
         f"Converting** smaller clouds, {size / 1e9:g} GB of them (MCAP, none): clouds a second, and the time as a "
         "multiple of plain reading + projecting",
         ("points", "1 job", "2 jobs", "1 job, a multiple", "2 jobs, a multiple"),
+        rows(),
+    )
+
+
+# --- Python ---
+
+
+def in_python(place: Path, size: int, repeat: int) -> None:
+    """`pc2scan.scans` beside `pc2scan.convert`, both called in this process."""
+    size //= 4
+    count = max(1, size // CLOUD_BYTES)
+    heights = {"min_height": -0.5, "max_height": 1.0}
+
+    def convert(source: Path, jobs: int) -> None:
+        to = place / "scans.mcap"
+        pc2scan.convert(source, to, topics=POINTS, only_scans=True, overwrite=True, jobs=jobs, **heights)  # type: ignore[arg-type]
+
+    def iterate(source: Path) -> None:
+        returns = [np.isfinite(scan.ranges).any() for scan in pc2scan.scans(source, POINTS, **heights)]  # type: ignore[arg-type]
+        assert returns == [True] * count
+
+    def rows() -> Iterable[Sequence[str]]:
+        for name in ("ROS 1, lz4", "MCAP, none", "MCAP, zstd"):
+            source = write_recording(place, FORMS[name], size)
+            works = partial(convert, source, 1), partial(convert, source, 2), partial(iterate, source)
+            found = [[timed(work) for work in works] for _ in range(repeat + 1)][1:]
+            speeds = (f"{count / median(took for took, _ in column):,.0f}" for column in zip(*found, strict=True))
+            ratios = (f"{median(row[2][0] / row[i][0] for row in found):.2f}" for i in (0, 1))
+            yield name, *speeds, *ratios, f"{median(row[2][1] / row[0][1] for row in found):.2f}"
+            source.unlink()
+
+    table(
+        f"Python's `scans()`** of {count} clouds of 131,072 points, beside `convert()` of the same recording: clouds a "
+        "second, and the time of `scans()` as a multiple of `convert()`'s",
+        (
+            "source",
+            "`convert()`, 1 job",
+            "`convert()`, 2 jobs",
+            "`scans()`",
+            "of 1 job's",
+            "of 2 jobs'",
+            "processor time, of 1 job's",
+        ),
         rows(),
     )
 
@@ -610,6 +659,7 @@ TABLES: dict[str, Callable[[Path, int, int], None]] = {
     "deskewing": deskewing,
     "conversions": conversions,
     "smaller clouds": smaller_clouds,
+    "python": in_python,
     "outputs": outputs,
     "combining": combining,
     "batch": datasets,

@@ -11,6 +11,7 @@ import numpy as np
 
 from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import LaserScan
+from support.compiling import compiled_once
 from tf.trees import EPOCH, SECOND, row
 
 if TYPE_CHECKING:
@@ -36,12 +37,11 @@ def why_not() -> str:
 
 
 def compiled(folder: Path) -> Path:
-    """Compile the program into a folder."""
+    """Compile the program into a folder; returns what an earlier call compiled there."""
     program = folder / "oracle"
     # As Debian builds its packages: tf2_sensor_msgs is a header, and without fused operations only without -march.
-    command = ["g++", "-O2", "-I/usr/include/eigen3", "-o", str(program), str(SOURCE)]
-    subprocess.run([*command, "-ltf2", "-llaser_geometry", "-lrostime"], check=True)
-    return program
+    options, libraries = ["-O2", "-I/usr/include/eigen3"], ["tf2", "laser_geometry", "rostime"]
+    return compiled_once(program, SOURCE, options, libraries)
 
 
 def time_of(stamp_ns: int) -> str:

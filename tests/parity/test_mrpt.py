@@ -13,6 +13,7 @@ import pytest
 from pc2scan.core.consumers import judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.verdicts import ConsumerScan
+from support.compiling import compiled_once, folder_of_the_run
 from support.consumer_rules import mrpt_2_5
 
 SOURCE = Path(__file__).with_name("mrpt.cpp")
@@ -40,11 +41,9 @@ def why_not() -> str:
 def bridge(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if why_not():
         pytest.skip(why_not())
-    program = tmp_path_factory.mktemp("mrpt") / "bridge"
+    program = folder_of_the_run(tmp_path_factory) / "bridge"
     headers = [f"-I{folder}" for folder in (*sorted(HEADERS.glob("*/include")), Path("/usr/include/eigen3"))]
-    libraries = [f"-l{name}" for name in LIBRARIES]
-    subprocess.run(["g++", "-std=c++17", *headers, "-o", str(program), str(SOURCE), *libraries], check=True)
-    return program
+    return compiled_once(program, SOURCE, ["-std=c++17", *headers], LIBRARIES)
 
 
 def taken(program: Path, sectors: list[Sector]) -> list[list[int]]:

@@ -22,12 +22,14 @@ _MARGIN_BYTES = 230_000_000
 _STATUS, _CLEAR = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
-def run_bounded(command: str, source: str | Path, *args: str | Path, cwd: Path | None = None) -> Finished:
+def run_bounded(
+    command: str, source: str | Path, *args: str | Path, cwd: Path | None = None, margin: int = _MARGIN_BYTES
+) -> Finished:
     """Run ``pc2scan COMMAND SOURCE ARGS`` as `support.command.run` does, and hold it to its bounds.
 
-    It must end in time and without a traceback, and take four times the memory of its source at most.
+    It must end in time and without a traceback, and take four times the memory of its source and a margin at most.
     """
-    with _memory_bounded(size_of(Path(cwd or "", source))):
+    with _memory_bounded(size_of(Path(cwd or "", source)), margin):
         done = run(command, source, *args, cwd=cwd)
     assert done.status in (0, 1, 2, 3, 4), done.stderr[-2000:]
     assert "Traceback" not in done.stderr, done.stderr[-2000:]
@@ -71,13 +73,13 @@ def _hang(*_: object) -> None:
 
 
 @contextmanager
-def _memory_bounded(size: int) -> Iterator[None]:
+def _memory_bounded(size: int, margin: int = _MARGIN_BYTES) -> Iterator[None]:
     measured = _reset_peak()
     resident = _memory("VmRSS") if measured else 0
     yield
     if measured:
         taken = _memory("VmHWM") - resident
-        allowed = 4 * size + _MARGIN_BYTES
+        allowed = 4 * size + margin
         assert taken <= allowed, f"{taken / 1e6:.0f} MB of memory for {size} bytes, allowed are {allowed / 1e6:.0f} MB"
 
 

@@ -1,0 +1,187 @@
+"""The way of a cloud through the code: what runs between the command and the arithmetic, as the interpreter reports it.
+
+    PYTHONPATH=tests python -m support.way_of_a_cloud
+    PYTHONPATH=tests python -m support.way_of_a_cloud fixtures/hall.bag --min-height -0.3 --deskew
+
+Each conversion runs in a process of its own, so that nothing is loaded or remembered before it. The first form runs the
+conversions that the tests have bounds for; the second runs ``pc2scan convert`` with the arguments that follow, and may
+begin with ``--json``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections import Counter
+from contextlib import redirect_stderr, redirect_stdout, suppress
+from io import StringIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import pc2scan
+from support import ROOT
+from support.tables import rows
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import CodeType, FrameType
+
+__all__ = ["BOUNDS", "Way", "way_of"]
+
+#: The conversions, and at most how many frames, functions, files and decompressions they may take.
+BOUNDS = Path(__file__).parents[1] / "e2e" / "way_of_a_cloud.txt"
+
+_PACKAGE = f"{Path(pc2scan.__file__).parent}{os.sep}"
+
+
+class Way(NamedTuple):
+    """What a conversion runs.
+
+    Attributes
+    ----------
+    frames
+        The deepest chain of calls, on one thread, that ends with the projection: name and file of each function.
+    functions
+        How many functions of pc2scan run. A comprehension or a generator expression is part of its function.
+    codes
+        How many code objects run: functions, and the bodies of modules, classes, comprehensions and generators.
+    files
+        How many files of pc2scan have code that runs.
+    decompressions
+        How often each chunk is decompressed, by its offset in the recording.
+    """
+
+    frames: list[tuple[str, str]]
+    functions: int
+    codes: int
+    files: int
+    decompressions: dict[int, int]
+
+
+def way_of(*arguments: str) -> Way:
+    """Run ``pc2scan convert`` with these arguments in a process of its own, and return what it ran."""
+    # Not at the top: it loads the command, which is to be watched.
+    from support.command import environment
+
+    paths = [str(Path(__file__).parents[1]), environment().get("PYTHONPATH", "")]
+    done = subprocess.run(
+        [sys.executable, "-m", "support.way_of_a_cloud", "--json", *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+        cwd=ROOT,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    way = Way(**json.loads(done.stdout))
+    # JSON has neither tuples nor numbers as keys.
+    return way._replace(
+        frames=[(name, file) for name, file in way.frames],
+        decompressions={int(offset): count for offset, count in way.decompressions.items()},
+    )
+
+
+class _Watcher:
+    """Notes what runs; `__call__` is the function that the interpreter calls at each call of a function."""
+
+    def __init__(self, source: bytes) -> None:
+        self._source = source
+        self._codes: set[CodeType] = set()
+        self._deepest: list[tuple[str, str]] = []
+        self._decompressed: Counter[int] = Counter()
+
+    def __call__(self, frame: FrameType, event: str, called: Any) -> None:
+        """Note a call of a function of pc2scan, or of its compiled projection."""
+        code = frame.f_code
+        if event == "c_call":
+            if getattr(called, "__module__", "") == "pc2scan.core._kernel" and called.__name__ == "project":
+                self._note_chain(frame, ("project", "core/_kernel"))
+        elif event == "call" and code.co_filename.startswith(_PACKAGE):
+            self._codes.add(code)
+            place = _place(code)
+            if place == ("project", "core/plain.py") and frame.f_back is not None:
+                self._note_chain(frame.f_back, place)
+            elif place == ("decompress", "files/compression.py"):
+                self._decompressed[self._source.find(bytes(frame.f_locals["data"]))] += 1
+
+    def _note_chain(self, last: FrameType | None, arithmetic: tuple[str, str]) -> None:
+        chain = [arithmetic]
+        while last is not None:
+            if last.f_code.co_filename.startswith(_PACKAGE) and _is_function(last.f_code):
+                chain.append(_place(last.f_code))
+            last = last.f_back
+        self._deepest = max(self._deepest, chain[::-1], key=len)
+
+    def way(self) -> Way:
+        """What was noted."""
+        return Way(
+            self._deepest,
+            sum(map(_is_function, self._codes)),
+            len(self._codes),
+            len({code.co_filename for code in self._codes}),
+            dict(sorted(self._decompressed.items())),
+        )
+
+
+def _is_function(code: CodeType) -> bool:
+    """Whether code is that of a function: not of a module, a class or a comprehension."""
+    name = code.co_name
+    return bool(code.co_flags & inspect.CO_OPTIMIZED) and (name == "<lambda>" or not name.startswith("<"))
+
+
+def _place(code: CodeType) -> tuple[str, str]:
+    """A function's name, and its file in the package."""
+    return code.co_name, code.co_filename.removeprefix(_PACKAGE).replace(os.sep, "/")
+
+
+def _watch(arguments: list[str]) -> Way:
+    """Run ``pc2scan convert`` in this process."""
+    source = Path(arguments[0]).read_bytes()
+    watcher, said = _Watcher(source), StringIO()
+    with TemporaryDirectory() as folder:
+        sys.argv = ["pc2scan", "convert", *arguments, "-o", str(Path(folder) / "scans.mcap")]
+        threading.setprofile(watcher)
+        with redirect_stdout(said), redirect_stderr(said), suppress(SystemExit):
+            sys.setprofile(watcher)
+            try:
+                _command()
+            finally:
+                sys.setprofile(None)
+                threading.setprofile(None)
+        made = (Path(folder) / "scans.mcap").is_file()
+    assert made, said.getvalue()
+    return watcher.way()
+
+
+def _command() -> None:
+    from pc2scan.cli import main as command
+
+    command()
+
+
+def _text(arguments: str, way: Way) -> Iterator[str]:
+    yield f"pc2scan convert {arguments}"
+    yield f"  {len(way.frames)} frames from the command to the arithmetic:"
+    yield from (f"    {number:2} {name:32} {file}" for number, (name, file) in enumerate(way.frames, 1))
+    yield f"  {way.functions:,} functions ({way.codes:,} code objects) in {way.files} files"
+    yield "  decompressions of the chunk at each offset:"
+    yield from (f"    {offset:10,} {count}" for offset, count in way.decompressions.items())
+
+
+def main() -> None:
+    """Print what conversions run."""
+    arguments = sys.argv[1:]
+    if arguments[:1] == ["--json"]:
+        print(json.dumps(_watch(arguments[1:])._asdict()))  # noqa: T201
+        return
+    for each in [arguments] if arguments else [request.split() for request, *_ in rows(BOUNDS, "bounds")]:
+        print(*_text(" ".join(each), way_of(*each)), sep="\n")  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()
