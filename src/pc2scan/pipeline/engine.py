@@ -92,32 +92,12 @@ def convert(
     Item | StoredChunk
         By log time. A group follows the item of the message that completes it.
     """
-    items: Generator[Item | StoredChunk] = _messages(reader, routes, span, threads, rule, window)
-    if combiners:
-        from .combine.combiner import add_groups  # noqa: PLC0415  # few scans are made of several messages
+    items = _messages(reader, routes, span, threads, rule, window, progress)
+    if not combiners:
+        return items
+    from .combine.combiner import add_groups  # noqa: PLC0415  # few scans are made of several messages
 
-        items = add_groups(items, combiners, threads)
-    total, messages, steps = reader.summary.size_bytes, 0, 0
-    if progress is not None:
-        progress(0, total, 0)
-    # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
-    with closing(items):
-        for item in items:
-            yield item
-            if progress is not None:
-                if isinstance(item, StoredChunk):
-                    messages += sum(len(entries) for entries in item.index.values())
-                    steps += _PROGRESS_EVERY
-                else:
-                    messages += not item.is_group
-                    steps += 1
-                if steps >= _PROGRESS_EVERY:
-                    steps = 0
-                    progress(min(reader.bytes_read, total), total, messages)
-            # The item is not in memory while the next one is made.
-            del item
-    if progress is not None:
-        progress(total, total, messages)
+    return add_groups(items, combiners, threads)
 
 
 def _messages(
@@ -127,15 +107,31 @@ def _messages(
     threads: Threads | None,
     rule: ChunkRule | None,
     window: int | None,
+    progress: Progress | None,
 ) -> Generator[Item | StoredChunk]:
     """Yield the items of the messages in the cut, after those of latched messages from before it."""
-    work = partial(_work, routes)
+    work, total = partial(_work, routes), reader.summary.size_bytes
+    messages = steps = 0
+    if progress is not None:
+        progress(0, total, 0)
     for units in _units_of_cut(reader, routes, span, rule, threads):
+        # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
         with closing(schedule(units, work, threads, window=window, path=reader.path)) as items:
             for item in items:
+                if isinstance(item, StoredChunk):
+                    messages += sum(len(entries) for entries in item.index.values())
+                    steps += _PROGRESS_EVERY
+                else:
+                    messages += 1
+                    steps += 1
                 yield item.work(item.message) if isinstance(item, DeferredMessage) else item
                 # The item is not in memory while the next one is made.
                 del item
+                if progress is not None and steps >= _PROGRESS_EVERY:
+                    steps = 0
+                    progress(min(reader.bytes_read, total), total, messages)
+    if progress is not None:
+        progress(total, total, messages)
 
 
 def _units_of_cut(
