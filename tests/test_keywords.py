@@ -79,7 +79,7 @@ NOT_FOR_SCANS = {
     "a loop can check its scans itself": {"fail_on", "min_used"},
     "clouds are made": {"reverse", "channels", "range_cutoff"},
     "a loop has one output": {"scans"},
-    "a loop has one thread, and shows its own progress": {"jobs", "progress"},
+    "a loop shows its own progress": {"progress"},
 }
 
 

@@ -547,7 +547,7 @@ def scans(
         conversion = conversion_of(Options("convert", given)).options
         if conversion.scan.reverse:
             raise UsageError("the parameter file is for laserscan_to_pointcloud, which does not make scans")
-    elif asked.given.keys() - options_of("clouds").keys():
+    elif asked.given.keys() - options_of("clouds").keys() - {"jobs"}:
         raise UsageError(
             "transforms, filters, `node`, `deskew`, `level` and `remove` have no effect: no clouds are converted",
             hint="to convert clouds, give `preset`, `params_file`, or a parameter by name, `target_frame=base_link`",

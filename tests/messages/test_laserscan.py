@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from pc2scan.messages.laserscan import (
     LASERSCAN,
     LaserScan,
     _frame_and_geometry,
+    as_message,
     decode_laserscan,
     encode_laserscan,
     scan_for_consumers,
@@ -65,6 +66,36 @@ def test_round_trip(serialization: str, ranges: Any, intensities: Any) -> None:
     read = decode_laserscan(encoded, serialization)
     assert encode_laserscan(read, serialization) == encoded
     assert read.ranges.tobytes() == ranges.tobytes()
+
+
+@pytest.mark.parametrize("serialization", ["ros1", "cdr"])
+@given(
+    numbers=st.lists(st.floats(), min_size=7, max_size=7),
+    ranges=arrays(st.sampled_from([np.float32, np.float64]), st.integers(0, 9), elements=st.floats(width=32)),
+    intensities=FLOATS,
+    frame=st.sampled_from(["", "laser", "läser", "a\0", "\udcff"]),
+    stamp_ns=st.integers(0, 2**31 * 10**9 - 1),
+)
+def test_a_scan_as_message_is_what_its_encoding_decodes_to(
+    serialization: str, numbers: list[float], ranges: Any, intensities: Any, frame: str, stamp_ns: int
+) -> None:
+    values: list[Any] = [3, stamp_ns, frame, *numbers, ranges, intensities]
+    made = LaserScan(*values)
+    one, other = as_message(made, serialization), decode_laserscan(encode_laserscan(made, serialization), serialization)
+    for field in fields(LaserScan):
+        ours, theirs = (np.asarray(getattr(each, field.name)) for each in (one, other))
+        assert (ours.dtype, ours.tobytes()) == (theirs.dtype, theirs.tobytes()), field.name
+
+
+@pytest.mark.parametrize(("serialization", "stamp_ns"), [("ros1", -1), ("ros1", 2**32 * 10**9), ("cdr", 2**31 * 10**9)])
+def test_a_scan_as_message_has_a_stamp_that_fits(serialization: str, stamp_ns: int) -> None:
+    made = scan(floats(1), floats(), stamp_ns=stamp_ns)
+    errors = []
+    for work in (as_message, encode_laserscan):
+        with pytest.raises(DecodeError) as caught:
+            work(made, serialization)
+        errors.append((caught.value.message, caught.value.stamp_ns))
+    assert errors[0] == errors[1]
 
 
 def test_zeros_keep_their_sign_whatever_was_encoded_before() -> None:

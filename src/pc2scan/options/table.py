@@ -123,7 +123,7 @@ class Batch(BatchRun, BatchExport, _Conversion, BatchRunProgress, total=False):
     """``batch``."""
 
 
-class Export(ExportFormat, SourceTopics, _Scans, BadMessages, RunProgress, total=False):
+class Export(ExportFormat, SourceTopics, _Scans, BadMessages, ThreadCount, RunProgress, total=False):
     """``export``."""
 
 
@@ -135,7 +135,7 @@ class Plot(FigureClouds, SourceTopics, _Clouds, SeveralOutputs, total=False):
     """``plot``."""
 
 
-class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, BadMessages, RunProgress, total=False):
+class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, BadMessages, ThreadCount, RunProgress, total=False):
     """``map``."""
 
 
@@ -163,7 +163,7 @@ class Golden(GoldenCases, total=False):
     """``golden``."""
 
 
-class Scans(_Scans, BadMessages, total=False):
+class Scans(_Scans, BadMessages, ThreadCount, total=False):
     """``pc2scan.scans``."""
 
 

@@ -287,7 +287,7 @@ def _dataset(scans: Sequence[Scan]) -> Any:
         if len(scan.ranges) != len(first.ranges) or any(getattr(scan, n) != getattr(first, n) for n in _GEOMETRY):
             raise UsageError(
                 f"the scans do not have the same beams: {_layout_text(first)}, but {_layout_text(scan)}",
-                hint="to_dataframe() accepts any scans; or choose one with topic=",
+                hint="to_dataframe() accepts any scans; or choose one with topics=",
             )
     data = {"ranges": (("time", "beam"), np.stack([scan.ranges for scan in scans]), {"units": "m"})}
     if all(len(scan.intensities) == len(first.ranges) for scan in scans):

@@ -174,7 +174,7 @@ class Selection:
             raise TopicError(
                 f"the recording has {len(found)} {short_types(kinds)} topics: {name_list(sorted(found))}",
                 path=reader.path,
-                hint=f'choose: topic="{min(found)}", or a list of several',
+                hint=f'choose: topics="{min(found)}", or a list of several',
             )
         try:
             requested = [find_topics(topic, types, sorted(found), *kinds) for topic in self.topics]
