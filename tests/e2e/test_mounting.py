@@ -139,7 +139,7 @@ def test_transforms_tell_what_clouds_cannot(recorded: Callable[..., Path]) -> No
 def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path: Path) -> None:
     done = run("info", HALL)
     assert done.stderr == ""
-    assert "floor at z = 0.01 m in frame 'base_link'; the sensor is 0.59 m above the floor" in done.stdout
+    assert "floor at z = 0.00 m in frame 'base_link'; the sensor is 0.60 m above the floor" in done.stdout
     assert ready(done.stdout)[1:4] == [str(HALL), "--target-frame", "base_link"]
     source = recorded(sensor="128 rings")
     done = run("info", source)
@@ -157,7 +157,7 @@ def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path:
 REAL: list[tuple[str, float, str, tuple[float, float] | None]] = [
     ("velodyne_vlp32.bag", -0.3, "", (-0.2, 1.2)),
     ("d435_depth.mcap", 0.0, "is an optical frame: z points forward, and up is -y", None),
-    ("luminar_highway.bag", -3.7, "", (-4.2, -1.5)),
+    ("luminar_highway.bag", -4.0, "", (-4.2, -1.5)),
     ("ouster_os1_32.mcap", -1.85, "", (-1.7, 0.5)),
 ]
 

@@ -12,6 +12,7 @@ import pytest
 
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
+from pc2scan.pipeline.checks import result_findings
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.topic_report import TopicReport
@@ -22,7 +23,7 @@ TABLES = Path(__file__).with_name("reports.txt")
 
 
 def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
-    """A concluded report of one topic with these counts of points and scans."""
+    """A checked report of one topic with these counts of points and scans."""
     own = {name: counts.pop(name) for name in ("messages_out", "empty_scans", "advice", "motions") if name in counts}
     moved: dict[str, Any] = (
         {"deskew": True, "fixed_frame": "odom"} if {"no_time", "no_transform"} & counts.keys() else {}
@@ -35,7 +36,7 @@ def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
             "/points", "a/msg/B", "/scan", "converted", messages_in=4, points=points, **{"messages_out": 4, **own}
         )
     )
-    made.conclude()
+    made.add(*result_findings(made))
     return made
 
 
@@ -79,7 +80,7 @@ def test_what_cannot_be_carried_over_is_a_loss(lost: bool) -> None:
     made.topics[-1].skip(3)
     assert (made.exit_status, made.skipped_count) == ((3, 3) if lost else (0, 0))
     assert made.topics[-1].messages_in == 3
-    made.conclude()
+    made.add(*result_findings(made))
     assert made.warnings == ["3 messages of 1 topic are skipped: /x (3: cannot be written)"][: int(lost)]
 
 
@@ -88,7 +89,7 @@ def test_a_warning_lists_some_of_many_topics() -> None:
     for number in range(7):
         made.topics.append(TopicReport(f"/x{number}", "a/msg/B", None, "skipped", note="no", lost=True))
         made.topics[-1].skip(1)
-    made.conclude()
+    made.add(*result_findings(made))
     (warning,) = made.warnings
     assert warning.startswith("7 messages of 7 topics are skipped: /x0 (1: no)")
     assert warning.count("/x") == 5

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from .level import LEVEL, cells_of, level_floor, tolerances
+from .floor import FEWEST_POINTS, LEVEL, cells_of, level_floor, tolerances
 from .percentiles import median, percentiles
 
 if TYPE_CHECKING:
@@ -38,9 +38,6 @@ Kind = Literal["level", "tilted", "upside-down", "optical", "unknown"]
 
 _Points: TypeAlias = "NDArray[np.float64]"
 _Direction: TypeAlias = tuple[float, float, float]
-
-#: With fewer points than this, a cloud is not judged.
-_FEWEST_POINTS = 300
 
 #: A plane whose normal is this far from the frame's z axis, radians, is as likely a wall as the ground.
 _STEEPEST = math.radians(50.0)
@@ -183,9 +180,9 @@ def find_ground(points: _Points) -> Ground:
     Parameters
     ----------
     points
-        The result of `pc2scan.core.level.thin_points`, metres.
+        The result of `pc2scan.core.floor.thin_points`, metres.
     """
-    if len(points) < _FEWEST_POINTS:
+    if len(points) < FEWEST_POINTS:
         return Ground("unknown")
     if not _is_optical(points):
         return _level_ground(cells_of(points)) or _choose_ground(points)

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from pc2scan.errors import MessageError
 from pc2scan.result import Skipped
 
-from .checks import TransformCheck
+from .checks import result_findings
 from .declarations import Declarations
 from .first_clouds import Candidate, SharedSample
+from .refusals import TransformCheck
 from .routes import count_skipped, open_routes
 
 if TYPE_CHECKING:
@@ -76,12 +77,15 @@ def forecast(
     declared = Declarations()
     routes = open_routes(plan.routes, conversions, target, target.same_kind(reader.summary), options, declared, report)
     routes = count_skipped(routes, reader, start_ns, stop_ns)
-    sizes: dict[int, _MeanSizes] = _converted_sizes(
-        reader, routes, options, start_ns, stop_ns, report, firsts, is_packed=target.compression != "none"
-    )
-    firsts.finish()
+    try:
+        sizes: dict[int, _MeanSizes] = _converted_sizes(
+            reader, routes, options, start_ns, stop_ns, report, firsts, is_packed=target.compression != "none"
+        )
+        firsts.finish()
+    finally:
+        report.add(firsts.warnings, firsts.notes, firsts.advice)
     report.damage += reader.damage
-    report.conclude()
+    report.add(*result_findings(report))
     counts = reader.counts([route.connection for route in routes.values()], start_ns, stop_ns)
     _fill_in(routes, counts, report)
     sizes |= _correct_intervals(reader, routes, sizes, start_ns, stop_ns)

@@ -39,12 +39,19 @@ from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads, cores
 
-from .checks import TransformCheck, cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
-from .conclusion import conclude
+from .checks import cut_warnings, request_warnings, result_findings
 from .declarations import Declarations
 from .first_clouds import FirstClouds
 from .plan import make_plan
 from .preparation import prepare_conversions
+from .refusals import (
+    TransformCheck,
+    compare_counts,
+    refuse_no_messages,
+    refuse_nothing,
+    refuse_unsatisfied,
+    refuse_unusable,
+)
 from .report import Report
 from .routes import (
     bind,
@@ -222,7 +229,7 @@ def _run(
         from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
 
         report.warnings += overlap_warnings(readers)
-    report.warnings += (*plan.warnings, *option_warnings(options))
+    report.warnings += (*plan.warnings, *request_warnings(options))
     in_parts = files.numbered = output.cut is not None and not target.storage
     if in_parts:
         from pc2scan.files.parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
@@ -245,8 +252,8 @@ def _run(
     with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-        report.warnings += cut_warnings(reader, options.start, options.end)
-        firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span))
+        report.warnings += cut_warnings(reader, options)
+        firsts = FirstClouds(report.source_frame, partial(robot_transforms, files.read, options, span), warn)
         conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
         begin_ns = span.first_ns
@@ -266,11 +273,11 @@ def _run(
                 levels.handle = handles[levels.handle]
             routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
             if not options.only_scans:
-                copy_extras(reader, target, writer, report)
+                report.warnings += copy_extras(reader, target, writer)
             if added is not None:
                 earliest_ns, latest_ns = target.times_ns
                 begin_ns = max(earliest_ns, min(begin_ns, latest_ns))
-                write_static(options.frames, begin_ns, handles[added], target, writer, report)
+                report.topics.append(write_static(options.frames, begin_ns, handles[added], target, writer))
             pool = _threads(options, stack)
             if pool is not None:
                 writer.compress_ahead(pool)
@@ -280,15 +287,26 @@ def _run(
 
                 rule = narrow_rule(rule, cut, reader.connections)
             unconnected = TransformCheck(firsts.warn)
-            stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
-            unconnected.finish()
-            firsts.finish()
-            for spec in plan.specs:
-                if spec.made_type == LASERSCAN:
-                    report.warnings += (each for each in ghost_warnings(spec.params) if each not in report.warnings)
+            try:
+                stream(reader, routes, options, span, rule, pool, writer, report, progress, levels, unconnected)
+                unconnected.finish()
+                firsts.finish()
+            finally:
+                report.add(firsts.warnings, firsts.notes, firsts.advice)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
-            conclude(report, reader, routes.values(), target.serialization, options)
+            outputs = [output for route in routes.values() for output in route.outputs]
+            first_scans = [
+                (output.report, output.sample)
+                for output in outputs
+                if output.sample and output.report.spec is not None and output.report.spec.made_type == LASERSCAN
+            ]
+            report.add(*result_findings(report, first_scans, target.serialization))
+            report.messages_declared, difference = compare_counts(reader, routes.values(), options, report)
+            report.damage += difference
+            if not options.repair:
+                refuse_nothing(report)
+                refuse_unsatisfied(report, options)
             writer.finish()
         except BaseException:
             writer.abort()
@@ -316,8 +334,8 @@ def _estimate(
     span = span_of(reader, options)
     converted = [route.connection for route in plan.routes if route.targets]
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-    report.warnings += cut_warnings(reader, options.start, options.end)
-    firsts = FirstClouds(report, None, partial(robot_transforms, files.read, options, span))
+    report.warnings += cut_warnings(reader, options)
+    firsts = FirstClouds(report.source_frame, partial(robot_transforms, files.read, options, span))
     conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
     levels = _level_frames(reader, plan, target, options, Declarations(), report)
     size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report, firsts)

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, ChunkRule, RawMessage, Writer
     from pc2scan.threads import Threads
 
-    from .checks import TransformCheck
     from .combine.combiner import Arrival, CombinedScan
     from .levelling import LevelFrames
     from .options import ConvertOptions
+    from .refusals import TransformCheck
     from .report import Report
     from .routes import OpenRoute, TargetTopic
     from .topic_report import TopicReport

@@ -12,11 +12,12 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import MessageError, UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
-from pc2scan.pipeline.checks import TransformCheck, cut_warnings, option_warnings, refuse_unusable
+from pc2scan.pipeline.checks import cut_warnings, request_warnings, result_findings
 from pc2scan.pipeline.conversion import EncodedMessage
 from pc2scan.pipeline.first_clouds import Candidate, FirstClouds, SharedSample
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.preparation import prepare_conversions
+from pc2scan.pipeline.refusals import TransformCheck, refuse_unusable
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.routes import combiner_of
 from pc2scan.pipeline.run import robot_transforms, span_of
@@ -211,13 +212,13 @@ class Scans(Stream[Scan]):
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
         report.warnings += (
-            *option_warnings(options),
-            *cut_warnings(reader, options.start, options.end),
+            *request_warnings(options),
+            *cut_warnings(reader, options),
             *plan.warnings,
         )
         early: list[str] = []
         transforms = partial(robot_transforms, self._selection.paths, options, span)
-        firsts = FirstClouds(report, early.append, transforms)
+        firsts = FirstClouds(report.source_frame, transforms, early.append)
         conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
         early[:0] = report.warnings
         self.notes = tuple(report.notes)
@@ -471,9 +472,11 @@ class _ConversionCounter:
 
     def warnings(self) -> Sequence[str]:
         """Return warnings for the user; see `ResultCounter`."""
-        self._firsts.finish()
-        self._report.conclude()
-        return self._report.warnings
+        firsts, report = self._firsts, self._report
+        firsts.finish()
+        report.add(firsts.warnings, firsts.notes, firsts.advice)
+        report.add(*result_findings(report))
+        return report.warnings
 
 
 def _hint_clouds(reader: Reader) -> str | None:

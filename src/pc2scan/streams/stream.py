@@ -17,8 +17,8 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.bags.units import merge_by_time
 from pc2scan.errors import MessageError, RecordingWarning, TopicError, UsageError, name_list, visible
-from pc2scan.pipeline.checks import refuse_no_messages
 from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.refusals import refuse_no_messages
 from pc2scan.pipeline.run import span_of
 from pc2scan.result import MAX_LISTED, Skipped
 
