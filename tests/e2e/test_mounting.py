@@ -23,7 +23,7 @@ from pc2scan.pipeline.scan_spec import ScanSpec
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.command import run
 from support.outputs import opened
-from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
+from support.worlds.mounted import PLACES, SENSORS, cloud, mounted, write_clouds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -136,6 +136,15 @@ def test_transforms_tell_what_clouds_cannot(recorded: Callable[..., Path]) -> No
     assert "floor at z = 0.00 m in frame 'base_footprint', ceiling at 3.00 m" in done.stdout
 
 
+def test_convert_reads_transforms_where_clouds_cannot_tell(recorded: Callable[..., Path], tmp_path: Path) -> None:
+    tf = (transform("base_footprint", "lidar", (180, 0, 0), (0, 0, 0.6)),)
+    source = recorded(180, place="office", tf=tf)
+    done = run("convert", source, "-o", tmp_path / "a.mcap")
+    told = "warning: /points: frame 'lidar' is upside down according to its transform to 'base_footprint'"
+    assert told in done.stderr
+    assert told in run("info", source).stderr
+
+
 def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path: Path) -> None:
     done = run("info", HALL)
     assert done.stderr == ""
@@ -239,6 +248,29 @@ def test_a_target_frame_that_is_not_level_is_judged(recorded: Callable[..., Path
     done = run("convert", recorded(15, -10), "-o", tmp_path / "d.mcap", *wrong, *WIDE)
     assert "frame 'base_link' is " in done.stderr
     assert "--static-tf 'base_link lidar 0 0 0.5 " in done.stderr
+
+
+@pytest.mark.parametrize("sensor", sampled(SENSORS, 2))
+def test_info_and_convert_suggest_the_same_heights(sensor: str, recorded: Callable[..., Path], tmp_path: Path) -> None:
+    for place in ("hall", "field", "ramp up"):
+        source = recorded(place=place, sensor=sensor)
+        assert_equal_heights(source, tmp_path / f"{place}.mcap")
+
+
+@needs_shared
+def test_info_and_convert_suggest_the_same_heights_for_real_recordings(tmp_path: Path) -> None:
+    for name, *_ in REAL:
+        assert_equal_heights(RECORDINGS / name, tmp_path / f"{name}_scan.mcap")
+
+
+def assert_equal_heights(source: Path, destination: Path) -> None:
+    (found,) = pc2scan.info(source).clouds
+    assert found.mounting is not None
+    report = pc2scan.convert(source, destination, max_height=9.0)
+    (topic,) = (each for each in report.topics if each.action == "converted")
+    low, high, *_ = found.mounting.heights or ()
+    options = f"{found.mounting.options} `min_height={low:g}` `max_height={high:g}`".strip()
+    assert topic.advice.removesuffix(" `range_min=0.1`") == options
 
 
 @pytest.mark.parametrize("place", sampled(PLACES, 1))

@@ -266,11 +266,12 @@ def _run(
             declared = Declarations()
             routes = open_routes(plan.routes, conversions, target, same_kind, options, declared, report)
             added = declared.add(static_connection(target)) if options.frames.write_static else None
-            levels = _level_frames(reader, plan, target, options, declared, report)
+            levels = _level_frames(reader, plan, target, options, declared)
             handles = declared.declare(writer, one_a_topic=target.format.one_a_topic)
             bind(routes.values(), handles)
             if levels is not None:
                 levels.handle = handles[levels.handle]
+                report.topics.append(levels.report)
             routes = count_skipped(routes, reader, span.start_ns, span.stop_ns)
             if not options.only_scans:
                 report.warnings += copy_extras(reader, target, writer)
@@ -337,7 +338,9 @@ def _estimate(
     report.warnings += cut_warnings(reader, options)
     firsts = FirstClouds(report.source_frame, partial(robot_transforms, files.read, options, span))
     conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
-    levels = _level_frames(reader, plan, target, options, Declarations(), report)
+    levels = _level_frames(reader, plan, target, options, Declarations())
+    if levels is not None:
+        report.topics.append(levels.report)
     size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report, firsts)
     if levels is not None:
         made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
@@ -416,7 +419,7 @@ def _target(
 
 
 def _level_frames(
-    reader: Reader, plan: Plan, target: Destination, options: ConvertOptions, declared: Declarations, report: Report
+    reader: Reader, plan: Plan, target: Destination, options: ConvertOptions, declared: Declarations
 ) -> LevelFrames | None:
     """Declare and return the writer of the level frames' transforms; None if no scan is level."""
     if not any(spec.level for spec in plan.specs):
@@ -425,7 +428,6 @@ def _level_frames(
 
     connection = tf_connection(reader, options.frames, target)
     entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
-    report.topics.append(entry)
     return LevelFrames(declared.add(connection), target.serialization, entry)
 
 
