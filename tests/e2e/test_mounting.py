@@ -266,9 +266,10 @@ def test_info_and_convert_suggest_the_same_heights_for_real_recordings(tmp_path:
 def assert_equal_heights(source: Path, destination: Path) -> None:
     (found,) = pc2scan.info(source).clouds
     assert found.mounting is not None
+    assert found.mounting.heights is not None
     report = pc2scan.convert(source, destination, max_height=9.0)
     (topic,) = (each for each in report.topics if each.action == "converted")
-    low, high, *_ = found.mounting.heights or ()
+    low, high = found.mounting.heights[:2]
     options = f"{found.mounting.options} `min_height={low:g}` `max_height={high:g}`".strip()
     assert topic.advice.removesuffix(" `range_min=0.1`") == options
 
