@@ -116,15 +116,18 @@ def test_info_says_what_makes_a_frame_level(case: str, recorded: Callable[..., P
     assert found["heights"]["floor"] == pytest.approx(0, abs=0.05)
 
 
-def test_a_frame_of_the_transforms_that_is_level_is_the_cure(recorded: Callable[..., Path], tmp_path: Path) -> None:
-    source = recorded(15, -10, tf=TILTED)
+@pytest.mark.parametrize("body", ["base_link", "chassis"])
+def test_a_frame_of_the_transforms_that_is_level_is_the_cure(
+    body: str, recorded: Callable[..., Path], tmp_path: Path
+) -> None:
+    source = recorded(15, -10, tf=((body, *TILTED[0][1:]),))
     done = run("info", source)
     assert "frame 'lidar' is tilted by 17.9 deg" in done.stderr
-    assert done.stderr.endswith(". --target-frame base_link makes it level\n")
+    assert done.stderr.endswith(f". --target-frame {body} makes it level\n")
     command = ready(done.stdout)
-    assert command[-6:] == ["--target-frame", "base_link", "--min-height", "0.1", "--max-height", "1.5"]
+    assert command[-6:] == ["--target-frame", body, "--min-height", "0.1", "--max-height", "1.5"]
     assert run(*command, "-o", tmp_path / "out.mcap").stderr == ""
-    assert "heights (z) in base_link" in run("info", source, "--target-frame", "base_link").stdout
+    assert f"heights (z) in {body}" in run("info", source, "--target-frame", body).stdout
 
 
 def test_transforms_tell_what_clouds_cannot(recorded: Callable[..., Path]) -> None:
