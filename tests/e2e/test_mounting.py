@@ -23,7 +23,7 @@ from pc2scan.pipeline.scan_spec import ScanSpec
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.command import run
 from support.outputs import opened
-from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
+from support.worlds.mounted import PLACES, SENSORS, cloud, mounted, write_clouds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -116,15 +116,18 @@ def test_info_says_what_makes_a_frame_level(case: str, recorded: Callable[..., P
     assert found["heights"]["floor"] == pytest.approx(0, abs=0.05)
 
 
-def test_a_frame_of_the_transforms_that_is_level_is_the_cure(recorded: Callable[..., Path], tmp_path: Path) -> None:
-    source = recorded(15, -10, tf=TILTED)
+@pytest.mark.parametrize("body", ["base_link", "chassis"])
+def test_a_frame_of_the_transforms_that_is_level_is_the_cure(
+    body: str, recorded: Callable[..., Path], tmp_path: Path
+) -> None:
+    source = recorded(15, -10, tf=((body, *TILTED[0][1:]),))
     done = run("info", source)
     assert "frame 'lidar' is tilted by 17.9 deg" in done.stderr
-    assert done.stderr.endswith(". --target-frame base_link makes it level\n")
+    assert done.stderr.endswith(f". --target-frame {body} makes it level\n")
     command = ready(done.stdout)
-    assert command[-6:] == ["--target-frame", "base_link", "--min-height", "0.1", "--max-height", "1.5"]
+    assert command[-6:] == ["--target-frame", body, "--min-height", "0.1", "--max-height", "1.5"]
     assert run(*command, "-o", tmp_path / "out.mcap").stderr == ""
-    assert "heights (z) in base_link" in run("info", source, "--target-frame", "base_link").stdout
+    assert f"heights (z) in {body}" in run("info", source, "--target-frame", body).stdout
 
 
 def test_transforms_tell_what_clouds_cannot(recorded: Callable[..., Path]) -> None:
@@ -136,10 +139,19 @@ def test_transforms_tell_what_clouds_cannot(recorded: Callable[..., Path]) -> No
     assert "floor at z = 0.00 m in frame 'base_footprint', ceiling at 3.00 m" in done.stdout
 
 
+def test_convert_reads_transforms_where_clouds_cannot_tell(recorded: Callable[..., Path], tmp_path: Path) -> None:
+    tf = (transform("base_footprint", "lidar", (180, 0, 0), (0, 0, 0.6)),)
+    source = recorded(180, place="office", tf=tf)
+    done = run("convert", source, "-o", tmp_path / "a.mcap")
+    told = "warning: /points: frame 'lidar' is upside down according to its transform to 'base_footprint'"
+    assert told in done.stderr
+    assert told in run("info", source).stderr
+
+
 def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path: Path) -> None:
     done = run("info", HALL)
     assert done.stderr == ""
-    assert "floor at z = 0.01 m in frame 'base_link'; the sensor is 0.59 m above the floor" in done.stdout
+    assert "floor at z = 0.00 m in frame 'base_link'; the sensor is 0.60 m above the floor" in done.stdout
     assert ready(done.stdout)[1:4] == [str(HALL), "--target-frame", "base_link"]
     source = recorded(sensor="128 rings")
     done = run("info", source)
@@ -157,7 +169,7 @@ def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path:
 REAL: list[tuple[str, float, str, tuple[float, float] | None]] = [
     ("velodyne_vlp32.bag", -0.3, "", (-0.2, 1.2)),
     ("d435_depth.mcap", 0.0, "is an optical frame: z points forward, and up is -y", None),
-    ("luminar_highway.bag", -3.7, "", (-4.2, -1.5)),
+    ("luminar_highway.bag", -4.0, "", (-4.2, -1.5)),
     ("ouster_os1_32.mcap", -1.85, "", (-1.7, 0.5)),
 ]
 
@@ -239,6 +251,30 @@ def test_a_target_frame_that_is_not_level_is_judged(recorded: Callable[..., Path
     done = run("convert", recorded(15, -10), "-o", tmp_path / "d.mcap", *wrong, *WIDE)
     assert "frame 'base_link' is " in done.stderr
     assert "--static-tf 'base_link lidar 0 0 0.5 " in done.stderr
+
+
+@pytest.mark.parametrize("sensor", sampled(SENSORS, 2))
+def test_info_and_convert_suggest_the_same_heights(sensor: str, recorded: Callable[..., Path], tmp_path: Path) -> None:
+    for place in ("hall", "field", "ramp up"):
+        source = recorded(place=place, sensor=sensor)
+        assert_equal_heights(source, tmp_path / f"{place}.mcap")
+
+
+@needs_shared
+def test_info_and_convert_suggest_the_same_heights_for_real_recordings(tmp_path: Path) -> None:
+    for name, *_ in REAL:
+        assert_equal_heights(RECORDINGS / name, tmp_path / f"{name}_scan.mcap")
+
+
+def assert_equal_heights(source: Path, destination: Path) -> None:
+    (found,) = pc2scan.info(source).clouds
+    assert found.mounting is not None
+    assert found.mounting.heights is not None
+    report = pc2scan.convert(source, destination, max_height=9.0)
+    (topic,) = (each for each in report.topics if each.action == "converted")
+    low, high = found.mounting.heights[:2]
+    options = f"{found.mounting.options} `min_height={low:g}` `max_height={high:g}`".strip()
+    assert topic.advice.removesuffix(" `range_min=0.1`") == options
 
 
 @pytest.mark.parametrize("place", sampled(PLACES, 1))

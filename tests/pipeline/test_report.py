@@ -12,8 +12,14 @@ import pytest
 
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import MessageError
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.model import Connection
+from pc2scan.pipeline.checks import result_findings
+from pc2scan.pipeline.items import Item, OpenRoute, Output
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.tally import Tally
 from pc2scan.pipeline.topic_report import TopicReport
 from pc2scan.result import MAX_LISTED, Skipped
 from support.tables import rows
@@ -22,7 +28,7 @@ TABLES = Path(__file__).with_name("reports.txt")
 
 
 def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
-    """A concluded report of one topic with these counts of points and scans."""
+    """A checked report of one topic with these counts of points and scans."""
     own = {name: counts.pop(name) for name in ("messages_out", "empty_scans", "advice", "motions") if name in counts}
     moved: dict[str, Any] = (
         {"deskew": True, "fixed_frame": "odom"} if {"no_time", "no_transform"} & counts.keys() else {}
@@ -35,7 +41,7 @@ def report(params: ProjectionParams | None = None, /, **counts: Any) -> Report:
             "/points", "a/msg/B", "/scan", "converted", messages_in=4, points=points, **{"messages_out": 4, **own}
         )
     )
-    made.conclude()
+    made.add(*result_findings(made))
     return made
 
 
@@ -64,9 +70,14 @@ def test_the_motion_of_a_topic_is_summed_up() -> None:
 
 def test_skipped_messages_are_all_counted_and_some_listed() -> None:
     made = report(used=100)
+    output = Output(made.topics[0], 0)
+    route = OpenRoute(Connection(1, "/points", POINTCLOUD2, "cdr"), convert=lambda _: [], outputs=[output])
+    tally = Tally({1: route}, "skip")
     for i in range(MAX_LISTED + 7):
-        made.list_skipped(Skipped("/points", i, i, "reason"))
-    made.topics[0].skipped = MAX_LISTED + 7
+        tally.count(Item(route, i, i, 0, 0, [(output, MessageError("reason", stamp_ns=i))]))
+    made.skipped = tally.skipped
+    assert made.skipped[2] == Skipped("/points", 2, 2, "reason", "", ("/scan",))
+    assert (tally.failures, tally.messages) == (MAX_LISTED + 7, MAX_LISTED + 7)
     assert (made.skipped_count, len(made.skipped), made.exit_status) == (MAX_LISTED + 7, MAX_LISTED, 3)
 
 
@@ -79,7 +90,7 @@ def test_what_cannot_be_carried_over_is_a_loss(lost: bool) -> None:
     made.topics[-1].skip(3)
     assert (made.exit_status, made.skipped_count) == ((3, 3) if lost else (0, 0))
     assert made.topics[-1].messages_in == 3
-    made.conclude()
+    made.add(*result_findings(made))
     assert made.warnings == ["3 messages of 1 topic are skipped: /x (3: cannot be written)"][: int(lost)]
 
 
@@ -88,7 +99,7 @@ def test_a_warning_lists_some_of_many_topics() -> None:
     for number in range(7):
         made.topics.append(TopicReport(f"/x{number}", "a/msg/B", None, "skipped", note="no", lost=True))
         made.topics[-1].skip(1)
-    made.conclude()
+    made.add(*result_findings(made))
     (warning,) = made.warnings
     assert warning.startswith("7 messages of 7 topics are skipped: /x0 (1: no)")
     assert warning.count("/x") == 5
@@ -96,7 +107,7 @@ def test_a_warning_lists_some_of_many_topics() -> None:
 
 def test_json_has_no_infinities_and_keeps_every_nanosecond() -> None:
     made = report(ProjectionParams(range_max=math.inf), used=100)
-    made.list_skipped(Skipped("/points", 1604515190231374463, None, "no header"))
+    made.skipped.append(Skipped("/points", 1604515190231374463, None, "no header"))
     read = json.loads(json.dumps(made.as_dict(), allow_nan=False))
     assert read["scans"][0]["params"]["range_max"] == "inf"
     assert read["skipped"][0]["log_time_ns"] == 1604515190231374463

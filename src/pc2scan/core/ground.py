@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from .level import LEVEL, cells_of, level_floor, tolerances
+from .floor import FEWEST_POINTS, LEVEL, cells_of, level_floor, tolerances
 from .percentiles import median, percentiles
 
 if TYPE_CHECKING:
@@ -38,9 +38,6 @@ Kind = Literal["level", "tilted", "upside-down", "optical", "unknown"]
 
 _Points: TypeAlias = "NDArray[np.float64]"
 _Direction: TypeAlias = tuple[float, float, float]
-
-#: With fewer points than this, a cloud is not judged.
-_FEWEST_POINTS = 300
 
 #: A plane whose normal is this far from the frame's z axis, radians, is as likely a wall as the ground.
 _STEEPEST = math.radians(50.0)
@@ -183,9 +180,9 @@ def find_ground(points: _Points) -> Ground:
     Parameters
     ----------
     points
-        The result of `pc2scan.core.level.thin_points`, metres.
+        The result of `pc2scan.core.floor.thin_points`, metres.
     """
-    if len(points) < _FEWEST_POINTS:
+    if len(points) < FEWEST_POINTS:
         return Ground("unknown")
     if not _is_optical(points):
         return _level_ground(cells_of(points)) or _choose_ground(points)
@@ -384,38 +381,18 @@ def _doubt(plane: Plane, planes: Sequence[Plane], view: _FieldOfView) -> str:
         return "it is small"
     if plane.beyond > 0.04:
         return "something is behind it"
-    if not 0.03 <= plane.height <= 3.0:
-        return "no robot is that high"
     if plane.width < max(0.4, plane.height * (1.6 if plane.height > 1.2 else 0.8)):
         return "it is narrow"
-    if plane.nearest > max(5 * plane.height, 0.6):
-        return "it begins far away, as ramps do"
     holes = view.missing(plane.up, -1.0, -0.2)
     if holes is None or holes > 0.12:
         return "directions that would meet the ground have no return, as beside a wall"
-    return _rivals(plane, planes, upside_down=upside_down) or _mirror(plane, planes, view, upside_down=upside_down)
-
-
-def _rivals(plane: Plane, planes: Sequence[Plane], *, upside_down: bool) -> str:
-    """Return why another plane may be the ground, and this one a wall; empty if not."""
     for other in planes:
         between = _angle_between(plane, other)
-        if between < 4:
-            continue
         nearer = other.nearest < plane.nearest or other.height < 0.9 * plane.height
-        if between < 20 and nearer and other.share > _LEAST_SHARE and other.beyond < 0.3:
+        if 4 <= between < 20 and nearer and other.share > _LEAST_SHARE and other.beyond < 0.3:
             return "there is ground of another slope nearer by"
-        if not 20 < between < 160:
-            continue
-        if not upside_down and math.degrees(other.tilt) <= 60 and other.share > 0.4 * plane.share:
-            return "another plane is as level"
         if 70 < between < 110 and other.height < 1.1 * plane.height:
-            return "a plane at right angles to it is as near"
-    return ""
-
-
-def _mirror(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> str:
-    """Return why a plane may be a ceiling, or one of two walls; empty if not."""
+            return "it may be a wall: a plane at right angles to it is as near"
     ceiling = _opposite_plane(plane, planes)
     if ceiling is None:
         sky, horizon = view.missing(plane.up, 0.2, 1.0), view.missing(plane.up, -0.03, 0.1)
@@ -424,12 +401,4 @@ def _mirror(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside
         return "" if is_open or plane.height < nearest_ceiling else "it may be the ceiling of a closed room"
     if upside_down or ceiling.height < 1.75 * plane.height:
         return "it may be the ceiling"
-    total = plane.height + ceiling.height
-    if total < 2.1:
-        return "rooms are higher"
-    for wall in planes:
-        if 70 < _angle_between(plane, wall) < 110:
-            facing = _opposite_plane(wall, planes)
-            if facing is not None and wall.height + facing.height < 1.35 * total:
-                return "it may be a wall: the room is no wider than high"
     return ""

@@ -19,8 +19,7 @@ from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
-from .scan_frames import ScanFrames
-from .scan_mounting import mounting_findings
+from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
 
 if TYPE_CHECKING:

@@ -1,13 +1,15 @@
-"""The properties of the clouds of a topic, from a sample spread over the recording."""
+"""The properties of a topic's clouds, from a sample spread over the recording, and their mounting, from the first."""
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.core.level import thin_points
+from pc2scan.core.floor import MOST_CLOUDS, CloudSample
 from pc2scan.core.percentiles import percentiles
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
@@ -18,12 +20,13 @@ from pc2scan.tf.mounting import mounting
 from .spread import Spread, count_range, finite, spread_of, spread_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
+    from pc2scan.bags.reader import Reader
     from pc2scan.core.points import Points
-    from pc2scan.model import RawMessage
+    from pc2scan.model import Connection, RawMessage
     from pc2scan.result import Part
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
@@ -33,8 +36,8 @@ if TYPE_CHECKING:
 _BAR = 40
 _BINS = 12
 
-#: How many clouds of a topic are searched for the ground.
-_MAX_SAMPLES = 10
+#: How many messages of a topic are read to find the first clouds that can be decoded and transformed.
+_LOOKED_AT = 30
 
 
 @dataclass(slots=True)
@@ -129,8 +132,7 @@ class CloudLook:
         self._result = CloudInfo(topic, target_frame=places.target_frame)
         self._most = most
         self._places = places
-        self._samples: list[NDArray[np.float64]] = []
-        self._stamp_ns, self._origin_z = 0, 0.0
+        self._first: list[CloudSample] = []
         self._parts: list[NDArray[np.floating[Any]]] = []
         self._frames: dict[str, None] = {}
         self._problems: dict[str, None] = {}
@@ -150,27 +152,31 @@ class CloudLook:
                 # Points at the sensor are no returns, wherever the sensor is in the target frame.
                 zero = (points == 0).all(axis=0)
             points = points[:, ~zero]
-            moved = self._places.place(cloud.frame_id, cloud.stamp_ns).target_from_source
-            sample = thin_points(*coordinates)
-            if moved is not None:
-                points = moved.apply(points.T).T
-                sample = moved.rotation.apply(sample)
+            place = self._places.place(cloud.frame_id, cloud.stamp_ns)
+            if place.target_from_source is not None:
+                points = place.target_from_source.apply(points.T).T
+            if self._result.sampled == 1:
+                self._first.append(CloudSample.of(cloud, place.frame_id, place.target_from_source))
         except (DecodeError, TransformError) as err:
             self._problems[f"{err.message} ({err.hint})" if err.hint else err.message] = None
             return
         if not self._sizes:
             _describe(self._result, cloud, message)
-            self._stamp_ns = cloud.stamp_ns
-            self._origin_z = 0.0 if moved is None else float(moved.translation[2])
-        if len(self._samples) < _MAX_SAMPLES:
-            self._samples.append(sample)
         self._frames[cloud.frame_id] = None
         self._sizes.append(count)
         self._parts.append(points)
         self._zeros += int(zero.sum())
 
-    def described(self, buffer: TransformBuffer | None) -> CloudInfo:
-        """Return the properties, and release the points."""
+    def described(self, reader: Reader, connections: Sequence[Connection], buffer: TransformBuffer | None) -> CloudInfo:
+        """Return the properties, and release the points.
+
+        Parameters
+        ----------
+        reader, connections
+            The recording, and the topic's connections in it.
+        buffer
+            The transforms of the robot; None if there are none.
+        """
         result = self._result
         result.frames, result.problems = tuple(self._frames), tuple(self._problems)
         if self._sizes:
@@ -180,19 +186,28 @@ class CloudLook:
             with np.errstate(invalid="ignore"):
                 points = np.concatenate(parts, axis=1, dtype=np.float64)
             _measure(result, points, self._zeros)
-            places, samples = self._places, self._samples
-            frame = places.source_frame or next(iter(self._frames))
-            result.mounting = mounting(
-                result.topic,
-                frame,
-                samples,
-                buffer,
-                judged_in=places.target_frame,
-                origin_z=self._origin_z,
-                stamp_ns=self._stamp_ns,
-            )
-            self._samples = []
+            clouds, places = self._first, self._places
+            if not (clouds and clouds[0].floor):
+                clouds = first_clouds(reader, connections, places)
+            if clouds:
+                result.mounting = mounting(result.topic, places.source_frame or clouds[0].frame_id, clouds, buffer)
         return result
+
+
+def first_clouds(reader: Reader, connections: Sequence[Connection], places: Placer) -> list[CloudSample]:
+    """Return samples of the first clouds that can be placed, as a conversion judges them."""
+    clouds: list[CloudSample] = []
+    with closing(reader.messages(connections)) as messages:
+        for message in islice(messages, _LOOKED_AT):
+            try:
+                cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
+                place = places.place(cloud.frame_id, cloud.stamp_ns)
+                clouds.append(CloudSample.of(cloud, place.frame_id, place.target_from_source))
+            except (DecodeError, TransformError):
+                continue
+            if clouds[0].floor is not None or len(clouds) == MOST_CLOUDS:
+                break
+    return clouds
 
 
 def _as_floats(column: NDArray[Any]) -> NDArray[np.floating[Any]]:

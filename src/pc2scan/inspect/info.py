@@ -426,6 +426,6 @@ def _samples(
     for message in sampled(reader, connections, samples, start_ns, end_ns):
         looks[message.connection.topic].add(message)
     return (
-        tuple(look.described(buffer) for look in cloud_looks.values()),
+        tuple(look.described(reader, connections[name], buffer) for name, look in cloud_looks.items()),
         tuple(look.described() for look in scan_looks.values()),
     )

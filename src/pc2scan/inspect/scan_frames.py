@@ -1,4 +1,4 @@
-"""Checks the transforms of the scans of a topic: from their frame to the robot and to its odometry."""
+"""Checks the frames of scans: their transforms to the robot and to its odometry, and whether they are level."""
 
 from __future__ import annotations
 
@@ -9,21 +9,25 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.text import counted, nearest
-from pc2scan.tf.world_frames import find_body_motion
+from pc2scan.tf.mounting import mounting
+from pc2scan.tf.placing import Placer
+from pc2scan.tf.world_frames import BODIES, find_body_motion
 
+from .cloud_info import first_clouds
 from .findings import Finding, Tally, few_unplaced, finding
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     import numpy as np
     from numpy.typing import NDArray
 
+    from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
 
     from .findings import Level
-
-#: The usual names of a robot's body; the first that exists is used.
-BASE_FRAMES = ("base_link", "base_footprint")
 
 #: A sensor is tilted if the cosine between its z axis and the robot's is below 1 by this much: 2.6 degrees.
 _TILT = 0.001
@@ -74,14 +78,14 @@ class ScanFrames:
     odom_frame
         The frame in which the robot drives.
     base_frame
-        The robot's body; empty for the first of `BASE_FRAMES` that exists.
+        The robot's body; empty for the first of `BODIES` that exists.
     """
 
     def __init__(self, buffer: TransformBuffer, odom_frame: str, base_frame: str = "") -> None:
         self._buffer = buffer
         known = set(buffer.frames)
         self._odom = odom_frame.removeprefix("/")
-        self._base = base_frame.removeprefix("/") or next((f for f in BASE_FRAMES if f in known), BASE_FRAMES[0])
+        self._base = base_frame.removeprefix("/") or next((f for f in BODIES if f in known), BODIES[0])
         self._trees = {frame: number for number, tree in enumerate(buffer.trees) for frame in tree.frames}
         self._scans: dict[str, int] = {}
         self._missing: dict[str, Tally] = {}
@@ -241,3 +245,30 @@ class ScanFrames:
             else:
                 found.append(finding("no-transform", "defect", f"{text}: {self._reasons[frame]}", _HINT, missing))
         return found
+
+
+def mounting_findings(reader: Reader, buffer: TransformBuffer, frames: Collection[str]) -> dict[str, Finding]:
+    """Look for frames of scans that are tilted, upside down or optical.
+
+    Parameters
+    ----------
+    frames
+        The frames of the scans.
+
+    Returns
+    -------
+    dict
+        A defect for each frame in which the ground of the first clouds is not level.
+    """
+    wanted = [c for c in reader.connections if c.ros_type in CLOUDS and c.ros_version is not None]
+    findings: dict[str, Finding] = {}
+    for topic in dict.fromkeys(connection.topic for connection in wanted):
+        connections = [connection for connection in wanted if connection.topic == topic]
+        for frame in dict.fromkeys(frames):
+            clouds = first_clouds(reader, connections, Placer(frame, buffer=buffer))
+            there = mounting(topic, clouds[0].frame_id, clouds, buffer) if clouds else None
+            if there is not None and there.fault:
+                hint = f"for scans made from clouds: pc2scan convert with {there.options}" if there.options else ""
+                what = f"the scan's frame {frame!r} is {there.fault}, by the clouds on {topic}"
+                findings.setdefault(frame, Finding("not-level", "defect", what, hint))
+    return findings

@@ -17,9 +17,9 @@ from pc2scan.core.occupancy import LONGEST, OccupancyGrid, observing_beams, plac
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
-from pc2scan.inspect.scan_frames import BASE_FRAMES
 from pc2scan.result import Skipped
 from pc2scan.text import counted, did_you_mean
+from pc2scan.tf.world_frames import BODIES
 
 from .map_result import Map
 
@@ -133,7 +133,7 @@ class Drawing:
                 near = did_you_mean(asked, sorted(known))
                 there = f"the frames are {name_list(sorted(known))}"
                 raise UsageError(f"there is no frame {asked!r} for `base_frame`; {there}", hint=near or None)
-            usual = next((frame for frame in BASE_FRAMES if frame in known), "")
+            usual = next((frame for frame in BODIES if frame in known), "")
             self.robot = asked or usual or scan.frame.removeprefix("/")
         pose = start
         if self.robot != scan.frame.removeprefix("/"):

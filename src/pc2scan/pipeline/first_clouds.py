@@ -1,4 +1,4 @@
-"""Samples the first clouds of a conversion, and draws warnings if they contradict its parameters.
+"""Samples the first clouds of a conversion, and runs the checks of them (`pipeline.checks`).
 
 The threads that convert take a sample of each cloud that may be among the first, until enough samples have been judged.
 Samples are judged in the order of writing, so the warnings do not depend on the number of threads. A level floor in the
@@ -7,35 +7,31 @@ first cloud ends the check within a millisecond.
 
 from __future__ import annotations
 
-import shlex
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from .cloud_checks import CloudChecks, Sample, sample_of
+from pc2scan.core.floor import MOST_CLOUDS, CloudSample
+
+from .checks import EACH_CLOUD, FIRST_CLOUDS, FIRST_CLOUDS_NOTES, FRAME, found_by
+from .checks.clouds import CloudFacts, KnownTransforms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from pc2scan.core.counts import PointCounts
     from pc2scan.core.points import Points
     from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import Placement
-    from pc2scan.tf.static import StaticTransform
 
-    from .report import Report
     from .scan_spec import ScanSpec
-
-#: How many clouds are judged together if the first one is not enough.
-_CLOUDS = 3
 
 
 class SharedSample(NamedTuple):
     """A sample of a cloud, and the clouds that it belongs to."""
 
     clouds: TopicClouds
-    sample: Sample
+    sample: CloudSample
 
     def add(self, counts: PointCounts) -> None:
         """Add the cloud, in the order of writing."""
@@ -56,47 +52,47 @@ class Candidate(NamedTuple):
 
 
 class FirstClouds:
-    """The first clouds of every topic that is converted.
+    """The first clouds of every topic that is converted, and what they show.
 
     Parameters
     ----------
-    report
-        Receives warnings and notes.
+    source_frame, transforms
+        See `KnownTransforms`.
     warn
-        Also called with each warning immediately, so that a user can stop a conversion that makes empty scans.
-    transforms
-        Reads the recording's transforms between the robot's frames, in the few cases that need them.
+        Called with each warning immediately, so that a user can stop a conversion that makes empty scans.
 
     Attributes
     ----------
-    buffer
-        The transforms to the target frame; None where there is no target frame.
-    static
-        The transforms that options add.
+    transforms
+        The transforms that checks may use.
+    warnings, notes
+        What was found so far.
+    advice
+        Options with heights that suit the clouds, by their topic and the output.
     """
 
     def __init__(
         self,
-        report: Report,
-        warn: Callable[[str], None] | None,
+        source_frame: str,
         transforms: Callable[[], TransformBuffer | None],
+        warn: Callable[[str], None] | None = None,
     ) -> None:
-        self.report = report
-        self.transforms = transforms
-        self.buffer: TransformBuffer | None = None
-        self.static: Sequence[StaticTransform] = ()
+        self.transforms = KnownTransforms(source_frame, transforms)
+        self.warnings: list[str] = []
+        self.notes: list[str] = []
+        self.advice: dict[tuple[str, ScanSpec], str] = {}
         self._warn = warn
         self._topics: dict[tuple[str, ScanSpec], TopicClouds] = {}
 
     def of(self, spec: ScanSpec, topic: str) -> TopicClouds:
-        """Return the checks of one topic for one output; the publishers of a topic share them."""
+        """Return the first clouds of one topic for one output; the publishers of a topic share them."""
         return self._topics.setdefault((topic, spec), TopicClouds(topic, spec, self))
 
     def warn(self, text: str) -> None:
         """Warn immediately, but only once of what concerns several outputs."""
-        if text in self.report.warnings:
+        if text in self.warnings:
             return
-        self.report.warnings.append(text)
+        self.warnings.append(text)
         if self._warn is not None:
             self._warn(text)
 
@@ -120,9 +116,9 @@ class TopicClouds:
         self._topic = topic
         self._spec = spec
         self._every = every
-        self._checks = CloudChecks(topic, spec)
+        self._samples: list[CloudSample] = []
+        self._counts: list[PointCounts] = []
         self._earliest: list[int] = []
-        self._zeros_reported = False
 
     def may_be_first(self, log_time_ns: int) -> bool:
         """Return whether fewer clouds than are judged were converted from earlier log times; on any thread.
@@ -132,102 +128,42 @@ class TopicClouds:
         change the list at once, it lacks one log time, and more clouds pass.
         """
         earliest = self._earliest
-        if len(earliest) == _CLOUDS and earliest[-1] < log_time_ns:
+        if len(earliest) == MOST_CLOUDS and earliest[-1] < log_time_ns:
             return False
-        self._earliest = sorted([*earliest, log_time_ns])[:_CLOUDS]
+        self._earliest = sorted([*earliest, log_time_ns])[:MOST_CLOUDS]
         return True
 
     def sample(self, points: Points, place: Placement) -> SharedSample:
         """Return a sample of a cloud's points; on any thread."""
-        return SharedSample(self, sample_of(points, place))
+        return SharedSample(self, CloudSample.of(points, place.frame_id, place.target_from_source))
 
-    def add(self, sample: Sample, counts: PointCounts) -> None:
+    def add(self, sample: CloudSample, counts: PointCounts) -> None:
         """Add the next cloud, in the order of writing."""
         if self.full:
             return
-        checks = self._checks
-        checks.add(sample, counts)
-        is_first = len(checks.samples) == 1
-        if is_first:
-            self._check_target()
-        if not self._zeros_reported and (zeros := checks.points_at_sensor(sample, counts, self._source)):
-            self._zeros_reported = True
-            self._warn(zeros)
-        if is_first and checks.is_fine(self._every.static):
-            self.full = True
-        elif len(checks.samples) == _CLOUDS:
+        self._samples.append(sample)
+        self._counts.append(counts)
+        facts = self._facts()
+        for text in found_by(EACH_CLOUD, facts, self._spec.label):
+            self._every.warn(text)
+        if len(self._samples) == MOST_CLOUDS:
             self.finish()
+        elif len(self._samples) == 1 and facts.are_fine:
+            self.full = True
 
     def finish(self) -> None:
         """Judge the clouds added so far."""
-        if self.full or not self._checks.samples:
+        if self.full or not self._samples:
             return
         self.full = True
+        facts, every, label = self._facts(), self._every, self._spec.label
         with np.errstate(all="ignore"):
-            if not self._checks.is_fine(self._every.static):
-                self._judge()
+            if facts.are_fine:
+                return
+            for text in (*found_by(FRAME, facts), *found_by(FIRST_CLOUDS, facts, label)):
+                every.warn(text)
+            every.advice[self._topic, self._spec] = facts.advice
+            every.notes += found_by(FIRST_CLOUDS_NOTES, facts, label)
 
-    @property
-    def _source(self) -> str:
-        """The frame of the points."""
-        return self._every.report.source_frame or self._checks.samples[0].frame_id
-
-    def _warn(self, text: str) -> None:
-        self._every.warn(self._spec.label + text)
-
-    def _check_target(self) -> None:
-        """Warn if the robot moves in the target frame: the scans are then measured from where the robot is not."""
-        target, buffer = self._spec.params.target_frame, self._every.buffer
-        if not target or buffer is None or buffer.is_rigid(target, self._source):
-            return
-        from pc2scan.tf.world_frames import find_body_motion  # noqa: PLC0415  # a lidar is usually rigid on its robot
-
-        moving = find_body_motion(buffer, target, self._source)
-        if moving is not None:
-            self._warn(
-                f"`target_frame` is {target}, in which {moving.body} moves (by {moving.metres:.2f} m): the scans are "
-                f"measured from the origin of {target} instead of from the robot, as SLAM and navigation expect; "
-                f"`target_frame={shlex.quote(moving.body)}`"
-            )
-
-    def _judge(self) -> None:
-        every, checks = self._every, self._checks
-        found = self._mounting()
-        if found.warning:
-            every.warn(found.warning)
-        if swapped := checks.swapped(every.static):
-            self._warn(swapped)
-        if units := checks.mistaken_units():
-            self._warn(units)
-        advice = checks.advice(found, zeros_reported=self._zeros_reported)
-        if checks.is_nearly_empty() and (emptiness := checks.emptiness(advice)):
-            self._warn(emptiness)
-        elif not units and (floor := checks.floor_within_heights(advice)):
-            self._warn(floor)
-        for entry in every.report.topics:
-            if entry.topic == self._topic and entry.spec is self._spec:
-                entry.advice = advice
-        if advice and checks.lacks_heights():
-            every.report.notes.append(
-                f"{self._spec.label}{self._topic}: no heights are given, presets leave them to you, and the default "
-                f"min_height drops everything at z <= 0; these suit the clouds: {advice}"
-            )
-
-    def _mounting(self) -> Mounting:
-        """Return how the sensor is mounted; the robot's transforms are only read if it is not level."""
-        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
-
-        every, checks, source = self._every, self._checks, self._source
-        first = checks.samples[0]
-        # A level first cloud is enough for the mounting and for the heights.
-        points = [sample.points for sample in checks.samples[: 1 if checks.level_floor else None]]
-        judged_in = first.scan_frame if first.scan_frame != source else ""
-
-        def judged(buffer: TransformBuffer | None) -> Mounting:
-            height = first.origin[2]
-            return mounting(
-                self._topic, source, points, buffer, judged_in=judged_in, origin_z=height, stamp_ns=first.stamp_ns
-            )
-
-        found = judged(every.buffer)
-        return judged(every.transforms()) if found.fault and every.buffer is None else found
+    def _facts(self) -> CloudFacts:
+        return CloudFacts(self._topic, self._spec, self._every.transforms, tuple(self._samples), tuple(self._counts))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import MessageError
 
+from .checks import result_findings
 from .conversion import ConvertedMessage
 from .engine import convert
 from .items import Item
@@ -73,13 +74,16 @@ def forecast(
     routes = count_skipped(opened.by_id, reader, span.start_ns, span.stop_ns)
     tally = Tally(routes, options.on_error, firsts.warn)
     report.skipped = tally.skipped
-    sizes: dict[int, _MeanSizes] = _converted_sizes(
-        reader, routes, opened.combiners, span, tally, is_packed=target.compression != "none"
-    )
-    tally.finish()
-    firsts.finish()
+    try:
+        sizes: dict[int, _MeanSizes] = _converted_sizes(
+            reader, routes, opened.combiners, span, tally, is_packed=target.compression != "none"
+        )
+        tally.finish()
+        firsts.finish()
+    finally:
+        report.add(firsts.warnings, firsts.notes, firsts.advice)
     report.damage += reader.damage
-    report.conclude()
+    report.add(*result_findings(report))
     counts = reader.counts([route.connection for route in routes.values()], span.start_ns, span.stop_ns)
     _fill_in(routes, counts, report)
     sizes |= _correct_intervals(reader, routes, sizes, span.start_ns, span.stop_ns)

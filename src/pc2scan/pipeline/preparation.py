@@ -52,11 +52,11 @@ def prepare_conversions(
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
         buffer, warnings = read_transforms([reader, *others], asked)
         report.warnings += warnings
-        firsts.buffer, firsts.static = buffer, asked.static
+        firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
     if asked.static or asked.source_frame:
         from .frame_checks import check_given_frames  # noqa: PLC0415  # few conversions add frames
 
-        report.warnings += check_given_frames(reader, plan, asked, buffer, firsts.transforms, span)
+        report.warnings += check_given_frames(reader, plan, asked, buffer, firsts.transforms.read, span)
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
         from .levelling import UpSources  # noqa: PLC0415  # only where scans are level

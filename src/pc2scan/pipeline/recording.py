@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from .items import Item, OpenRoute
     from .levelling import LevelFrames
     from .options import ConvertOptions
-    from .report import Report
     from .tally import Tally
 
 #: Maximum number of fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots
@@ -202,8 +201,8 @@ def chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Wri
     return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1])
 
 
-def copy_extras(reader: Reader, target: Destination, writer: Writer, report: Report) -> None:
-    """Copy MCAP's attachments and metadata records if the destination can store them."""
+def copy_extras(reader: Reader, target: Destination, writer: Writer) -> list[str]:
+    """Copy MCAP's attachments and metadata records if the destination can store them; return a warning if it cannot."""
     carries = target.file_format.has_extras
     lost = 0
     for attachment in reader.attachments():
@@ -219,10 +218,9 @@ def copy_extras(reader: Reader, target: Destination, writer: Writer, report: Rep
             writer.add_metadata(record)
         else:
             lost += 1
-    if lost:
-        report.warnings.append(
-            f"{lost} MCAP attachments and metadata records are not copied: the destination cannot store them"
-        )
+    if not lost:
+        return []
+    return [f"{lost} MCAP attachments and metadata records are not copied: the destination cannot store them"]
 
 
 def static_connection(target: Destination) -> Connection:
@@ -243,10 +241,10 @@ def static_connection(target: Destination) -> Connection:
 
 
 def write_static(
-    frames: FrameOptions, log_time_ns: int, handle: int, target: Destination, writer: Writer, report: Report
-) -> None:
-    """Write the added transforms; ``handle`` is that of `static_connection`."""
+    frames: FrameOptions, log_time_ns: int, handle: int, target: Destination, writer: Writer
+) -> TopicReport:
+    """Write the added transforms, and return what was written; ``handle`` is that of `static_connection`."""
     rows = [transform.row(log_time_ns) for transform in frames.static]
     writer.write(handle, log_time_ns, encode_transforms(rows, target.serialization), log_time_ns)
     msgtype = "tf2_msgs/msg/TFMessage"
-    report.topics.append(TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `static_tf`", messages_out=1))
+    return TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `static_tf`", messages_out=1)

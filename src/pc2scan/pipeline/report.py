@@ -10,11 +10,9 @@ from pc2scan.core.rule import REJECTIONS, Rejection
 from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
 from pc2scan.options.values import in_words
-from pc2scan.result import MAX_LISTED, Part, Remark, Result, Skipped, recovery_text, skipped_remarks
+from pc2scan.result import Part, Remark, Result, Skipped, recovery_text, skipped_remarks
 from pc2scan.tables import Table
 from pc2scan.text import count, duration, size
-
-from .report_warnings import loss_warning, param_notes, topic_notes, topic_warnings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -130,7 +128,7 @@ class Report(Result):
             return self.errors[0].exit_status
         if self.all_empty:
             return 4
-        return 3 if self.damage or self.skipped_count or self._lost_topics() or self.undelivered else 0
+        return 3 if self.damage or self.skipped_count or self.lost_topics or self.undelivered else 0
 
     @property
     def all_empty(self) -> bool:
@@ -139,24 +137,23 @@ class Report(Result):
         made = sum(topic.messages_out for topic in converted)
         return made > 0 and sum(topic.empty_scans for topic in converted) == made
 
-    def _lost_topics(self) -> list[TopicReport]:
+    @property
+    def lost_topics(self) -> list[TopicReport]:
         """Topics whose messages are missing because they cannot be written."""
         return [topic for topic in self.topics if topic.lost and topic.messages_in]
 
-    def list_skipped(self, skipped: Skipped) -> None:
-        """Add a skipped message to the list, unless it is full."""
-        if len(self.skipped) < MAX_LISTED:
-            self.skipped.append(skipped)
-
-    def conclude(self) -> None:
-        """Add the warnings and notes that depend on the whole conversion."""
-        for spec in self.scans:
-            self.notes += (note for note in param_notes(spec) if note not in self.notes)
-        if lost := self._lost_topics():
-            self.warnings.append(loss_warning(lost))
+    def add(
+        self,
+        warnings: Sequence[str],
+        notes: Sequence[str] = (),
+        advice: Mapping[tuple[str, ScanSpec], str] | None = None,
+    ) -> None:
+        """Add warnings, notes that it does not have yet, and advice, by the topic and the output that it is about."""
+        self.warnings += warnings
+        self.notes += (note for note in notes if note not in self.notes)
         for topic in self.topics:
-            self.warnings += topic_warnings(topic, self.scans[0], self.rejections, self.source_frame)
-            self.notes += topic_notes(topic, self.source_frame)
+            if topic.spec is not None:
+                topic.advice = (advice or {}).get((topic.topic, topic.spec), topic.advice)
 
     @property
     def rejections(self) -> dict[str, Rejection]:

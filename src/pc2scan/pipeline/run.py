@@ -39,14 +39,14 @@ from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_some_transforms
 from pc2scan.threads import Threads, cores
 
-from .checks import cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
-from .conclusion import conclude
+from .checks import cut_warnings, request_warnings, result_findings
 from .engine import convert
 from .first_clouds import FirstClouds
 from .items import Span
 from .plan import make_plan
 from .preparation import prepare_conversions
 from .recording import RecordingTopics, chunk_rule, copy_extras, static_connection, write_items, write_static
+from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse_unsatisfied, refuse_unusable
 from .report import Report
 from .routes import count_skipped, open_routes
 from .run_files import OutputOptions, RunFiles, report_file
@@ -218,7 +218,7 @@ def _run(
         from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
 
         report.warnings += overlap_warnings(readers)
-    report.warnings += (*plan.warnings, *option_warnings(options))
+    report.warnings += (*plan.warnings, *request_warnings(options))
     in_parts = files.numbered = output.cut is not None and not target.storage
     if in_parts:
         from pc2scan.files.parts import check_parts, staged_parts  # noqa: PLC0415  # most are one file
@@ -241,8 +241,8 @@ def _run(
     with staging as unfinished:
         span = span_of(reader, options)
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-        report.warnings += cut_warnings(reader, options.start, options.end)
-        firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span))
+        report.warnings += cut_warnings(reader, options)
+        firsts = FirstClouds(report.source_frame, partial(robot_transforms, files.read, options, span), warn)
         conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
         begin_ns = span.first_ns
@@ -255,17 +255,18 @@ def _run(
             opened = open_routes(plan.routes, conversions, partial(_encoder, target), topics)
             report.topics += opened.entries
             added = topics.add(static_connection(target)) if options.frames.write_static else None
-            levels = _level_frames(reader, plan, topics, options, report)
+            levels = _level_frames(reader, plan, topics, options)
             handles = topics.declare(writer, opened.by_id.values())
             if levels is not None:
                 levels.handle = handles[levels.handle]
+                report.topics.append(levels.report)
             routes = count_skipped(opened.by_id, reader, span.start_ns, span.stop_ns)
             if not options.only_scans:
-                copy_extras(reader, target, writer, report)
+                report.warnings += copy_extras(reader, target, writer)
             if added is not None:
                 earliest_ns, latest_ns = target.times_ns
                 begin_ns = max(earliest_ns, min(begin_ns, latest_ns))
-                write_static(options.frames, begin_ns, handles[added], target, writer, report)
+                report.topics.append(write_static(options.frames, begin_ns, handles[added], target, writer))
             pool = _threads(options, stack)
             if pool is not None:
                 writer.compress_ahead(pool)
@@ -286,17 +287,28 @@ def _run(
                 window=_window(options),
                 progress=progress,
             )
-            with closing(items):
-                write_items(items, writer, tally, levels)
-            report.messages_read = tally.messages
-            tally.finish()
-            firsts.finish()
-            for spec in plan.specs:
-                if spec.made_type == LASERSCAN:
-                    report.warnings += (each for each in ghost_warnings(spec.params) if each not in report.warnings)
+            try:
+                with closing(items):
+                    write_items(items, writer, tally, levels)
+                report.messages_read = tally.messages
+                tally.finish()
+                firsts.finish()
+            finally:
+                report.add(firsts.warnings, firsts.notes, firsts.advice)
             files.refuse_changed()
             report.damage += [damage for each in (reader, *others) for damage in each.damage]
-            conclude(report, reader, routes.values(), target.serialization, options)
+            outputs = [output for route in routes.values() for output in route.outputs]
+            first_scans = [
+                (output.report, output.sample)
+                for output in outputs
+                if output.sample and output.report.spec is not None and output.report.spec.made_type == LASERSCAN
+            ]
+            report.add(*result_findings(report, first_scans, target.serialization))
+            report.messages_declared, difference = compare_counts(reader, routes.values(), options, report)
+            report.damage += difference
+            if not options.repair:
+                refuse_nothing(report)
+                refuse_unsatisfied(report, options)
             writer.finish()
         except BaseException:
             writer.abort()
@@ -324,13 +336,15 @@ def _estimate(
     span = span_of(reader, options)
     converted = [route.connection for route in plan.routes if route.targets]
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
-    report.warnings += cut_warnings(reader, options.start, options.end)
-    firsts = FirstClouds(report, None, partial(robot_transforms, files.read, options, span))
+    report.warnings += cut_warnings(reader, options)
+    firsts = FirstClouds(report.source_frame, partial(robot_transforms, files.read, options, span))
     conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
     topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
     opened = open_routes(plan.routes, conversions, partial(_encoder, target), topics)
     report.topics += opened.entries
-    levels = _level_frames(reader, plan, topics, options, report)
+    levels = _level_frames(reader, plan, topics, options)
+    if levels is not None:
+        report.topics.append(levels.report)
     size = forecast(reader, target, opened, options, span, report, firsts)
     if levels is not None:
         made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
@@ -408,9 +422,7 @@ def _target(
     return target
 
 
-def _level_frames(
-    reader: Reader, plan: Plan, topics: RecordingTopics, options: ConvertOptions, report: Report
-) -> LevelFrames | None:
+def _level_frames(reader: Reader, plan: Plan, topics: RecordingTopics, options: ConvertOptions) -> LevelFrames | None:
     """Declare and return the writer of the level frames' transforms; None if no scan is level."""
     if not any(spec.level for spec in plan.specs):
         return None
@@ -418,7 +430,6 @@ def _level_frames(
 
     connection = tf_connection(reader, options.frames, topics.target)
     entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
-    report.topics.append(entry)
     return LevelFrames(topics.add(connection), topics.target.serialization, entry)
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import MessageError
 from pc2scan.result import MAX_LISTED, Skipped
 
-from .checks import TransformCheck
 from .conversion import ConvertedMessage
 from .first_clouds import SharedSample
+from .refusals import TransformCheck
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

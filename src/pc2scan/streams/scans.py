@@ -12,10 +12,11 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
-from pc2scan.pipeline.checks import cut_warnings, option_warnings, refuse_unusable
+from pc2scan.pipeline.checks import cut_warnings, request_warnings, result_findings
 from pc2scan.pipeline.first_clouds import FirstClouds
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.preparation import prepare_conversions
+from pc2scan.pipeline.refusals import refuse_unusable
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.routes import open_routes
 from pc2scan.pipeline.run import robot_transforms, span_of
@@ -217,13 +218,13 @@ class Scans(Stream[Scan]):
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
         report.warnings += (
-            *option_warnings(options),
-            *cut_warnings(reader, options.start, options.end),
+            *request_warnings(options),
+            *cut_warnings(reader, options),
             *plan.warnings,
         )
         found = _ScanWarnings(report)
         transforms = partial(robot_transforms, self._selection.paths, options, span)
-        found.firsts = FirstClouds(report, found.pending.append, transforms)
+        found.firsts = FirstClouds(report.source_frame, transforms, found.pending.append)
         conversions, others = prepare_conversions(reader, plan, options, span, stack, report, found.firsts)
         found.pending[:0] = report.warnings
         self.notes = tuple(report.notes)
@@ -346,9 +347,11 @@ class _ScanWarnings:
         return found
 
     def conclude(self) -> Sequence[str]:
-        self.firsts.finish()
-        self._report.conclude()
-        return self._report.warnings
+        firsts, report = self.firsts, self._report
+        firsts.finish()
+        report.add(firsts.warnings, firsts.notes, firsts.advice)
+        report.add(*result_findings(report))
+        return report.warnings
 
 
 def _hint_clouds(reader: Reader) -> str | None:

@@ -18,11 +18,11 @@ from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.core.counts import PointCounts
 from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.model import StoredChunk
-from pc2scan.pipeline.checks import refuse_no_messages
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import convert
 from pc2scan.pipeline.items import OpenRoute, Output
 from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.refusals import refuse_no_messages
 from pc2scan.pipeline.run import span_of
 from pc2scan.pipeline.tally import Tally
 from pc2scan.pipeline.topic_report import TopicReport

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from pc2scan.core.floor import LEVEL, enough_to_judge
 from pc2scan.core.ground import Ground, common_ground, find_ground
-from pc2scan.core.level import LEVEL
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    from pc2scan.core.floor import CloudSample
 
     from .buffer import TransformBuffer
 
@@ -102,35 +104,25 @@ class Mounting(NamedTuple):
 def mounting(
     topic: str,
     frame: str,
-    samples: Sequence[NDArray[np.float64]],
+    clouds: Sequence[CloudSample],
     buffer: TransformBuffer | None = None,
-    *,
-    judged_in: str = "",
-    origin_z: float = 0.0,
-    stamp_ns: int = 0,
 ) -> Mounting:
     """Judge how clouds are mounted.
 
     Parameters
     ----------
     topic, frame
-        The topic of the clouds, and their ``frame_id``.
-    samples
-        Points of some clouds, as `pc2scan.core.level.thin_points` returns them: relative to the sensor, along the axes
-        of the frame in which they are judged.
+        The topic of the clouds, and the frame of their points.
+    clouds
+        The first clouds, in the frame of the scans: one at least.
     buffer
         The recording's transforms; None if there are none.
-    judged_in
-        The target frame that the samples were rotated to; empty for their own.
-    origin_z
-        The height of the sensor in that frame, metres.
-    stamp_ns
-        The stamp at which transforms are looked up.
     """
-    seen = _Observation(
-        topic, frame, judged_in or frame, samples, common_ground([find_ground(points) for points in samples])
-    )
-    if judged_in.removeprefix("/") not in {"", frame.removeprefix("/")}:
+    clouds = enough_to_judge(clouds)
+    judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
+    samples = [cloud.points for cloud in clouds]
+    seen = _Observation(topic, frame, judged_in, samples, common_ground([find_ground(points) for points in samples]))
+    if judged_in.removeprefix("/") != frame.removeprefix("/"):
         moved = None if buffer is None or not seen.ground.off else _lookup(buffer, judged_in, frame, stamp_ns)
         if moved is not None:
             return seen.correct(judged_in, moved, seen.ground, _IDENTITY)

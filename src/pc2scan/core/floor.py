@@ -1,4 +1,4 @@
-"""Finds an obvious floor at right angles to z, the most frequent case by far, in a millisecond.
+"""Samples of clouds, and the obvious floor at right angles to z in them: the most frequent case, in a millisecond.
 
 It needs neither RANSAC nor linear algebra, and imports nothing; `pc2scan.core.ground` handles all other cases.
 """
@@ -6,17 +6,27 @@ It needs neither RANSAC nor linear algebra, and imports nothing; `pc2scan.core.g
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
+
+    from .points import Points
+    from .rigid import Rigid
 
 _Points: TypeAlias = "NDArray[np.float64]"
 
-#: How many points of a cloud are used.
-MOST_POINTS = 4_000
+#: How many clouds of a topic are judged if the first one has no level floor, how many points of each are sampled, and
+#: with how many a cloud is not judged.
+MOST_CLOUDS = 3
+MOST_POINTS = 2_000
+FEWEST_POINTS = 300
 
 #: A frame with at most this tilt counts as level, radians: roads and yards are not flatter, and robots pitch.
 LEVEL = math.radians(5.0)
@@ -35,6 +45,64 @@ class Floor(NamedTuple):
 
     up: tuple[float, float, float]
     height: float
+
+
+@dataclass(frozen=True)
+class CloudSample:
+    """Some points of a cloud, relative to the sensor along the axes of the frame in which it is judged.
+
+    Attributes
+    ----------
+    frame_id, stamp_ns
+        Of the cloud.
+    judged_in
+        The frame of its scan.
+    points
+        The result of `thin_points`, metres.
+    origin
+        The position of the sensor in that frame, metres.
+    zeros
+        How many points of the whole cloud are at the sensor itself.
+    """
+
+    frame_id: str
+    stamp_ns: int
+    judged_in: str
+    points: _Points
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    zeros: int = 0
+
+    @classmethod
+    def of(cls, cloud: Points, judged_in: str = "", moved: Rigid | None = None) -> CloudSample:
+        """Return a sample of a cloud.
+
+        Parameters
+        ----------
+        judged_in, moved
+            The frame in which it is judged, and the transform to it; without them, its own.
+        """
+        x, y, z = cloud.xyz()
+        points, origin = thin_points(x, y, z), (0.0, 0.0, 0.0)
+        with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+            zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
+        if moved is not None:
+            points, origin = moved.rotation.apply(points), tuple(moved.translation.tolist())
+        return cls(cloud.frame_id, cloud.stamp_ns, judged_in or cloud.frame_id, points, origin, zeros)
+
+    @property
+    def placed(self) -> _Points:
+        """The points in the frame in which it is judged."""
+        return np.asarray(self.points + self.origin)
+
+    @cached_property
+    def floor(self) -> Floor | None:
+        """The level floor; None if there is none, or if the cloud is too small."""
+        return level_floor(cells_of(self.points)) if len(self.points) >= FEWEST_POINTS else None
+
+
+def enough_to_judge(samples: Sequence[CloudSample]) -> Sequence[CloudSample]:
+    """Return the clouds that show how a sensor is mounted: the first one if its floor is level, else the first few."""
+    return samples[: 1 if samples and samples[0].floor is not None else MOST_CLOUDS]
 
 
 def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:

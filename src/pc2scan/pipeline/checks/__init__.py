@@ -1,0 +1,110 @@
+"""The table of checks: each reads facts of one kind, and yields warnings with their cure.
+
+A check is a function of its group's facts, and yields its warnings, or nothing. It changes nothing. A new one is a
+function, a line in this table, and a row in a test. Users see the warnings of a group in the order of the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
+
+from . import clouds, request, result
+from .request import Cut, OutputRequest
+from .result import Result, TopicResult
+
+if TYPE_CHECKING:
+    from pc2scan.bags.reader import Reader
+    from pc2scan.model import Buffer
+    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.report import Report
+    from pc2scan.pipeline.scan_spec import ScanSpec
+    from pc2scan.pipeline.topic_report import TopicReport
+
+    from .clouds import CloudFacts
+
+Facts = TypeVar("Facts")
+Checks: TypeAlias = tuple[Callable[[Facts], Iterable[str]], ...]
+
+#: What the request of an output says, before anything is read.
+REQUEST: Checks[OutputRequest] = (
+    request.fixed_frame_beside_imu,
+    request.equal_frames,
+    request.unused_transforms,
+    request.accumulated_without_effect,
+    request.fixed_frame_of_rebinned,
+    request.zeros_as_obstacles,
+    request.unused_no_return,
+    request.milliseconds_as_seconds,
+    request.increment_in_degrees,
+    request.sector_in_degrees,
+)
+
+#: What a cut leaves of the recording.
+CUT: Checks[Cut] = (request.cut_without_effect,)
+
+#: What each of the first clouds of a topic shows, at once.
+EACH_CLOUD: Checks[CloudFacts] = (clouds.target_that_moves, clouds.returns_at_sensor)
+
+#: What the first clouds show about their frame, which all outputs share.
+FRAME: Checks[CloudFacts] = (clouds.frame_not_level,)
+
+#: What the first clouds show about the parameters of an output.
+FIRST_CLOUDS: Checks[CloudFacts] = (
+    clouds.swapped_transform,
+    clouds.heights_in_millimetres,
+    clouds.nearly_empty_scans,
+    clouds.floor_within_heights,
+)
+FIRST_CLOUDS_NOTES: Checks[CloudFacts] = (clouds.heights_left_to_user,)
+
+#: What the whole result shows.
+RESULT: Checks[Result] = (result.returns_without_object, result.refused_scans, result.lost_topics)
+RESULT_NOTES: Checks[ScanSpec] = (result.evenly_divided_circle, result.range_of_preset)
+
+#: What the counts of a topic show.
+TOPIC: Checks[TopicResult] = (
+    result.unconverted_topic,
+    result.scans_without_return,
+    result.points_rejected_by_default,
+    result.filters_without_effect,
+    result.faults_without_number,
+    result.jumping_stamps,
+    result.source_in_no_scan,
+    result.messages_in_no_scan,
+    result.missing_transforms,
+    result.implausible_tilt,
+)
+TOPIC_NOTES: Checks[TopicResult] = (
+    result.unmatched_messages,
+    result.removed_beams,
+    result.rebinned_beams,
+    result.motion_of_sensor,
+    result.tilt_of_frame,
+)
+
+
+def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
+    """Return all that checks find, in their order; each text begins with the label of the output."""
+    return [label + text for check in checks for text in check(facts)]
+
+
+def request_warnings(options: ConvertOptions) -> list[str]:
+    """Return the warnings about a request, of each output."""
+    return [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
+
+
+def cut_warnings(reader: Reader, options: ConvertOptions) -> list[str]:
+    """Return the warnings about the cut of a recording."""
+    return found_by(CUT, Cut(options.start, options.end, reader.summary))
+
+
+def result_findings(
+    report: Report, first_scans: Sequence[tuple[TopicReport, Buffer]] = (), serialization: str = ""
+) -> tuple[list[str], list[str]]:
+    """Return the warnings and the notes about a result; see `Result`."""
+    topics = [TopicResult(topic, report) for topic in report.topics]
+    warnings = found_by(RESULT, Result(report, first_scans, serialization))
+    warnings += (text for topic in topics for text in found_by(TOPIC, topic))
+    notes = dict.fromkeys(text for spec in report.scans for text in found_by(RESULT_NOTES, spec))
+    return warnings, [*notes, *(text for topic in topics for text in found_by(TOPIC_NOTES, topic))]

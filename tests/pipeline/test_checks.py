@@ -1,0 +1,103 @@
+"""Every check of the table: what it finds in facts, and that none is without a case."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pc2scan.core.counts import PointCounts
+from pc2scan.core.floor import CloudSample
+from pc2scan.core.params import ProjectionParams
+from pc2scan.core.points import Points
+from pc2scan.core.rigid import Rigid
+from pc2scan.options.call import Options
+from pc2scan.pipeline import checks
+from pc2scan.pipeline.checks.clouds import CloudFacts, KnownTransforms
+from pc2scan.pipeline.checks.request import OutputRequest
+from pc2scan.pipeline.checks.result import TopicResult
+from pc2scan.pipeline.combine.counts import Jump, Run, SourceCounts
+from pc2scan.pipeline.report import Report
+from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.topic_report import TopicReport
+from pc2scan.requests import conversion_of
+from support.tables import rows
+from support.worlds.mounted import PLACES, cloud, mounted
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+TABLE = Path(__file__).with_name("checks.txt")
+
+#: Checks with cases elsewhere: of cuts and of clouds that move, in `tests/transcripts`; of rebinned scans, in
+#: `tests/e2e/test_combined.py`; of whole results, in `test_report.py` and `tests/e2e`.
+ELSEWHERE = {
+    *("cut_without_effect", "target_that_moves", "returns_at_sensor", "fixed_frame_of_rebinned", "rebinned_beams"),
+    *("returns_without_object", "refused_scans", "lost_topics", "evenly_divided_circle", "range_of_preset"),
+    "filters_without_effect",
+}
+
+
+def named(group: Iterable[Any], facts: Any) -> dict[str, list[str]]:
+    """What each check of a group finds."""
+    return {check.__name__: texts for check in group if (texts := checks.found_by((check,), facts))}
+
+
+@pytest.mark.parametrize(("options", "name", "text"), rows(TABLE, "request"))
+def test_a_check_of_the_request(options: dict[str, Any], name: str, text: str) -> None:
+    request = conversion_of(Options("convert", options)).options
+    found = named(checks.REQUEST, OutputRequest(request, request.scan))
+    assert list(found) == [name]
+    assert found[name][0].startswith(text)
+    assert checks.request_warnings(request) == found[name]
+
+
+@pytest.mark.parametrize(("roll", "options", "used", "name", "text"), rows(TABLE, "clouds"))
+def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used: int, name: str, text: str) -> None:
+    request = conversion_of(Options("convert", options)).options
+    static, target = request.frames.static, request.scan.params.target_frame
+    moved = Rigid.from_pose((0, 0, -0.6, 0, 0, 0, 1)) if target else None
+    points = cloud(PLACES["hall"], "32 rings", mounted(roll, 0), 0.6)
+    sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True))), target, moved)
+    counts = PointCounts(len(points), used, height=len(points) - used)
+    known = KnownTransforms("", lambda: None, static=static)
+    facts = CloudFacts("/points", request.scan, known, [sample], [counts])
+    found = named((*checks.FRAME, *checks.FIRST_CLOUDS, *checks.FIRST_CLOUDS_NOTES), facts)
+    assert list(found) == [name]
+    assert found[name][0].startswith(text)
+
+
+def topic_report(**attributes: Any) -> TopicReport:
+    known = {"messages_in": 4, "messages_out": 4, "points": PointCounts(100, 40, height=60)}
+    return TopicReport("/points", "", "/scan", **{"action": "converted", **known, **attributes})
+
+
+@pytest.mark.parametrize(("attributes", "name", "text"), rows(TABLE, "topic"))
+def test_a_check_of_the_counts(attributes: dict[str, Any], name: str, text: str) -> None:
+    # Only the check of defaults looks at these.
+    params = ProjectionParams() if "default" in name or "empty_scans" in attributes else ProjectionParams(min_height=0)
+    topic = topic_report(**attributes)
+    report = Report([], "", (ScanSpec(params=params),), topics=[topic])
+    found = named((*checks.TOPIC, *checks.TOPIC_NOTES), TopicResult(topic, report))
+    assert found[name][0].startswith(text)
+    warnings, notes = checks.result_findings(report)
+    assert [text for texts in found.values() for text in texts] == warnings + notes
+
+
+@pytest.mark.parametrize(("counts", "name", "text"), rows(TABLE, "joined"))
+def test_a_check_of_the_counts_of_several_messages(counts: dict[str, Any], name: str, text: str) -> None:
+    counts["jumps"] = [Jump(*jump) for jump in counts.get("jumps", ())]
+    counts["left"] = Run(*counts.get("left", (0, 0, 0)))
+    topic = topic_report(action="joined", joined=SourceCounts(**counts))
+    found = named((*checks.TOPIC, *checks.TOPIC_NOTES), TopicResult(topic, Report([], "", (ScanSpec(),))))
+    assert list(found) == [name]
+    assert found[name][0].startswith(text)
+
+
+def test_every_check_has_a_case() -> None:
+    groups = [group for name, group in vars(checks).items() if name.isupper() and isinstance(group, tuple)]
+    known = {check.__name__ for group in groups for check in group}
+    assert len(known) == sum(map(len, groups))
+    sections = (("request", 1), ("clouds", 3), ("topic", 1), ("joined", 1))
+    assert {row[place] for section, place in sections for row in rows(TABLE, section)} | ELSEWHERE == known
