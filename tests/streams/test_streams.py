@@ -296,7 +296,7 @@ def test_the_only_topic_is_taken_and_others_are_pointed_out(recording: Path, tmp
     assert {scan.topic for scan in pc2scan.scans(path, "/front")} == {"/front"}
     assert {scan.topic for scan in pc2scan.scans(path, topics=["back", "/front"])} == {"/front", "/back"}
     wrong: list[tuple[Callable[[], object], str, str]] = [
-        (lambda: pc2scan.scans(path), r"2 LaserScan topics: /back, /front", 'topic="/back"'),
+        (lambda: pc2scan.scans(path), r"2 LaserScan topics: /back, /front", 'topics="/back"'),
         (lambda: pc2scan.scans(path, "/frnt"), "no topic /frnt", "did you mean /front?"),
         (lambda: pc2scan.scans(HALL), "no LaserScan topic", "min_height"),
         (lambda: pc2scan.clouds(no_clouds), "no PointCloud2 topic", "pc2scan.scans()"),
