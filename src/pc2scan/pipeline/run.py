@@ -36,7 +36,7 @@ from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
 from pc2scan.result import Failure
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.reading import read_some_transforms
+from pc2scan.tf.reading import read_robot_transforms
 from pc2scan.threads import Threads, cores
 
 from .checks import TransformCheck, cut_warnings, ghost_warnings, option_warnings, refuse_no_messages, refuse_unusable
@@ -71,6 +71,7 @@ if TYPE_CHECKING:
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .plan import Plan
+    from .preparation import Prepared
 
 
 def run(
@@ -247,7 +248,7 @@ def _run(
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         report.warnings += cut_warnings(reader, options.start, options.end)
         firsts = FirstClouds(report, warn, partial(robot_transforms, files.read, options, span))
-        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
+        prepared = _prepare(reader, plan, options, span, stack, report, firsts)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
         begin_ns = span.first_ns
         writer = open_writer(target, unfinished, path.name, cut)
@@ -257,7 +258,7 @@ def _run(
                 writer.keep_ids(reader.connections)
             same_kind = target.same_kind(reader.summary)
             declared = Declarations()
-            routes = open_routes(plan.routes, conversions, target, same_kind, options, declared, report)
+            routes = open_routes(plan.routes, prepared.conversions, target, same_kind, options, declared, report)
             added = declared.add(static_connection(target)) if options.frames.write_static else None
             levels = _level_frames(reader, plan, target, options, declared, report)
             handles = declared.declare(writer, one_a_topic=target.format.one_a_topic)
@@ -287,7 +288,7 @@ def _run(
                 if spec.made_type == LASERSCAN:
                     report.warnings += (each for each in ghost_warnings(spec.params) if each not in report.warnings)
             files.refuse_changed()
-            report.damage += [damage for each in (reader, *others) for damage in each.damage]
+            report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
             conclude(report, reader, routes.values(), target.serialization, options)
             writer.finish()
         except BaseException:
@@ -318,7 +319,7 @@ def _estimate(
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
     report.warnings += cut_warnings(reader, options.start, options.end)
     firsts = FirstClouds(report, None, partial(robot_transforms, files.read, options, span))
-    conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
+    conversions = _prepare(reader, plan, options, span, stack, report, firsts).conversions
     levels = _level_frames(reader, plan, target, options, Declarations(), report)
     size = forecast(reader, plan, target, conversions, options, span.start_ns, span.stop_ns, report, firsts)
     if levels is not None:
@@ -337,11 +338,29 @@ def _estimate(
             report.warnings += unrecorded_warning(target.path.name, there)
 
 
+def _prepare(
+    reader: Reader,
+    plan: Plan,
+    options: ConvertOptions,
+    span: Span,
+    stack: ExitStack,
+    report: Report,
+    firsts: FirstClouds,
+) -> Prepared:
+    """Prepare the conversions, and report what was found out."""
+    prepared = prepare_conversions(reader, plan, options, span, stack, firsts.of)
+    report.notes += prepared.notes
+    report.warnings += prepared.warnings
+    if prepared.buffer is not None:
+        firsts.buffer, firsts.static = prepared.buffer, options.frames.static
+    return prepared
+
+
 def robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))
-        return read_some_transforms(reader, options.frames, span.first_ns)
+        return read_robot_transforms(reader, options.frames, span.first_ns)
     return None
 
 

@@ -218,7 +218,13 @@ class Scans(Stream[Scan]):
         early: list[str] = []
         transforms = partial(robot_transforms, self._selection.paths, options, span)
         firsts = FirstClouds(report, early.append, transforms)
-        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
+        conversions, others, buffer, notes, warnings = prepare_conversions(
+            reader, plan, options, span, stack, firsts.of
+        )
+        report.notes += notes
+        report.warnings += warnings
+        if buffer is not None:
+            firsts.buffer, firsts.static = buffer, options.frames.static
         early[:0] = report.warnings
         self.notes = tuple(report.notes)
         routes: dict[int, list[_Task]] = {}
