@@ -14,10 +14,9 @@ import pc2scan
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
-from pc2scan.model import Connection, Definition
 from support import conversions, sampled
-from support.builders import definition, imu_message
 from support.command import run
+from support.worlds import moving
 from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
 
 if TYPE_CHECKING:
@@ -49,34 +48,8 @@ def far_off(made: Made) -> NDArray[np.float64]:
     return np.concatenate([off_the_walls(returns_in_odom(scan, flat)) for scan in made.scans])
 
 
-def write_imu(
-    path: Path, drive: Drive, seconds: float = 2.0, *, orientation: bool = False, clock_ns: int = 0, gap: float = 0.0
-) -> Path:
-    """An IMU at 100 Hz from 20 s before on, with a bias; for ``gap`` seconds in the middle it is silent."""
-    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
-    text = Definition("ros2msg", definition("sensor_msgs/msg/Imu", 2).encode())
-    handle = writer.add_connection(Connection(0, "/imu", "sensor_msgs/msg/Imu", "cdr", text, ""))
-    times = np.arange(-20.0, seconds + 0.4, 0.01)
-    times = times[np.abs(times - seconds / 2) >= gap / 2]
-    ends = [drive.rotations(times + off) for off in (-5e-5, 5e-5)]
-    rates = MOUNT.matrix.T @ (np.einsum("nji,njk->nik", ends[0], ends[1]) - np.eye(3)) @ MOUNT.matrix / 1e-4
-    velocities = [(drive.positions(times + off) - drive.positions(times + off - 1e-3)) / 1e-3 for off in (0, 1e-3)]
-    felt = (velocities[1] - velocities[0]) / 1e-3 + (0.0, 0.0, 9.81)
-    attitudes = drive.rotations(times) @ MOUNT.matrix
-    for place, time in enumerate(times.tolist()):
-        log_time_ns = BEGIN_NS + round(time * 1e9)
-        rate = rates[place]
-        data = imu_message(
-            2,
-            orientation=drive.pose(time).compose(MOUNT).quaternion.tolist() if orientation else (0, 0, 0, 0),
-            first=(0.0, 0.0, 0.0),
-            turning=(rate[2, 1] + 0.02, rate[0, 2] - 0.02, rate[1, 0]),
-            acceleration=attitudes[place].T @ felt[place],
-            stamp_ns=log_time_ns + clock_ns,
-        )
-        writer.write(handle, log_time_ns, data, log_time_ns)
-    writer.finish()
-    return path
+def write_imu(path: Path, drive: Drive, **further: Any) -> Path:
+    return moving.write_imu(path, drive, MOUNT, **further)
 
 
 @pytest.fixture(scope="module")

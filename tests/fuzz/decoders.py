@@ -28,10 +28,11 @@ import pc2scan
 from fuzz.clouds import project_cloud, project_moving
 from fuzz.rays import draw_rays
 from pc2scan.errors import Pc2ScanError
-from pc2scan.model import Connection, Definition, RawMessage
+from pc2scan.model import Connection, Definition
+from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
 __all__ = ["CORPUS", "DECODERS", "decode"]
 
@@ -84,15 +85,8 @@ def _imu(data: bytes) -> None:
     connection = Connection(0, "/imu", kind, serialization)
     size = max(1, len(content) // 4)
     parts = [content[place : place + size] for place in range(0, len(content), size)]
-    messages = [RawMessage(connection, place, part, place) for place, part in enumerate(parts)]
-
-    class Recorded:
-        connections = (connection,)
-
-        def messages(self, _: object) -> Iterator[RawMessage]:
-            return iter(messages)
-
-    found = read_up([Recorded()], ImuRequest("/imu"))  # type: ignore[list-item]  # a part of a reader
+    rows = [(connection.id, place, part) for place, part in enumerate(parts)]
+    found = read_up([MemoryReader(Path("made"), [connection], rows)], ImuRequest("/imu"))
     assert np.isfinite(found.directions).all()
     assert len(found.directions) == len(found.stamps_ns)
 

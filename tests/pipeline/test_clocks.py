@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from pc2scan.bags.observers import observe
 from pc2scan.bags.opening import open_recording
-from pc2scan.pipeline.clocks import are_doubtful, clock_warnings
+from pc2scan.pipeline.clocks import are_doubtful, clock_warnings, delay_observers
 from pc2scan.pipeline.items import Span
 from support.worlds.moving import BEGIN_NS, Lidar, write_world
 
@@ -29,7 +30,10 @@ def test_clouds_whose_clock_is_not_that_of_the_transforms(kind: str, clock: floa
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
         moving = [each for each in reader.connections if each.topic == "/tf"]
-        found = list(clock_warnings(reader, own, moving, Span(None, None, BEGIN_NS)))
+        whole = Span(None, None, BEGIN_NS)
+        sources, others = delay_observers(own, whole), delay_observers(moving, whole)
+        observe(reader, [*sources.values(), *others.values()])
+        found = list(clock_warnings(sources, others))
     assert len(found) == bool(what)
     assert all(text.startswith("the stamps of /points are ") and f" s {what} those of /tf" in text for text in found)
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from pc2scan.bags.observers import observe
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline import measurements as measure_module
-from pc2scan.pipeline.measurements import measure
+from pc2scan.pipeline.measurements import cloud_observers, measure
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer
@@ -52,7 +53,10 @@ def measured(
     items = sorted(items, key=lambda entry: entry.log_time_ns)
     reader = open_recording(write_mcap(folder / "drive.mcap", Recording(streams, tuple(items))))
     try:
-        return measure(reader, reader.connections, ScanSpec(params=params), frames or Placer(), **cut)
+        spec, frames = ScanSpec(params=params), frames or Placer()
+        observers = cloud_observers(reader.connections, spec, None if frames.buffer else frames, **cut)
+        observe(reader, observers.values())
+        return measure(observers, spec, frames)
     finally:
         reader.close()
 

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from pc2scan.bags.observers import observe
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.items import Span
-from pc2scan.pipeline.point_times import time_warnings
+from pc2scan.pipeline.point_times import time_observers, time_warnings
 from pc2scan.pipeline.stages.deskew import PointTime
 from support.memory_reader import MemoryReader
 
@@ -53,7 +54,9 @@ def option_warnings(
         )  # fmt: skip
         rows.append((0, stamp_ns, data))
     reader = MemoryReader(Path("made"), [POINTS], rows)
-    return list(time_warnings(reader, [POINTS], PointTime.parse(asked), Span(None, None, T0)))
+    observers = time_observers([POINTS], PointTime.parse(asked), Span(None, None, T0))
+    observe(reader, observers.values())
+    return list(time_warnings(observers))
 
 
 @pytest.mark.parametrize(

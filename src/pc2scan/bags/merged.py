@@ -99,6 +99,11 @@ class MergedReader(Reader):
         return merge_summaries([reader.summary for reader in self._readers])
 
     @property
+    def has_chunks(self) -> bool:
+        """Whether all sources have chunks."""
+        return all(reader.has_chunks for reader in self._readers)
+
+    @property
     def bytes_read(self) -> int:
         """Bytes read so far of all sources."""
         return sum(reader.bytes_read for reader in self._readers)

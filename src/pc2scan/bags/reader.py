@@ -21,6 +21,11 @@ class Reader(ABC):
     """Reads an open recording, unit by unit."""
 
     @property
+    def has_chunks(self) -> bool:
+        """Whether messages of several topics are stored together, so that reading one topic reads others, too."""
+        return False
+
+    @property
     @abstractmethod
     def path(self) -> Path:
         """The path of the recording."""

@@ -12,6 +12,8 @@ from pc2scan.text import did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from pc2scan.model import Connection
+
 
 def find_topic(requested: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
     """Return the topic of a type by its name, with or without the leading slash.
@@ -123,3 +125,11 @@ def fill_glob(topic: str, pattern: str, target: str) -> str:
 def short_types(kinds: Iterable[str]) -> str:
     """Return types without their packages, for a message."""
     return " or ".join(kind.rsplit("/", 1)[-1] for kind in kinds)
+
+
+def by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
+    """Return the connections of each topic, in the order of the first ones."""
+    topics: dict[str, list[Connection]] = {}
+    for connection in connections:
+        topics.setdefault(connection.topic, []).append(connection)
+    return topics

@@ -57,6 +57,11 @@ class ZstdReader(Reader):
         return self._path
 
     @property
+    def has_chunks(self) -> bool:
+        """Whether the recording in it has chunks."""
+        return self._inner.has_chunks
+
+    @property
     def connections(self) -> Sequence[Connection]:
         """All connections, in the container's order."""
         return self._inner.connections

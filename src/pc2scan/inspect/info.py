@@ -20,7 +20,7 @@ from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Placer
-from pc2scan.tf.reading import read_some_transforms, read_transforms
+from pc2scan.tf.reading import RobotTransforms, TransformReading
 
 from .cloud_info import CloudInfo, CloudLook
 from .sampling import sampled
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
     from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.imu import ImuReading
     from pc2scan.tf.mounting import Mounting
 
 #: How many of the first messages of an IMU are read.
@@ -302,15 +303,18 @@ def info(
         reader = as_one(readers)
         counts, start_ns, end_ns = _message_counts(reader)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)
-        buffer, warnings = None, list[str]()
         others = open_recordings(asked.tf_from, stack)
-        if target_frame or others:
-            buffer, warnings = read_transforms([reader, *others], asked)
-        elif any(topic.msgtype in CLOUDS for topic in topics):
-            buffer = read_some_transforms(reader, asked, start_ns or 0)
+        shown = _described(topics, described)
+        has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
+        imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
+        has_target = bool(target_frame or others)
+        needs_robot = any(topic.msgtype in CLOUDS for topic in topics)
+        buffer, warnings, ups = _transforms_and_imus(
+            [reader, *others], asked, imus, start_ns or 0, all_of_them=has_target, needs_robot=needs_robot
+        )
         tolerance_ns = ProjectionParams().tolerance_ns
         places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
-        clouds, scans = _samples(reader, _described(topics, described), samples, start_ns, end_ns, places, buffer)
+        clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, buffer)
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
@@ -320,7 +324,7 @@ def info(
             tuple(topics),
             clouds,
             scans,
-            tuple(_imu(reader, topic.topic) for topic in topics if clouds and topic.msgtype == IMU and topic.messages),
+            ups,
             tuple(_proposals(clouds, topics, [str(r.path) for r in readers], given or {})),
             tuple(reader.damage),
             tuple(warnings),
@@ -375,11 +379,70 @@ def _topic_infos(
     return topics
 
 
-def _imu(reader: Reader, topic: str) -> ImuInfo:
-    from pc2scan.tf.imu import ImuRequest, read_up  # noqa: PLC0415  # few recordings have one
+def _transforms_and_imus(
+    readers: Sequence[Reader],
+    asked: FrameOptions,
+    imus: Sequence[str],
+    time_ns: int,
+    *,
+    all_of_them: bool,
+    needs_robot: bool,
+) -> tuple[TransformBuffer | None, list[str], tuple[ImuInfo, ...]]:
+    """Read the transforms, and the first messages of each IMU, in one reading of each recording.
+
+    Parameters
+    ----------
+    readers
+        The recording first, then those of ``tf_from``.
+    time_ns
+        The beginning of the recording.
+    all_of_them
+        Whether all transforms are read.
+    needs_robot
+        Whether those between the robot's frames are read otherwise.
+
+    Returns
+    -------
+    TransformBuffer or None, list of str, tuple of ImuInfo
+        The transforms (None if there are none), warnings about them, and the IMUs.
+    """
+    if not (all_of_them or needs_robot or imus):
+        return None, [], ()
+    from pc2scan.bags.observers import observe  # noqa: PLC0415  # recordings without clouds need none
+
+    reader = readers[0]
+    transforms = TransformReading(asked) if all_of_them else None
+    robot = RobotTransforms(reader, asked, time_ns) if needs_robot and transforms is None else None
+    readings = {topic: _imu_reading(reader, topic) for topic in imus}
+    observers = [] if transforms is None else transforms.observers(reader)
+    observers += [] if robot is None else robot.observers
+    for reading in readings.values():
+        observers += [] if isinstance(reading, UsageError) else reading.observers(reader)
+    observe(reader, observers)
+    ups = tuple(_imu(topic, reading) for topic, reading in readings.items())
+    if transforms is None:
+        return None if robot is None else robot.finish(), [], ups
+    for other in readers[1:]:
+        observe(other, transforms.observers(other))
+    return *transforms.finish(), ups
+
+
+def _imu_reading(reader: Reader, topic: str) -> ImuReading | UsageError:
+    """Return what reads the first messages of an IMU, or why they cannot be read."""
+    from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few recordings have one
 
     try:
-        found = read_up([reader], ImuRequest(topic), _MAX_IMU)
+        return ImuReading([reader], topic, _MAX_IMU)
+    except UsageError as err:
+        return err
+
+
+def _imu(topic: str, reading: ImuReading | UsageError) -> ImuInfo:
+    """Return whether scans can be levelled by an IMU."""
+    try:
+        if isinstance(reading, UsageError):
+            raise reading
+        found = reading.up()
     except UsageError as err:
         return ImuInfo(topic, "", usable=False, text=err.message)
     text = "; ".join((*found.notes, *found.warnings)).replace(f"{topic}: ", "")

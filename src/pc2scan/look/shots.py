@@ -5,22 +5,24 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pc2scan.bags.observers import observe
 from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.pipeline.levelling import UpSources
-from pc2scan.pipeline.measurements import measure
+from pc2scan.pipeline.measurements import cloud_observers, measure
 from pc2scan.pipeline.plan import make_plan
-from pc2scan.pipeline.point_times import measure_turns
-from pc2scan.pipeline.report import Report
+from pc2scan.pipeline.point_times import measure_turns, turn_observers
 from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.deskew import Deskew, PointTime
 from pc2scan.pipeline.stages.selection import SelectStage
 from pc2scan.text import counted
+from pc2scan.tf.imu import read_up
 from pc2scan.tf.placing import Placer
 
 from .recording import moment_text, spread_messages
@@ -30,11 +32,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.pipeline.measurements import FirstCloud
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.stages.turn import TurnSample
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement
 
@@ -128,9 +133,14 @@ def take_shots(
         notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
     if spec.level and frames.up is None:
         notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
-    deskew = _deskew(reader, topics, options, frames._replace(target_frame="", up=None))
-    if params.beams == "auto":
-        params, note = _at_measured_resolution(reader, topics, options, frames)
+    first = next(iter(topics))
+    clouds = cloud_observers(topics[first], _only_beams(spec), frames) if params.beams == "auto" else {}
+    connections = [each for found in topics.values() for each in found]
+    turning = turn_observers(connections, spec.point_time) if spec.deskew else {}
+    observe(reader, [*turning.values(), *clouds.values()])
+    deskew = _deskew(turning, options, frames._replace(target_frame="", up=None))
+    if clouds:
+        params, note = _at_measured_resolution(first, clouds, options, frames)
         notes.append(note)
     shots: list[Shot] = []
     failed: list[str] = []
@@ -156,21 +166,24 @@ def _frames(buffer: TransformBuffer | None, options: ConvertOptions, levelled: S
     tolerance_ns = params.tolerance_ns
     up = None
     if spec.level and levelled is not None:
-        up = UpSources(levelled, buffer, Report([], "", (spec,))).of(spec, tolerance_ns)
+        up, _ = UpSources(buffer, partial(read_up, levelled)).of(spec)
     return Placer(params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
 
 
 def _at_measured_resolution(
-    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Placer
+    topic: str, observers: Mapping[str, Observer[FirstCloud]], options: ConvertOptions, frames: Placer
 ) -> tuple[ProjectionParams, str]:
-    """Return the parameters with the number of beams of the first topic's lidar, and a note about it."""
-    first, connections = next(iter(topics.items()))
-    only_beams = replace(options.scan.params, scan_time=0.0, time_increment=0.0, intensity_field="")
-    measured, _ = measure(reader, connections, ScanSpec(params=only_beams), frames)
-    step = measured[first].azimuth_step
+    """Return the parameters with the number of beams of a topic's lidar, and a note about it."""
+    measured, _ = measure(observers, _only_beams(options.scan), frames)
+    step = measured[topic].azimuth_step
     params = options.scan.params.at_resolution(step) if step else replace(options.scan.params, beams=0)
     degrees = math.degrees(params.layout.angle_increment)
-    return params, f"Beams, measured on {first}: {params.length}, by {degrees:.4g} deg."
+    return params, f"Beams, measured on {topic}: {params.length}, by {degrees:.4g} deg."
+
+
+def _only_beams(spec: ScanSpec) -> ScanSpec:
+    """Return an output of which nothing but the number of beams is measured."""
+    return ScanSpec(params=replace(spec.params, scan_time=0.0, time_increment=0.0, intensity_field=""))
 
 
 def _messages(
@@ -192,16 +205,13 @@ def _messages(
                 yield message
 
 
-def _deskew(
-    reader: Reader, topics: Mapping[str, Sequence[Connection]], options: ConvertOptions, frames: Placer
-) -> Deskew | None:
+def _deskew(observers: Mapping[str, Observer[TurnSample]], options: ConvertOptions, frames: Placer) -> Deskew | None:
     """Return the stage that deskews clouds into the target frame or, without one, into their own frame."""
     if not options.scan.deskew:
         return None
     asked = options.scan
     where = PointTime.parse(asked.point_time) if asked.point_time else PointTime()
-    connections = [each for found in topics.values() for each in found]
-    turns, _ = measure_turns(reader, connections, asked.point_time)
+    turns, _ = measure_turns(observers, asked.point_time)
     return Deskew(frames, asked.fixed_frame, where, asked.stamp, turns)
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import closing
-from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
+from pc2scan.bags.observers import Observer
+from pc2scan.bags.topics import by_topic
 from pc2scan.core.percentiles import median_low
-from pc2scan.errors import MessageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU, decode_imu
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
@@ -16,10 +15,12 @@ from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
 
     from .items import Span
+
+#: Delays from stamps in a message to its log time, nanoseconds, with the child frames of transforms.
+Delays: TypeAlias = "list[tuple[str, int]]"
 
 #: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
 _MESSAGES = {True: 3, False: 50}
@@ -52,25 +53,40 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
 
 
-def clock_warnings(
-    reader: Reader, sources: Iterable[Connection], others: Iterable[Connection], span: Span
-) -> Iterator[str]:
+def delay_observers(connections: Iterable[Connection], span: Span) -> dict[str, Observer[Delays]]:
+    """Return the observers of the delays from the stamps of topics to their log times.
+
+    Parameters
+    ----------
+    connections
+        Those with clouds or scans, with moving transforms, or of an IMU.
+    span
+        The cut.
+    """
+    return {
+        topic: Observer(own, _delays, _MESSAGES[own[0].ros_type in CLOUDS], span.start_ns, span.stop_ns)
+        for topic, own in by_topic(connections).items()
+    }
+
+
+def clock_warnings(sources: Mapping[str, Observer[Delays]], others: Mapping[str, Observer[Delays]]) -> Iterator[str]:
     """Yield a warning for each source topic whose stamps are probably of another clock than those of other topics.
 
     Parameters
     ----------
     sources
-        The connections with clouds or scans.
+        What was observed of the topics with clouds or scans.
     others
-        The connections with moving transforms, or of an IMU.
-    span
-        The cut.
+        ... and of those with moving transforms, or of an IMU.
     """
-    own = _delays(reader, sources, span)
-    known = _delays(reader, others, span)
-    for topic, delays in own.items():
+    known = {topic: _medians(observer.found) for topic, observer in others.items()}
+    for topic, observer in sources.items():
+        if not (delays := _medians(observer.found)):
+            continue
         delay_ns = median_low(list(delays.values()))
         for other, by_child in known.items():
+            if not by_child:
+                continue
             # Localisation stamps its transforms ahead of time: the nearest one is compared.
             nearest_ns = min(by_child.values(), key=lambda each: abs(delay_ns - each))
             behind_ns = delay_ns - nearest_ns
@@ -82,36 +98,25 @@ def clock_warnings(
                 )
 
 
-def _delays(reader: Reader, connections: Iterable[Connection], span: Span) -> Mapping[str, Mapping[str, int]]:
-    """Return the median delay from stamp to log time of each topic, for transforms by child; nanoseconds."""
-    topics: dict[str, list[Connection]] = {}
-    for connection in connections:
-        topics.setdefault(connection.topic, []).append(connection)
-    found: dict[str, dict[str, int]] = {}
-    for topic, own in topics.items():
-        delays: dict[str, list[int]] = {}
-        most = _MESSAGES[own[0].ros_type in CLOUDS]
-        with closing(reader.messages(own, span.start_ns, span.stop_ns)) as messages:
-            for message in islice(messages, most):
-                try:
-                    for child, stamp_ns in _stamps(message):
-                        delays.setdefault(child, []).append(message.log_time_ns - stamp_ns)
-                except MessageError:
-                    # Reported where the message is used.
-                    continue
-        if delays:
-            found[topic] = {child: median_low(each) for child, each in delays.items()}
-    return found
+def _medians(messages: Iterable[Delays]) -> dict[str, int]:
+    """Return the median delay of a topic, for transforms by child; nanoseconds."""
+    delays: dict[str, list[int]] = {}
+    for message in messages:
+        for child, delay_ns in message:
+            delays.setdefault(child, []).append(delay_ns)
+    return {child: median_low(each) for child, each in delays.items()}
 
 
-def _stamps(message: RawMessage) -> Iterator[tuple[str, int]]:
-    """Yield the stamps in a message, and of transforms their child frame."""
+def _delays(message: RawMessage) -> Delays:
+    """Return the delays from the stamps in a message to its log time, and of transforms their child frames."""
     kind, serialization = message.connection.ros_type, message.connection.serialization
+    stamps: list[tuple[str, int]] = []
     if kind in TF_TYPES:
-        yield from ((child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization))
+        stamps = [(child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization)]
     elif kind == IMU:
-        yield "", decode_imu(message.data, serialization).stamp_ns
+        stamps = [("", decode_imu(message.data, serialization).stamp_ns)]
     elif kind == LASERSCAN:
-        yield "", decode_laserscan(message.data, serialization).stamp_ns
+        stamps = [("", decode_laserscan(message.data, serialization).stamp_ns)]
     elif kind in CLOUDS:
-        yield "", CLOUDS[kind](serialization)(message.data).stamp_ns
+        stamps = [("", CLOUDS[kind](serialization)(message.data).stamp_ns)]
+    return [(child, message.log_time_ns - stamp_ns) for child, stamp_ns in stamps]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing, suppress
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
+from pc2scan.bags.observers import Observer
+from pc2scan.errors import ParameterError, UsageError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.text import did_you_mean
@@ -15,10 +15,9 @@ from pc2scan.tf.static import static_text
 from pc2scan.tf.world_frames import BODIES, WORLDS, find_body_motion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, RawMessage
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.options import FrameOptions
     from pc2scan.tf.static import StaticTransform
@@ -35,31 +34,31 @@ _MOST_NAMES = 5
 
 
 def check_given_frames(
-    reader: Reader,
+    own: Iterable[str],
     plan: Plan,
     asked: FrameOptions,
     buffer: TransformBuffer | None,
-    transforms: Callable[[], TransformBuffer | None] | None,
-    span: Span,
+    robot: TransformBuffer | None,
 ) -> Iterator[str]:
     """Yield a warning for each added transform, and for a source frame, that is probably a mistake.
 
     Parameters
     ----------
+    own
+        The frames of the first messages that are converted.
     buffer
         All transforms; None if nothing is transformed.
-    transforms
-        Reads the transforms between the robot's frames, if nothing is transformed; None if they are not available.
+    robot
+        The transforms between the robot's frames, if nothing is transformed; None if there are none.
 
     Raises
     ------
     UsageError
         If an added transform and the recorded ones form a loop.
     """
-    own = list(dict.fromkeys(first_frame(reader, [route.connection], span) for route in plan.routes if route.tasks))
-    frames = [frame.removeprefix("/") for frame in own if frame]
+    frames = [frame.removeprefix("/") for frame in dict.fromkeys(own) if frame]
     if asked.source_frame:
-        known = buffer if buffer is not None or transforms is None else transforms()
+        known = robot if buffer is None else buffer
         yield from _source_doubts(asked.source_frame.removeprefix("/"), frames, known)
         frames = [asked.source_frame.removeprefix("/")]
     if buffer is None:
@@ -138,15 +137,13 @@ def _far_doubts(static: StaticTransform, targets: set[str]) -> Iterator[str]:
     )
 
 
-def check_fixed_frame(
-    reader: Reader,
-    sources: Sequence[Connection],
-    spec: ScanSpec,
-    source_frame: str,
-    buffer: TransformBuffer,
-    span: Span,
-) -> list[str]:
+def check_fixed_frame(source: str, spec: ScanSpec, buffer: TransformBuffer) -> list[str]:
     """Return warnings if nothing moves in the fixed frame, or if regions of deskewed clouds move with the sensor.
+
+    Parameters
+    ----------
+    source
+        The frame of the clouds: the one that the user gives, or that of the first cloud; empty if there is none.
 
     Raises
     ------
@@ -161,11 +158,11 @@ def check_fixed_frame(
             f"`fixed_frame` is {fixed!r}, which is in no transform; {frames_text(buffer.frames)}",
             hint=f"{near}{'' if near.endswith('?') or not near else ';'} {advice}".strip(),
         )
-    frame = spec.params.target_frame or source_frame or first_frame(reader, sources, span)
+    frame = spec.params.target_frame or source
     frame = frame.removeprefix("/")
     if not frame or not buffer.is_rigid(fixed, frame):
-        return _moving_regions(reader, sources, spec, source_frame, buffer, span)
-    if fixed == frame and find_body_motion(buffer, fixed, source_frame or first_frame(reader, sources, span)):
+        return _moving_regions(source, spec, buffer)
+    if fixed == frame and find_body_motion(buffer, fixed, source):
         return []  # the target frame itself is wrong, which another warning says
     which = "the frame of the scans itself" if fixed == frame else f"and {frame} never moves in it"
     offered = _offered(buffer, fixed)
@@ -173,17 +170,9 @@ def check_fixed_frame(
     return [f"`fixed_frame` is {fixed}, {which}: no point is moved; {advice}"]
 
 
-def _moving_regions(
-    reader: Reader,
-    sources: Sequence[Connection],
-    spec: ScanSpec,
-    source_frame: str,
-    buffer: TransformBuffer,
-    span: Span,
-) -> list[str]:
+def _moving_regions(source: str, spec: ScanSpec, buffer: TransformBuffer) -> list[str]:
     """Return warnings about filters in frames that are not fixed to the sensor of clouds that are deskewed."""
     regions = {each.frame: each.name for each in spec.filters if isinstance(each.frame, str)} if spec.deskew else {}
-    source = regions and (source_frame or first_frame(reader, sources, span))
     return [
         f"`{name}` is in {frame}, in which {source} moves, but it rejects points where they were recorded, before "
         "`deskew`: its edges are off by as much as the sensor moves within a cloud"
@@ -202,12 +191,18 @@ def _offered(buffer: TransformBuffer, fixed: str) -> str:
     return f"`fixed_frame={found[0]}` is a frame that does not move" if found else ""
 
 
-def first_frame(reader: Reader, sources: Sequence[Connection], span: Span) -> str:
+def frame_observer(sources: Sequence[Connection], span: Span) -> Observer[str]:
+    """Return the observer of the frame of the first message."""
+    return Observer(sources, _frame, 1, span.start_ns, span.stop_ns)
+
+
+def first_frame(observer: Observer[str]) -> str:
     """Return the frame of the first message; empty if there is none."""
-    with suppress(MessageError), closing(reader.messages(sources, span.start_ns, span.stop_ns)) as messages:
-        for message in messages:
-            kind, serialization = message.connection.ros_type, message.connection.serialization
-            if kind == LASERSCAN:
-                return decode_laserscan(message.data, serialization).frame_id
-            return CLOUDS[kind](serialization)(message.data).frame_id
-    return ""
+    return next(iter(observer.found), "")
+
+
+def _frame(message: RawMessage) -> str:
+    kind, serialization = message.connection.ros_type, message.connection.serialization
+    if kind == LASERSCAN:
+        return decode_laserscan(message.data, serialization).frame_id
+    return CLOUDS[kind](serialization)(message.data).frame_id

@@ -9,12 +9,12 @@ from pc2scan.bags.latching import is_static
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import NEW_ID, TF_QOS, Connection
-from pc2scan.tf.imu import ImuRequest, UpEstimate, read_up
+from pc2scan.tf.imu import ImuRequest, UpEstimate
 from pc2scan.tf.reading import tf_connections
 from pc2scan.tf.up_sources import UpByFrame, UpByImu
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import LevelTransform
     from pc2scan.tf.up_sources import UpSource
 
-    from .report import Report
     from .scan_spec import ScanSpec
     from .topic_report import TopicReport
 
@@ -32,49 +31,45 @@ _TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
 
 class UpSources:
-    """The source of the direction of up, for each level output. Each IMU is read once.
+    """The source of the direction of up, for each level output. The direction by each IMU is estimated once.
 
     Parameters
     ----------
-    readers
-        The sources first, then the recordings of ``tf_from``.
     buffer
-        Their transforms.
-    report
-        Gets notes about what was measured.
+        The transforms.
+    estimate
+        Estimates the direction of up by an IMU.
     """
 
-    def __init__(self, readers: Sequence[Reader], buffer: TransformBuffer, report: Report) -> None:
-        self._readers = readers
+    def __init__(self, buffer: TransformBuffer, estimate: Callable[[ImuRequest], UpEstimate]) -> None:
         self._buffer = buffer
-        self._report = report
-        self._measured: dict[ImuRequest, UpEstimate] = {}
+        self._estimate = estimate
+        self._estimated: dict[ImuRequest, UpEstimate] = {}
         self._sources: dict[tuple[str, str, int], UpSource] = {}
 
-    def of(self, spec: ScanSpec, tolerance_ns: int) -> UpSource:
-        """Return the source for one output; outputs with the same options share one object.
+    def of(self, spec: ScanSpec) -> tuple[UpSource, UpEstimate | None]:
+        """Return the source for one output, and the estimate if it is made for this one.
+
+        Outputs with the same options share one source.
 
         Raises
         ------
         UsageError
             If the messages of an IMU do not show the direction of up.
         """
+        tolerance_ns, buffer = spec.params.tolerance_ns, self._buffer
         key = (spec.fixed_frame, spec.imu, tolerance_ns)
+        new: UpEstimate | None = None
         if key not in self._sources:
-            self._sources[key] = (
-                self._by_imu(ImuRequest.parse(spec.imu), tolerance_ns)
-                if spec.imu
-                else UpByFrame(spec.fixed_frame, self._buffer, tolerance_ns)
-            )
-        return self._sources[key]
-
-    def _by_imu(self, request: ImuRequest, tolerance_ns: int) -> UpSource:
-        found = self._measured.get(request)
-        if found is None:
-            found = self._measured[request] = read_up(self._readers, request)
-            self._report.notes += found.notes
-            self._report.warnings += found.warnings
-        return UpByImu(found.topic, found.frame, found.stamps_ns, found.directions, self._buffer, tolerance_ns)
+            if spec.imu:
+                request = ImuRequest.parse(spec.imu)
+                if request not in self._estimated:
+                    new = self._estimated[request] = self._estimate(request)
+                up = self._estimated[request]
+                self._sources[key] = UpByImu(up.topic, up.frame, up.stamps_ns, up.directions, buffer, tolerance_ns)
+            else:
+                self._sources[key] = UpByFrame(spec.fixed_frame, buffer, tolerance_ns)
+        return self._sources[key], new
 
 
 def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:

@@ -6,13 +6,16 @@ Only the first clouds are read, so that a conversion needs a single pass over th
 from __future__ import annotations
 
 import math
-from itertools import islice
-from typing import TYPE_CHECKING
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pc2scan.bags.observers import FirstTimes, Observer
+from pc2scan.bags.topics import by_topic
 from pc2scan.core.layout import TURN
 from pc2scan.core.percentiles import median_low
+from pc2scan.core.points import Points
 from pc2scan.core.resolution import RING_FIELDS, azimuth_step
 from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
 from pc2scan.errors import MessageError, ParameterError, stamp_text
@@ -22,16 +25,14 @@ from pc2scan.text import did_you_mean
 from .conversion import Measurements
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Container, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.core.layout import BeamLayout
     from pc2scan.core.params import ProjectionParams
-    from pc2scan.core.points import Points
     from pc2scan.core.timing import Sweep
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, RawMessage
     from pc2scan.tf.placing import Placer
 
     from .scan_spec import ScanSpec
@@ -41,27 +42,100 @@ FIRST_CLOUDS = 51
 SWEEPS = 11
 
 
-def measure(
-    reader: Reader,
+class CloudShape(NamedTuple):
+    """What the points of a cloud show of the lidar.
+
+    Attributes
+    ----------
+    step
+        The azimuth step, radians; None if the points are in no regular rings, or it is not measured.
+    sweep
+        The motion of a turning lidar; None if the times are not of one, or it is not measured.
+    is_readable
+        Whether the coordinates can be read and transformed.
+    """
+
+    step: float | None = None
+    sweep: Sweep | None = None
+    is_readable: bool = True
+
+
+class FirstCloud(NamedTuple):
+    """What is kept of a cloud.
+
+    Attributes
+    ----------
+    stamp_ns
+        Its stamp.
+    fields
+        The names of its fields.
+    shape
+        What its points show; None if that is not wanted, or needs transforms that are not known yet.
+    points
+        The columns that show it, once the transforms are known; None if it is known or not wanted.
+    """
+
+    stamp_ns: int
+    fields: tuple[str, ...]
+    shape: CloudShape | None = None
+    points: Points | None = None
+
+
+def cloud_observers(
     connections: Iterable[Connection],
     spec: ScanSpec,
-    frames: Placer,
+    frames: Placer | None,
     start_ns: int | None = None,
     stop_ns: int | None = None,
-) -> tuple[dict[str, Measurements], list[str]]:
-    """Measure the first clouds of each topic.
+) -> dict[str, Observer[FirstCloud]]:
+    """Return the observers of the first clouds of each topic.
 
     Parameters
     ----------
     connections
         The connections to convert.
     spec
-        The request: ``scan_time``, ``time_increment`` and ``beams`` are measured if they are ``auto``, and requested
-        fields must exist.
+        The request: ``scan_time``, ``time_increment`` and ``beams`` are measured if they are ``auto``.
     frames
-        The recording's transforms: beams are measured in the frame of the scans.
+        The frame of the scans; None if that needs transforms that are not known yet.
     start_ns, stop_ns
         The cut, by log time; None: no limit.
+    """
+    params = spec.params
+    swept = "auto" in {params.time_increment, params.beams}
+    wanted = FIRST_CLOUDS if params.scan_time == "auto" else SWEEPS if swept else 1
+
+    def observer(sources: Sequence[Connection]) -> Observer[FirstCloud]:
+        decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in sources}
+        first = FirstTimes(SWEEPS)
+
+        def take(message: RawMessage) -> FirstCloud:
+            cloud = decoders[message.connection.id](message.data)
+            stamp_ns, fields = cloud.stamp_ns, tuple(cloud.fields)
+            if not swept or not first.may_have(message.log_time_ns):
+                return FirstCloud(stamp_ns, fields)
+            if frames is None:
+                return FirstCloud(stamp_ns, fields, points=_columns(cloud, params))
+            return FirstCloud(stamp_ns, fields, _shape(cloud, params, frames))
+
+        return Observer(sources, take, wanted, start_ns, stop_ns)
+
+    return {topic: observer(sources) for topic, sources in by_topic(connections).items()}
+
+
+def measure(
+    observers: Mapping[str, Observer[FirstCloud]], spec: ScanSpec, frames: Placer
+) -> tuple[dict[str, Measurements], list[str]]:
+    """Measure the first clouds of each topic.
+
+    Parameters
+    ----------
+    observers
+        What was observed: see `cloud_observers`.
+    spec
+        The request: requested fields must exist.
+    frames
+        The recording's transforms: beams are measured in the frame of the scans.
 
     Returns
     -------
@@ -74,23 +148,12 @@ def measure(
         If none of the first clouds of a topic has the ``intensity_field``, or a field that a filter or deskewing
         needs; or if ``beams`` is auto, and the points are not in regular rings.
     """
-    params = spec.params
     timings: dict[str, Measurements] = {}
     notes: list[str] = []
-    topics: dict[str, list[Connection]] = {}
-    for connection in connections:
-        topics.setdefault(connection.topic, []).append(connection)
-    for topic, sources in topics.items():
-        first = _TopicMeasurements(params, frames)
-        decoders = {c.id: CLOUDS[c.ros_type](c.serialization) for c in sources}
-        swept = "auto" in {params.time_increment, params.beams}
-        wanted = FIRST_CLOUDS if params.scan_time == "auto" else SWEEPS if swept else 1
-        for message in islice(reader.messages(sources, start_ns, stop_ns), wanted):
-            try:
-                first.add(decoders[message.connection.id](message.data))
-            except MessageError:
-                # An error of decoding or transforming is reported when this message is converted.
-                continue
+    for topic, observer in observers.items():
+        first = _TopicMeasurements(spec.params)
+        for cloud in observer.found:
+            first.add(cloud, frames)
         first.require_fields(topic, spec)
         if spec.point_time.partition(":")[0] == "azimuth":
             from .stages.turn import Turn  # noqa: PLC0415  # only with deskewing
@@ -103,66 +166,100 @@ def measure(
     return timings, notes
 
 
+def _time_field(fields: Container[str]) -> str | None:
+    return next((name for name in TIME_FIELDS if name in fields), None)
+
+
+def _columns(cloud: Points, params: ProjectionParams) -> Points:
+    """Return copies of the columns that show the shape of a cloud; without coordinates that cannot be read."""
+    rings = [name for name in RING_FIELDS if name in cloud.fields][: params.beams == "auto"]
+    time = _time_field(cloud.fields) if params.time_increment == "auto" else None
+    columns: dict[str, NDArray[Any]] = {}
+    with suppress(MessageError):
+        columns |= {name: cloud.field(name).copy() for name in (*rings, "x", "y", "z")}
+    if time is not None:
+        with suppress(MessageError):
+            columns[time] = cloud.field(time).copy()
+    return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, columns)
+
+
+@np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
+def _shape(cloud: Points, params: ProjectionParams, frames: Placer) -> CloudShape:
+    """Return what a cloud's points show, as far as it is to be measured."""
+    step = None
+    if params.beams == "auto":
+        try:
+            step = _step(cloud, frames)
+        except MessageError:
+            # An error of decoding or transforming is reported when this message is converted.
+            return CloudShape(is_readable=False)
+    name = _time_field(cloud.fields) if params.time_increment == "auto" else None
+    sweep = None
+    if name is not None:
+        with suppress(MessageError):
+            sweep = fit_sweep(_angles(cloud, frames), point_times(cloud.field(name), cloud.stamp_ns))
+    return CloudShape(step, sweep)
+
+
+def _step(cloud: Points, frames: Placer) -> float | None:
+    """Return the azimuth step of a cloud around the sensor, with the axes of the scan's frame."""
+    x, y, z = cloud.xyz()
+    transform = frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+    if transform is not None:
+        shape = x.shape
+        points = np.stack([np.ravel(part).astype(np.float64) for part in (x, y, z)])
+        x, y, z = (part.reshape(shape) for part in transform.matrix @ points)
+    name = next((name for name in RING_FIELDS if name in cloud.fields), None)
+    if name is None:
+        return azimuth_step(x, y, z)
+    rings = np.ravel(cloud.field(name))
+    if rings.dtype.kind not in "iu":
+        rings = np.unique(rings, return_inverse=True)[1]
+    return azimuth_step(x, y, z, rings)
+
+
+def _angles(cloud: Points, frames: Placer) -> NDArray[np.float64]:
+    """Return the azimuth of each point in the scan's frame; NaN for points without a direction."""
+    points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
+    nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
+    transform = frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+    if transform is not None:
+        points = transform.apply(points)
+    angles: NDArray[np.float64] = np.arctan2(points[:, 1], points[:, 0])
+    angles[nowhere] = np.nan
+    return angles
+
+
 class _TopicMeasurements:
     """The measurements in the first clouds of a topic."""
 
-    def __init__(self, params: ProjectionParams, frames: Placer) -> None:
+    def __init__(self, params: ProjectionParams) -> None:
         self._params = params
-        self._frames = frames
         self._stamps: list[int] = []
         self._fields: dict[str, None] = {}
         self._timed: dict[str, None] = {}
         self._sweeps: list[Sweep] = []
         self._steps: list[float | None] = []
 
-    @np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
-    def add(self, cloud: Points) -> None:
-        """Add a cloud."""
+    def add(self, cloud: FirstCloud, frames: Placer) -> None:
+        """Add the next cloud."""
+        params = self._params
         self._stamps.append(cloud.stamp_ns)
         self._fields.update(dict.fromkeys(cloud.fields))
         if len(self._stamps) > SWEEPS:
             return
-        if self._params.beams == "auto":
-            self._steps.append(self._step(cloud))
-        if self._params.time_increment == "auto":
-            self._fit(cloud)
-
-    def _step(self, cloud: Points) -> float | None:
-        """Return the azimuth step of a cloud around the sensor, with the axes of the scan's frame."""
-        x, y, z = cloud.xyz()
-        transform = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
-        if transform is not None:
-            shape = x.shape
-            points = np.stack([np.ravel(part).astype(np.float64) for part in (x, y, z)])
-            x, y, z = (part.reshape(shape) for part in transform.matrix @ points)
-        name = next((name for name in RING_FIELDS if name in cloud.fields), None)
-        if name is None:
-            return azimuth_step(x, y, z)
-        rings = np.ravel(cloud.field(name))
-        if rings.dtype.kind not in "iu":
-            rings = np.unique(rings, return_inverse=True)[1]
-        return azimuth_step(x, y, z, rings)
-
-    def _fit(self, cloud: Points) -> None:
-        """Fit the motion of a turning lidar to the times of a cloud's points."""
-        name = next((name for name in TIME_FIELDS if name in self._fields), None)
-        if name is None:
+        shape = cloud.shape
+        if shape is None and cloud.points is not None:
+            shape = _shape(cloud.points, params, frames)
+        if shape is None or not shape.is_readable:
             return
-        self._timed[name] = None
-        sweep = fit_sweep(self._angles(cloud), point_times(cloud.field(name), cloud.stamp_ns))
-        if sweep is not None:
-            self._sweeps.append(sweep)
-
-    def _angles(self, cloud: Points) -> NDArray[np.float64]:
-        """Return the azimuth of each point in the scan's frame; NaN for points without a direction."""
-        points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
-        nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
-        transform = self._frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
-        if transform is not None:
-            points = transform.apply(points)
-        angles: NDArray[np.float64] = np.arctan2(points[:, 1], points[:, 0])
-        angles[nowhere] = np.nan
-        return angles
+        if params.beams == "auto":
+            self._steps.append(shape.step)
+        name = _time_field(self._fields) if params.time_increment == "auto" else None
+        if name is not None:
+            self._timed[name] = None
+            if name in cloud.fields and shape.sweep is not None:
+                self._sweeps.append(shape.sweep)
 
     def require_fields(self, topic: str, spec: ScanSpec) -> None:
         """Raise if no cloud has a requested field."""

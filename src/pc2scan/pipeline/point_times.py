@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-from contextlib import closing
-from itertools import islice
 from statistics import median
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from pc2scan.bags.observers import Observer
+from pc2scan.bags.topics import by_topic
 from pc2scan.core import kernel
 from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns, offset_and_unit
-from pc2scan.errors import DecodeError, MessageError
+from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
 
 from .stages.deskew import PointTime, mask_zero_times
-from .stages.turn import FIRST_CLOUDS, Turn, measure_turn, turn_sample
+from .stages.turn import FIRST_CLOUDS, Turn, TurnSample, measure_turn, turn_sample
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.core.points import Points
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, RawMessage
 
     from .items import Span
 
@@ -51,7 +50,7 @@ _APART = 0.15
 _FOLLOWS, _NEAR = 0.9, 0.5
 
 
-class _PointTimes(NamedTuple):
+class PointTimes(NamedTuple):
     """The times of a cloud's points.
 
     Attributes
@@ -76,12 +75,10 @@ class _PointTimes(NamedTuple):
     ordered: bool
 
 
-def time_warnings(
-    reader: Reader, connections: Iterable[Connection], point_time: PointTime, span: Span
-) -> Iterator[str]:
-    """Yield warnings about times of points that are probably wrong, and would deskew a cloud wrongly.
-
-    Times that are impossible are not among them: those are errors when their cloud is converted.
+def time_observers(
+    connections: Iterable[Connection], point_time: PointTime, span: Span
+) -> dict[str, Observer[PointTimes | None]]:
+    """Return the observers of the times of points in the first clouds of each topic.
 
     Parameters
     ----------
@@ -92,28 +89,31 @@ def time_warnings(
     span
         The cut.
     """
-    topics: dict[str, list[Connection]] = {}
-    for connection in connections:
-        if connection.ros_type in CLOUDS:
-            topics.setdefault(connection.topic, []).append(connection)
-    for topic, sources in topics.items():
-        decoders: dict[int, Callable[[Any], Points]] = {
-            each.id: CLOUDS[each.ros_type](each.serialization) for each in sources
-        }
-        clouds: list[_PointTimes] = []
-        with closing(reader.messages(sources, span.start_ns, span.stop_ns)) as messages:
-            for message in islice(messages, _CLOUDS):
-                try:
-                    found = _times(decoders[message.connection.id](message.data), point_time)
-                except MessageError:
-                    # Reported when the message is converted.
-                    continue
-                if found is not None:
-                    clouds.append(found)
-        yield from _doubts(topic, clouds)
+
+    def take(message: RawMessage) -> PointTimes | None:
+        connection = message.connection
+        return _times(CLOUDS[connection.ros_type](connection.serialization)(message.data), point_time)
+
+    return {
+        topic: Observer(sources, take, _CLOUDS, span.start_ns, span.stop_ns)
+        for topic, sources in _clouds_by_topic(connections).items()
+    }
 
 
-def _times(points: Points, point_time: PointTime) -> _PointTimes | None:
+def time_warnings(observers: Mapping[str, Observer[PointTimes | None]]) -> Iterator[str]:
+    """Yield warnings about times of points that are probably wrong, and would deskew a cloud wrongly.
+
+    Times that are impossible are not among them: those are errors when their cloud is converted.
+    """
+    for topic, observer in observers.items():
+        yield from _doubts(topic, [each for each in observer.found if each is not None])
+
+
+def _clouds_by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
+    return by_topic(connection for connection in connections if connection.ros_type in CLOUDS)
+
+
+def _times(points: Points, point_time: PointTime) -> PointTimes | None:
     """Return the times of a cloud's points; None if it has none."""
     name = point_time.field_of(points)
     whole = points.field(name).dtype.kind in "iu"
@@ -134,7 +134,7 @@ def _times(points: Points, point_time: PointTime) -> _PointTimes | None:
         with np.errstate(invalid="ignore"):
             angles = np.arctan2(y[chosen].astype(np.float64), x[chosen].astype(np.float64))
         ordered = _are_ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
-    return _PointTimes(points.stamp_ns, name, low, high, unit, ordered)
+    return PointTimes(points.stamp_ns, name, low, high, unit, ordered)
 
 
 def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
@@ -151,7 +151,7 @@ def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whol
     return bool((off < _NEAR).mean() >= _FOLLOWS)
 
 
-def _doubts(topic: str, clouds: list[_PointTimes]) -> Iterator[str]:
+def _doubts(topic: str, clouds: list[PointTimes]) -> Iterator[str]:
     if not clouds:
         return
     name, unit = clouds[0].field, clouds[0].unit
@@ -184,23 +184,44 @@ def _doubts(topic: str, clouds: list[_PointTimes]) -> Iterator[str]:
         )
 
 
-def measure_turns(
-    reader: Reader,
-    connections: Iterable[Connection],
-    point_time: str,
-    start_ns: int | None = None,
-    stop_ns: int | None = None,
-) -> tuple[dict[str, Turn], list[str]]:
-    """Measure the rotation of the lidars, if points' times come from azimuths and the time of a turn is not given.
+def turn_observers(
+    connections: Iterable[Connection], point_time: str, start_ns: int | None = None, stop_ns: int | None = None
+) -> dict[str, Observer[TurnSample]]:
+    """Return the observers of the first clouds, if the turn of the lidar is to be measured; else none.
 
     Parameters
     ----------
     connections
         Those with clouds are used; others are ignored.
     point_time
-        See `PointTime.parse`.
+        See `PointTime.parse`. A turn is measured if points' times come from azimuths and its time is not given.
     start_ns, stop_ns
         The cut, by log time; None: no limit.
+    """
+    asked = PointTime.parse(point_time).turn if point_time else None
+    if asked is None or asked.period:
+        return {}
+
+    def take(message: RawMessage) -> TurnSample:
+        connection = message.connection
+        points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
+        return turn_sample(points, message.log_time_ns)
+
+    return {
+        topic: Observer(sources, take, FIRST_CLOUDS, start_ns, stop_ns)
+        for topic, sources in _clouds_by_topic(connections).items()
+    }
+
+
+def measure_turns(observers: Mapping[str, Observer[TurnSample]], point_time: str) -> tuple[dict[str, Turn], list[str]]:
+    """Measure the rotation of the lidars.
+
+    Parameters
+    ----------
+    observers
+        What was observed: see `turn_observers`.
+    point_time
+        As for those.
 
     Returns
     -------
@@ -212,26 +233,10 @@ def measure_turns(
     ParameterError
         If a turn cannot be measured in the first clouds of a topic.
     """
-    asked = PointTime.parse(point_time).turn if point_time else None
-    if asked is None or asked.period:
-        return {}, []
-    topics: dict[str, list[Connection]] = {}
-    for connection in connections:
-        if connection.ros_type in CLOUDS:
-            topics.setdefault(connection.topic, []).append(connection)
     turns: dict[str, Turn] = {}
     notes: list[str] = []
-    for topic, sources in topics.items():
-        decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in sources}
-        clouds = []
-        with closing(reader.messages(sources, start_ns, stop_ns)) as messages:
-            for message in islice(messages, FIRST_CLOUDS):
-                try:
-                    clouds.append(turn_sample(decoders[message.connection.id](message.data), message.log_time_ns))
-                except MessageError:
-                    # Messages that cannot be decoded are reported when they are converted.
-                    continue
-        if clouds:
-            turns[topic], note = measure_turn(topic, asked, clouds)
+    for topic, observer in observers.items():
+        if observer.found:
+            turns[topic], note = measure_turn(topic, Turn.parse(point_time), observer.found)
             notes.append(note)
     return turns, notes

@@ -4,32 +4,49 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.latching import is_static
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.tf.placing import Placer
-from pc2scan.tf.reading import read_transforms, tf_connections
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Generator, Mapping, Sequence
     from contextlib import ExitStack
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
     from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.options import FrameOptions
 
     from .conversion import Conversion, Measurements
-    from .first_clouds import FirstClouds
+    from .first_clouds import TopicClouds
     from .items import Span
     from .options import ConvertOptions
     from .plan import Combination, Plan
-    from .report import Report
     from .scan_spec import ScanSpec
     from .stages.deskew import Deskew
-    from .stages.turn import Turn
+    from .survey import DeskewObservers
+
+
+class Preparation(NamedTuple):
+    """The conversions of a run, and what was found out before them.
+
+    Attributes
+    ----------
+    conversions
+        Of each output, and of each combination.
+    others
+        The other recordings that transforms were read from.
+    buffer
+        The transforms; None if nothing is transformed.
+    notes, warnings
+        Texts for the user.
+    """
+
+    conversions: Mapping[ScanSpec | Combination, Conversion]
+    others: Sequence[Reader]
+    buffer: TransformBuffer | None
+    notes: list[str]
+    warnings: list[str]
 
 
 def prepare_conversions(
@@ -38,97 +55,124 @@ def prepare_conversions(
     options: ConvertOptions,
     span: Span,
     stack: ExitStack,
-    report: Report,
-    firsts: FirstClouds,
-) -> tuple[Mapping[ScanSpec | Combination, Conversion], Sequence[Reader]]:
+    judges: Callable[[ScanSpec, str], TopicClouds],
+) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
-    Returns the conversions, and the other recordings that transforms were read from.
+    Parameters
+    ----------
+    stack
+        Closes the other recordings.
+    judges
+        Returns the checks of the first clouds of a topic, for one output.
     """
     asked = options.frames
-    others: list[Reader] = []
-    buffer: TransformBuffer | None = None
-    if any(spec.needs_transforms for spec in plan.specs):
-        others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-        buffer, warnings = read_transforms([reader, *others], asked)
-        report.warnings += warnings
-        firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
-    if asked.static or asked.source_frame:
-        from .frame_checks import check_given_frames  # noqa: PLC0415  # few conversions add frames
+    needs_transforms = any(spec.needs_transforms for spec in plan.specs)
+    needs_survey = needs_transforms or asked.static or asked.source_frame or plan.combinations
+    if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
+        return Preparation({spec: _unmeasured(spec, judges) for spec in plan.specs}, (), None, [], [])
+    from .survey import Survey, converted_alone  # noqa: PLC0415  # most conversions need none
 
-        report.warnings += check_given_frames(reader, plan, asked, buffer, firsts.transforms.read, span)
+    notes: list[str] = []
+    warnings: list[str] = []
+    others: list[Reader] = []
+    if needs_transforms:
+        others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
+    survey = Survey(reader, others, plan, asked, span)
+    survey.read()
+    buffer: TransformBuffer | None = None
+    if survey.transforms is not None:
+        buffer, found = survey.transforms.finish()
+        warnings += found
+    if asked.static or asked.source_frame:
+        from .frame_checks import check_given_frames, first_frame  # noqa: PLC0415  # few conversions add frames
+
+        robot = None if survey.robot is None else survey.robot.finish()
+        warnings += check_given_frames(map(first_frame, survey.given_frames), plan, asked, buffer, robot)
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
         from .levelling import UpSources  # noqa: PLC0415  # only where scans are level
 
-        ups = UpSources([reader, *others], buffer, report)
+        ups = UpSources(buffer, survey.up)
     conversions: dict[ScanSpec | Combination, Conversion] = {}
     for spec in plan.specs:
         frames = Placer(source_frame=asked.source_frame)
         if spec.needs_transforms:
-            tolerance_ns = spec.params.tolerance_ns
-            up = ups.of(spec, tolerance_ns) if ups is not None and spec.level else None
-            frames = Placer(spec.params.target_frame, asked.source_frame, buffer, tolerance_ns, up)
+            up = None
+            if ups is not None and spec.level:
+                up, estimate = ups.of(spec)
+                notes += () if estimate is None else estimate.notes
+                warnings += () if estimate is None else estimate.warnings
+            frames = Placer(spec.params.target_frame, asked.source_frame, buffer, spec.params.tolerance_ns, up)
         if spec.reverse:
-            from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
-
-            conversions[spec] = ScanToCloud(spec.channels, frames, deskewed=spec.deskew)
+            conversions[spec] = _to_clouds(spec, frames)
             continue
-        own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
-        if spec.fixed_frame or spec.imu:
+        observed = survey.outputs[spec]
+        if observed.delays is not None:
             from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
-            differ = clock_warnings(reader, own, _motion_connections(reader, spec, asked), span)
-            report.warnings += (each for each in differ if each not in report.warnings)
-        if spec.fixed_frame and buffer is not None:
-            from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
+            warnings += (each for each in clock_warnings(*observed.delays) if each not in warnings)
+        if observed.frame is not None and buffer is not None:
+            from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
 
             with _naming_output(spec):
-                doubts = check_fixed_frame(reader, own, spec, asked.source_frame, buffer, span)
-            report.warnings += (spec.label + doubt for doubt in doubts)
-        combined = [each for each in plan.combinations if each.spec is spec]
-        for combination in combined:
-            conversions[combination] = _prepare_combination(reader, plan, combination, frames, span, report, firsts)
-        if not combined or any(task.key is spec for route in plan.routes for task in route.tasks):
-            converted = [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
-            timings = _measure(reader, converted, spec, frames, span, report) if spec.needs_measuring else None
-            deskew = _deskew(reader, converted, spec, frames, span, report)
-            conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
-    return conversions, others
+                doubts = check_fixed_frame(asked.source_frame or first_frame(observed.frame), spec, buffer)
+            warnings += (spec.label + doubt for doubt in doubts)
+        for combination, observers in observed.combinations.items():
+            from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
+            from .combine.measurements import measure_sources  # noqa: PLC0415
 
+            with _naming_output(spec):
+                timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, frames)
+            notes += (spec.label + note for note in new_notes)
+            warnings += (spec.label + doubt for doubt in doubts)
+            deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew[combination])
+            notes += new_notes
+            warnings += doubts
+            conversions[combination] = MessagesToScan(
+                spec, combination.sources, frames, timing, grouper, deskew, partial(judges, spec)
+            )
+        if not observed.combinations or converted_alone(plan, spec):
+            timings = None
+            if spec.needs_measuring:
+                from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
-def _motion_connections(reader: Reader, spec: ScanSpec, frames: FrameOptions) -> Iterator[Connection]:
-    """Yield the connections with moving transforms, and those of the IMU, that the spec uses."""
-    if spec.fixed_frame:
-        yield from (c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic))
-    if spec.imu:
-        from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
-        from pc2scan.tf.imu import ImuRequest  # noqa: PLC0415
-
-        topic = ImuRequest.parse(spec.imu).topic.strip("/")
-        yield from (c for c in reader.connections if c.ros_type == IMU and c.topic.strip("/") == topic)
+                with _naming_output(spec):
+                    timings, new_notes = measure(observed.clouds, spec, frames)
+                notes += (spec.label + note for note in new_notes)
+            deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew.get(None))
+            notes += new_notes
+            warnings += doubts
+            conversions[spec] = _to_scans(spec, frames, timings, deskew, judges)
+    return Preparation(conversions, others, buffer, notes, warnings)
 
 
 def _deskew(
-    reader: Reader, sources: Sequence[Connection], spec: ScanSpec, frames: Placer, span: Span, report: Report
-) -> Deskew | None:
+    spec: ScanSpec, frames: Placer, observers: DeskewObservers | None
+) -> tuple[Deskew | None, list[str], list[str]]:
+    """Return what places points at their own times (None: nothing does), notes and warnings."""
     if not spec.deskew:
-        return None
-    from .stages.deskew import Deskew, PointTime  # noqa: PLC0415  # only with deskewing
+        return None, [], []
+    from .point_times import measure_turns, time_warnings  # noqa: PLC0415  # only with deskewing
+    from .stages.deskew import Deskew, PointTime  # noqa: PLC0415
 
     where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
-    turns: Mapping[str, Turn] = {}
-    if where.turn is None:
-        from .point_times import time_warnings  # noqa: PLC0415  # only with deskewing
+    doubts = [] if observers is None else [spec.label + each for each in time_warnings(observers.times)]
+    with _naming_output(spec):
+        turns, notes = measure_turns({} if observers is None else observers.turns, spec.point_time)
+    deskew = Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
+    return deskew, [spec.label + note for note in notes], doubts
 
-        report.warnings += (spec.label + doubt for doubt in time_warnings(reader, sources, where, span))
-    else:
-        from .point_times import measure_turns  # noqa: PLC0415  # few points have no times
 
-        with _naming_output(spec):
-            turns, notes = measure_turns(reader, sources, spec.point_time, span.start_ns, span.stop_ns)
-        report.notes += (spec.label + note for note in notes)
-    return Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
+def _unmeasured(spec: ScanSpec, judges: Callable[[ScanSpec, str], TopicClouds]) -> Conversion:
+    """Return the conversion of an output that needs nothing but the message."""
+    return _to_clouds(spec, Placer()) if spec.reverse else _to_scans(spec, Placer(), None, None, judges)
+
+
+def _to_clouds(spec: ScanSpec, frames: Placer) -> Conversion:
+    from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
+
+    return ScanToCloud(spec.channels, frames, deskewed=spec.deskew)
 
 
 def _to_scans(
@@ -136,59 +180,20 @@ def _to_scans(
     frames: Placer,
     timings: Mapping[str, Measurements] | None,
     deskew: Deskew | None,
-    firsts: FirstClouds,
+    judges: Callable[[ScanSpec, str], TopicClouds],
 ) -> Conversion:
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
 
-    judges = partial(firsts.of, spec)
     return CloudToScan(
         spec.params,
         frames,
         timings,
         spec.filters,
         deskew,
-        judges,
+        partial(judges, spec),
         keeps_used=bool(spec.keep_used),
         remove=spec.remove,
     )
-
-
-def _prepare_combination(
-    reader: Reader,
-    plan: Plan,
-    combination: Combination,
-    frames: Placer,
-    span: Span,
-    report: Report,
-    firsts: FirstClouds,
-) -> Conversion:
-    from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
-    from .combine.measurements import measure_sources  # noqa: PLC0415
-
-    spec = combination.spec
-    sources = [
-        route.connection for route in plan.routes if any(task.combination is combination for task in route.tasks)
-    ]
-    with _naming_output(spec):
-        timing, grouper, notes, warnings = measure_sources(
-            reader, combination, sources, frames, span.start_ns, span.stop_ns
-        )
-    report.notes += (spec.label + note for note in notes)
-    report.warnings += (spec.label + warning for warning in warnings)
-    judges = partial(firsts.of, spec)
-    deskew = _deskew(reader, sources, spec, frames, span, report)
-    return MessagesToScan(spec, combination.sources, frames, timing, grouper, deskew, judges)
-
-
-def _measure(
-    reader: Reader, converted: Sequence[Connection], spec: ScanSpec, frames: Placer, span: Span, report: Report
-) -> Mapping[str, Measurements]:
-    from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
-
-    with _naming_output(spec):
-        timings, notes = measure(reader, converted, spec, frames, span.start_ns, span.stop_ns)
-    report.notes += (spec.label + note for note in notes)
-    return timings
 
 
 @contextmanager

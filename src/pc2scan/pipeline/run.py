@@ -36,7 +36,7 @@ from pc2scan.model import MAX_ROSBAG2_NS
 from pc2scan.remote.urls import is_url, shown_path
 from pc2scan.result import Failure
 from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.reading import read_some_transforms
+from pc2scan.tf.reading import read_robot_transforms
 from pc2scan.threads import Threads, cores
 
 from .checks import cut_warnings, request_warnings, result_findings
@@ -67,6 +67,7 @@ if TYPE_CHECKING:
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .plan import Plan
+    from .preparation import Preparation
 
 
 def run(
@@ -243,7 +244,7 @@ def _run(
         refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
         report.warnings += cut_warnings(reader, options)
         firsts = FirstClouds(report.source_frame, partial(robot_transforms, files.read, options, span), warn)
-        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, firsts)
+        prepared = _prepare(reader, plan, options, span, stack, report, firsts)
         cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
         begin_ns = span.first_ns
         writer = open_writer(target, unfinished, path.name, cut)
@@ -252,7 +253,7 @@ def _run(
             if copying:
                 writer.keep_ids(reader.connections)
             topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
-            opened = open_routes(plan.routes, conversions, partial(_encoder, target), topics)
+            opened = open_routes(plan.routes, prepared.conversions, partial(_encoder, target), topics)
             report.topics += opened.entries
             added = topics.add(static_connection(target)) if options.frames.write_static else None
             levels = _level_frames(reader, plan, topics, options)
@@ -296,7 +297,7 @@ def _run(
             finally:
                 report.add(firsts.warnings, firsts.notes, firsts.advice)
             files.refuse_changed()
-            report.damage += [damage for each in (reader, *others) for damage in each.damage]
+            report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
             outputs = [output for route in routes.values() for output in route.outputs]
             first_scans = [
                 (output.report, output.sample)
@@ -338,9 +339,9 @@ def _estimate(
     refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
     report.warnings += cut_warnings(reader, options)
     firsts = FirstClouds(report.source_frame, partial(robot_transforms, files.read, options, span))
-    conversions, _ = prepare_conversions(reader, plan, options, span, stack, report, firsts)
+    prepared = _prepare(reader, plan, options, span, stack, report, firsts)
     topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
-    opened = open_routes(plan.routes, conversions, partial(_encoder, target), topics)
+    opened = open_routes(plan.routes, prepared.conversions, partial(_encoder, target), topics)
     report.topics += opened.entries
     levels = _level_frames(reader, plan, topics, options)
     if levels is not None:
@@ -362,11 +363,29 @@ def _estimate(
             report.warnings += unrecorded_warning(target.path.name, there)
 
 
+def _prepare(
+    reader: Reader,
+    plan: Plan,
+    options: ConvertOptions,
+    span: Span,
+    stack: ExitStack,
+    report: Report,
+    firsts: FirstClouds,
+) -> Preparation:
+    """Prepare the conversions, and report what was found out."""
+    prepared = prepare_conversions(reader, plan, options, span, stack, firsts.of)
+    report.notes += prepared.notes
+    report.warnings += prepared.warnings
+    if prepared.buffer is not None:
+        firsts.transforms.buffer, firsts.transforms.static = prepared.buffer, options.frames.static
+    return prepared
+
+
 def robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))
-        return read_some_transforms(reader, options.frames, span.first_ns)
+        return read_robot_transforms(reader, options.frames, span.first_ns)
     return None
 
 

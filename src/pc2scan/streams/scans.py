@@ -225,7 +225,13 @@ class Scans(Stream[Scan]):
         found = _ScanWarnings(report)
         transforms = partial(robot_transforms, self._selection.paths, options, span)
         found.firsts = FirstClouds(report.source_frame, transforms, found.pending.append)
-        conversions, others = prepare_conversions(reader, plan, options, span, stack, report, found.firsts)
+        conversions, others, buffer, notes, warnings = prepare_conversions(
+            reader, plan, options, span, stack, found.firsts.of
+        )
+        report.notes += notes
+        report.warnings += warnings
+        if buffer is not None:
+            found.firsts.transforms.buffer, found.firsts.transforms.static = buffer, options.frames.static
         found.pending[:0] = report.warnings
         self.notes = tuple(report.notes)
         opened = open_routes(plan.routes, conversions, _reader)

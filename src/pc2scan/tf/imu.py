@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
-from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ from pc2scan.bags.topics import find_topic
 from pc2scan.core.gravity import up_by_gravity, up_in
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.imu import IMU, decode_imu
+from pc2scan.model import own_message
 from pc2scan.text import counted
 
 if TYPE_CHECKING:
@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
+    from pc2scan.model import RawMessage
 
 #: The standard acceleration of gravity, m/s^2, and the largest deviation of an accelerometer at rest, as a share.
 GRAVITY = 9.80665
@@ -97,16 +99,99 @@ class _ImuSamples:
     undecoded: int = 0
     why: str = ""
 
+    def add(self, message: RawMessage) -> None:
+        """Add the values of a message, or count it if it cannot be decoded."""
+        try:
+            imu = decode_imu(message.data, message.connection.serialization)
+        except DecodeError as err:
+            self.undecoded += 1
+            self.why = self.why or err.message
+            return
+        self.frames[imu.frame_id] = None
+        self.stamps_ns.append(imu.stamp_ns)
+        self.directions.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
+        self.turning.extend(_plausible(imu.angular_velocity))
+        self.acceleration.extend(_plausible(imu.linear_acceleration))
 
-def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = None) -> UpEstimate:
+
+class ImuReading:
+    """The messages of an IMU in recordings, while these are read.
+
+    Parameters
+    ----------
+    readers
+        The sources first, then the recordings of ``tf_from``.
+    requested
+        The topic.
+    most
+        How many of the first messages of each recording are wanted; None: all.
+
+    Raises
+    ------
+    TopicError
+        If there is no such topic.
+    """
+
+    def __init__(self, readers: Sequence[Reader], requested: str, most: int | None = None) -> None:
+        self._topic = _imu_topic(readers, requested)
+        self._most = most
+        self._samples = _ImuSamples()
+
+    def observers(self, reader: Reader) -> list[Observer[RawMessage]]:
+        """Return the observer of a recording; none if it does not have the topic."""
+        from pc2scan.bags.observers import Observer  # noqa: PLC0415  # few recordings have one
+
+        connections = [c for c in reader.connections if c.topic == self._topic and c.ros_type == IMU and c.ros_version]
+        return [Observer(connections, own_message, self._most, keep=self._samples.add)] if connections else []
+
+    def up(self, frame: str = "") -> UpEstimate:
+        """Estimate the direction of up.
+
+        Parameters
+        ----------
+        frame
+            The frame of the IMU; empty: that of its messages.
+
+        Raises
+        ------
+        TopicError
+            If there are no messages.
+        UsageError
+            If they do not show the direction of up.
+        """
+        topic, messages = self._topic, self._samples
+        if not messages.stamps_ns:
+            why = f": {messages.undecoded} cannot be decoded: {messages.why}" if messages.undecoded else ""
+            raise TopicError(
+                f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`"
+            )
+        stamps, order = np.unique(np.array(messages.stamps_ns, np.int64), return_index=True)
+        if not stamps[-1]:
+            raise UsageError(
+                f"the messages on {topic} have no stamps: all are 0",
+                hint="give another topic to `imu`, or `fixed_frame`",
+            )
+        directions, turning, acceleration = (
+            np.array(values, np.float64).reshape(-1, 3)[order]
+            for values in (messages.directions, messages.turning, messages.acceleration)
+        )
+        warnings = []
+        if messages.undecoded:
+            warnings.append(f"{topic}: {counted(messages.undecoded, 'message')} cannot be decoded: {messages.why}")
+        if repeated := len(messages.stamps_ns) - len(stamps):
+            warnings.append(f"{topic}: {counted(repeated, 'message')} ignored: the stamp of another one")
+        frame = frame or _only_frame(topic, messages.frames)
+        known, directions, notes, further = _estimate_up(topic, stamps, directions, turning, acceleration)
+        return UpEstimate(topic, frame, stamps[known], directions, tuple(notes), (*warnings, *further))
+
+
+def read_up(readers: Sequence[Reader], request: ImuRequest) -> UpEstimate:
     """Read all messages of an IMU in recordings, and estimate the direction of up.
 
     Parameters
     ----------
     readers
         The sources first, then the recordings of ``tf_from``.
-    most
-        How many of the first messages of each recording are read; None: all.
 
     Raises
     ------
@@ -115,28 +200,12 @@ def read_up(readers: Sequence[Reader], request: ImuRequest, most: int | None = N
     UsageError
         If its messages do not show the direction of up.
     """
-    topic = _imu_topic(readers, request.topic)
-    messages = _read_messages(readers, topic, most)
-    if not messages.stamps_ns:
-        why = f": {messages.undecoded} cannot be decoded: {messages.why}" if messages.undecoded else ""
-        raise TopicError(f"there are no messages on {topic}{why}", hint="give another topic to `imu`, or `fixed_frame`")
-    stamps, order = np.unique(np.array(messages.stamps_ns, np.int64), return_index=True)
-    if not stamps[-1]:
-        raise UsageError(
-            f"the messages on {topic} have no stamps: all are 0", hint="give another topic to `imu`, or `fixed_frame`"
-        )
-    directions, turning, acceleration = (
-        np.array(values, np.float64).reshape(-1, 3)[order]
-        for values in (messages.directions, messages.turning, messages.acceleration)
-    )
-    warnings = []
-    if messages.undecoded:
-        warnings.append(f"{topic}: {counted(messages.undecoded, 'message')} cannot be decoded: {messages.why}")
-    if repeated := len(messages.stamps_ns) - len(stamps):
-        warnings.append(f"{topic}: {counted(repeated, 'message')} ignored: the stamp of another one")
-    frame = request.frame or _only_frame(topic, messages.frames)
-    known, directions, notes, further = _estimate_up(topic, stamps, directions, turning, acceleration)
-    return UpEstimate(topic, frame, stamps[known], directions, tuple(notes), (*warnings, *further))
+    from pc2scan.bags.observers import observe  # noqa: PLC0415  # few recordings have one
+
+    reading = ImuReading(readers, request.topic)
+    for reader in readers:
+        observe(reader, reading.observers(reader))
+    return reading.up(request.frame)
 
 
 def _imu_topic(readers: Sequence[Reader], requested: str) -> str:
@@ -145,27 +214,6 @@ def _imu_topic(readers: Sequence[Reader], requested: str) -> str:
         kind = connection.ros_type if connection.ros_version is not None else connection.msgtype
         types.setdefault(connection.topic, set()).add(kind)
     return find_topic(requested, types, sorted(topic for topic, kinds in types.items() if IMU in kinds), IMU)
-
-
-def _read_messages(readers: Sequence[Reader], topic: str, most: int | None) -> _ImuSamples:
-    found = _ImuSamples()
-    for reader in readers:
-        connections = [c for c in reader.connections if c.topic == topic and c.ros_type == IMU and c.ros_version]
-        if not connections:
-            continue
-        for message in islice(reader.messages(connections), most):
-            try:
-                imu = decode_imu(message.data, message.connection.serialization)
-            except DecodeError as err:
-                found.undecoded += 1
-                found.why = found.why or err.message
-                continue
-            found.frames[imu.frame_id] = None
-            found.stamps_ns.append(imu.stamp_ns)
-            found.directions.extend(_UNKNOWN if imu.orientation is None else up_in(imu.orientation))
-            found.turning.extend(_plausible(imu.angular_velocity))
-            found.acceleration.extend(_plausible(imu.linear_acceleration))
-    return found
 
 
 def _plausible(values: tuple[float, ...] | None) -> tuple[float, ...]:

@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
-from itertools import islice
+from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.latching import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.model import own_message
 from pc2scan.text import counted, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import TransformRow
-    from pc2scan.model import Connection
+    from pc2scan.model import Connection, RawMessage
 
     from .buffer import TransformBuffer
-    from .builder import TransformBuilder
     from .options import FrameOptions
 
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
@@ -67,6 +69,74 @@ def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()
     )
 
 
+class TransformReading:
+    """The transforms of recordings, with those that a user adds; while the recordings are read.
+
+    Parameters
+    ----------
+    options
+        Their topics, and the transforms to add.
+    """
+
+    def __init__(self, options: FrameOptions) -> None:
+        from .builder import TransformBuilder  # noqa: PLC0415  # only with transforms
+
+        self._options = options
+        self._builder = TransformBuilder()
+        self._warnings: dict[str, int] = {}
+        # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
+        self._builder.add((static.row(0) for static in options.static), static=True)
+        self._overridden = {static.child.removeprefix("/") for static in options.static}
+
+    def observers(self, reader: Reader) -> list[Observer[RawMessage]]:
+        """Return the observer of all transforms of a recording, anywhere in the files; none if it has none.
+
+        Raises
+        ------
+        UsageError
+            If it is not clear which topics to use.
+        """
+        from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
+
+        connections = tf_connections(reader.connections, self._options.tf_topics)
+        first: dict[str, TransformRow] = {}
+        return [Observer(connections, own_message, keep=partial(self._add, reader, first))] if connections else []
+
+    def _add(self, reader: Reader, first: dict[str, TransformRow], message: RawMessage) -> None:
+        """Add the transforms of a message, or count it if it cannot be decoded.
+
+        ``first`` has the first transform of each child frame that the user's transforms replace.
+        """
+        connection, warnings = message.connection, self._warnings
+        try:
+            rows = decode_transforms(message.data, connection.serialization)
+        except DecodeError as err:
+            text = f"{connection.topic}: a transform message cannot be decoded: {err.message}"
+            warnings[text] = warnings.get(text, 0) + 1
+            return
+        if self._overridden:
+            for row in rows:
+                parent, child, *_ = row
+                if child.removeprefix("/") in self._overridden and _differs(row, first.setdefault(child, row)):
+                    warnings[f"`static_tf` replaces the transforms of {child} in {parent}, which move"] = 1
+            rows = [row for row in rows if row[1].removeprefix("/") not in self._overridden]
+        try:
+            self._builder.add(rows, static=is_static(connection.topic))
+        except RecordingError as err:
+            err.path, err.topic = reader.path, connection.topic
+            raise
+
+    def finish(self) -> tuple[TransformBuffer, list[str]]:
+        """Return the transforms, and warnings: those that cannot be used, and messages that cannot be decoded."""
+        buffer = self._builder.build()
+        texts = [f"{text} ({count} times)" if count > 1 else text for text, count in self._warnings.items()]
+        texts += [
+            f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
+            for r in buffer.rejections
+        ]
+        return buffer, texts
+
+
 def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
     """Read all transforms of recordings, anywhere in the files, and add the user's own.
 
@@ -80,50 +150,12 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
     TransformBuffer, list of str
         The transforms, and warnings: transforms that cannot be used, and messages that cannot be decoded.
     """
-    from .builder import TransformBuilder  # noqa: PLC0415  # only with transforms
+    from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
 
-    builder, warnings = TransformBuilder(), dict[str, int]()
-    # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
-    builder.add((static.row(0) for static in options.static), static=True)
+    reading = TransformReading(options)
     for reader in readers:
-        _collect_transforms(reader, options, builder, warnings)
-    buffer = builder.build()
-    texts = [f"{text} ({count} times)" if count > 1 else text for text, count in warnings.items()]
-    texts += [
-        f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
-        for r in buffer.rejections
-    ]
-    return buffer, texts
-
-
-def _collect_transforms(
-    reader: Reader, options: FrameOptions, builder: TransformBuilder, warnings: dict[str, int]
-) -> None:
-    """Add a recording's transforms, and count what cannot be decoded."""
-    connections = tf_connections(reader.connections, options.tf_topics)
-    if not connections:
-        return
-    overridden = {static.child.removeprefix("/") for static in options.static}
-    first: dict[str, TransformRow] = {}
-    for message in reader.messages(connections):
-        connection = message.connection
-        try:
-            rows = decode_transforms(message.data, connection.serialization)
-        except DecodeError as err:
-            text = f"{connection.topic}: a transform message cannot be decoded: {err.message}"
-            warnings[text] = warnings.get(text, 0) + 1
-            continue
-        if overridden:
-            for row in rows:
-                parent, child, *_ = row
-                if child.removeprefix("/") in overridden and _differs(row, first.setdefault(child, row)):
-                    warnings[f"`static_tf` replaces the transforms of {child} in {parent}, which move"] = 1
-            rows = [row for row in rows if row[1].removeprefix("/") not in overridden]
-        try:
-            builder.add(rows, static=is_static(connection.topic))
-        except RecordingError as err:
-            err.path, err.topic = reader.path, connection.topic
-            raise
+        observe(reader, reading.observers(reader))
+    return reading.finish()
 
 
 def _differs(row: TransformRow, first: TransformRow) -> bool:
@@ -131,34 +163,64 @@ def _differs(row: TransformRow, first: TransformRow) -> bool:
     return row[0] == first[0] and math.dist(row[3:6], first[3:6]) > _MOVES
 
 
-def read_some_transforms(reader: Reader, options: FrameOptions, time_ns: int) -> TransformBuffer | None:
-    """Read the transforms between a robot's frames: the static ones, and a second of the moving ones.
+class RobotTransforms:
+    """The transforms between a robot's frames: the static ones, and a second of the moving ones.
 
-    Returns
-    -------
-    TransformBuffer or None
-        None if there are no transforms, or it is not clear which ones to use.
+    Parameters
+    ----------
+    reader
+        The recording.
+    options
+        The topics, and the transforms to add.
+    time_ns
+        The log time at which the second begins.
+
+    Attributes
+    ----------
+    observers
+        Take them from the recording; none if it is not clear which topics to use.
     """
-    try:
-        connections = tf_connections(reader.connections, options.tf_topics)
-    except UsageError:
-        return None
-    if not connections and not options.static:
-        return None
-    from .builder import TransformBuilder  # noqa: PLC0415  # few recordings need it
 
-    builder = TransformBuilder()
-    builder.add((static.row(0) for static in options.static), static=True)
-    overridden = {static.child.removeprefix("/") for static in options.static}
-    for static, start_ns, stop_ns in ((True, None, None), (False, time_ns, time_ns + _SOME_NS)):
-        group = [connection for connection in connections if is_static(connection.topic) is static]
-        if not group:
-            continue
-        for message in islice(reader.messages(group, start_ns, stop_ns), _SOME_MESSAGES):
-            try:
-                rows = decode_transforms(message.data, message.connection.serialization)
-                builder.add([row for row in rows if row[1].removeprefix("/") not in overridden], static=static)
-            except (DecodeError, RecordingError):
-                continue
-    buffer = builder.build()
-    return buffer if len(buffer) else None
+    def __init__(self, reader: Reader, options: FrameOptions, time_ns: int) -> None:
+        self._options = options
+        self._is_known = True
+        self.observers: list[Observer[RawMessage]] = []
+        try:
+            connections = tf_connections(reader.connections, options.tf_topics)
+        except UsageError:
+            self._is_known = False
+            return
+        from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
+
+        for static, start_ns, stop_ns in ((True, None, None), (False, time_ns, time_ns + _SOME_NS)):
+            group = [connection for connection in connections if is_static(connection.topic) is static]
+            if group:
+                self.observers.append(Observer(group, own_message, _SOME_MESSAGES, start_ns, stop_ns))
+
+    def finish(self) -> TransformBuffer | None:
+        """Return the transforms; None if there are none, or it is not clear which ones to use."""
+        if not self._is_known or not (self.observers or self._options.static):
+            return None
+        from .builder import TransformBuilder  # noqa: PLC0415  # few recordings need it
+
+        builder = TransformBuilder()
+        builder.add((static.row(0) for static in self._options.static), static=True)
+        overridden = {static.child.removeprefix("/") for static in self._options.static}
+        for observer in self.observers:
+            for message in observer.found:
+                connection = message.connection
+                with suppress(DecodeError, RecordingError):
+                    rows = decode_transforms(message.data, connection.serialization)
+                    rows = [row for row in rows if row[1].removeprefix("/") not in overridden]
+                    builder.add(rows, static=is_static(connection.topic))
+        buffer = builder.build()
+        return buffer if len(buffer) else None
+
+
+def read_robot_transforms(reader: Reader, options: FrameOptions, time_ns: int) -> TransformBuffer | None:
+    """Read the transforms between a robot's frames; see `RobotTransforms`."""
+    from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
+
+    robot = RobotTransforms(reader, options, time_ns)
+    observe(reader, robot.observers)
+    return robot.finish()

@@ -18,7 +18,9 @@ from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.messages.tfmessage import encode_transforms
-from pc2scan.model import Connection
+from pc2scan.model import Connection, Definition
+from support.builders import definition as message_text
+from support.builders import imu_message
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -28,7 +30,17 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["BEGIN_NS", "WALLS", "Drive", "Lidar", "Message", "off_the_walls", "returns_in_odom", "write_world"]
+__all__ = [
+    "BEGIN_NS",
+    "WALLS",
+    "Drive",
+    "Lidar",
+    "Message",
+    "off_the_walls",
+    "returns_in_odom",
+    "write_imu",
+    "write_world",
+]
 
 #: The time 0 of the world, nanoseconds.
 BEGIN_NS = 1_700_000_000_000_000_000
@@ -259,6 +271,46 @@ def write_world(
         handles[topic] = writer.add_connection(Connection(0, topic, msgtype, "cdr", text, digest))
     for log_time_ns, topic, data in sorted(rows):
         writer.write(handles[topic], log_time_ns, data, log_time_ns)
+    writer.finish()
+    return path
+
+
+def write_imu(
+    path: Path,
+    drive: Drive,
+    mount: Rigid,
+    seconds: float = 2.0,
+    *,
+    orientation: bool = False,
+    clock_ns: int = 0,
+    gap: float = 0.0,
+) -> Path:
+    """Write an MCAP file of what an IMU measures, at 100 Hz from 20 s before on, with a bias.
+
+    ``mount`` is base_link_from_imu_link. For ``gap`` seconds in the middle it is silent.
+    """
+    writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
+    text = Definition("ros2msg", message_text("sensor_msgs/msg/Imu", 2).encode())
+    handle = writer.add_connection(Connection(0, "/imu", "sensor_msgs/msg/Imu", "cdr", text, ""))
+    times = np.arange(-20.0, seconds + 0.4, 0.01)
+    times = times[np.abs(times - seconds / 2) >= gap / 2]
+    ends = [drive.rotations(times + off) for off in (-5e-5, 5e-5)]
+    rates = mount.matrix.T @ (np.einsum("nji,njk->nik", ends[0], ends[1]) - np.eye(3)) @ mount.matrix / 1e-4
+    velocities = [(drive.positions(times + off) - drive.positions(times + off - 1e-3)) / 1e-3 for off in (0, 1e-3)]
+    felt = (velocities[1] - velocities[0]) / 1e-3 + (0.0, 0.0, 9.81)
+    attitudes = drive.rotations(times) @ mount.matrix
+    for place, time in enumerate(times.tolist()):
+        log_time_ns = BEGIN_NS + round(time * 1e9)
+        rate = rates[place]
+        data = imu_message(
+            2,
+            orientation=drive.pose(time).compose(mount).quaternion.tolist() if orientation else (0, 0, 0, 0),
+            first=(0.0, 0.0, 0.0),
+            turning=(rate[2, 1] + 0.02, rate[0, 2] - 0.02, rate[1, 0]),
+            acceleration=attitudes[place].T @ felt[place],
+            stamp_ns=log_time_ns + clock_ns,
+        )
+        writer.write(handle, log_time_ns, data, log_time_ns)
     writer.finish()
     return path
 

@@ -127,6 +127,8 @@ class McapReader(PartReader):
 
         return recover_index(self._file, problem, self._log, verify=self._verify)
 
+    has_chunks = True
+
     @property
     def next_start(self) -> int | None:
         """Offset of the MCAP file that follows this one in the file."""

@@ -99,6 +99,8 @@ class Rosbag1Reader(PartReader):
 
         return recover_index(self._file, problem, self._log)
 
+    has_chunks = True
+
     @property
     def next_start(self) -> int | None:
         """Offset of the bag that follows this one in the file."""

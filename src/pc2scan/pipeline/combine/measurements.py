@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from contextlib import closing
 from functools import partial
-from itertools import islice
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.units import merge_by_time
+from pc2scan.bags.observers import Observer, observe
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.timing import median_interval_ns
-from pc2scan.errors import MessageError, ParameterError, UsageError, name_list
+from pc2scan.errors import ParameterError, UsageError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.pipeline.clocks import are_doubtful, logged_early
@@ -26,6 +24,8 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.points import Points
     from pc2scan.model import Buffer, Connection, RawMessage
+    from pc2scan.pipeline.items import Span
+    from pc2scan.pipeline.measurements import FirstCloud
     from pc2scan.pipeline.plan import Combination
     from pc2scan.tf.placing import Placer
 
@@ -70,32 +70,103 @@ class _TopicStart(NamedTuple):
         return median_interval_ns(self.stamps)
 
 
-class _MessageHeader(NamedTuple):
-    """The times of a message, and the angle increment of a LaserScan; no stamp if the message cannot be decoded."""
+class MessageHeader(NamedTuple):
+    """The times of a message, and the angle increment of a LaserScan."""
 
     topic: str
     log_time_ns: int
-    stamp_ns: int | None
+    stamp_ns: int
     increment: float | None
-    size: int = 0
 
 
-def measure_sources(
-    reader: Reader,
-    combination: Combination,
-    connections: Sequence[Connection],
-    frames: Placer,
-    start_ns: int | None,
-    stop_ns: int | None,
-) -> tuple[Measurements, Callable[[], Grouper[Contribution]] | None, list[str], list[str]]:
-    """Measure what scans of several messages need.
+class CombinationObservers(NamedTuple):
+    """Observers of the topics of a combination.
+
+    Attributes
+    ----------
+    connections
+        The connections of each topic.
+    span
+        The cut.
+    clouds
+        Of the first clouds of each topic, if anything is measured in them.
+    together
+        Of the first messages of all topics; None if they are not needed.
+    late
+        Of the first messages of each topic, if there are too few of it among those.
+    """
+
+    connections: Mapping[str, Sequence[Connection]]
+    span: Span
+    clouds: Mapping[str, Observer[FirstCloud]]
+    together: Observer[MessageHeader] | None
+    late: Mapping[str, Observer[MessageHeader]]
+
+    @property
+    def all(self) -> list[Observer[Any]]:
+        """All of them."""
+        return [*self.clouds.values(), *([] if self.together is None else [self.together]), *self.late.values()]
+
+
+def source_observers(
+    combination: Combination, connections: Sequence[Connection], frames: Placer | None, span: Span
+) -> CombinationObservers:
+    """Return the observers of what scans of several messages need.
 
     Parameters
     ----------
     connections
         The connections of the combination's sources.
-    start_ns, stop_ns
-        The cut, by log time; None: no limit.
+    frames
+        See `pc2scan.pipeline.measurements.cloud_observers`.
+    span
+        The cut.
+
+    Raises
+    ------
+    ParameterError
+        If a field is requested that the beams of LaserScans do not have.
+    """
+    spec, topics = combination.spec, combination.sources
+    asked, params = spec.combining, spec.params
+    own = {topic: [each for each in connections if each.topic == topic] for topic in topics}
+    clouds = {topic: [each for each in found if each.ros_type != LASERSCAN] for topic, found in own.items()}
+    flat = [topic for topic in topics if len(clouds[topic]) < len(own[topic])]
+    measured: Mapping[str, Observer[FirstCloud]] = {}
+    if spec.needs_measuring:
+        from pc2scan.pipeline.measurements import cloud_observers  # noqa: PLC0415  # only if something is to be measured
+
+        others = [each for found in clouds.values() for each in found]
+        measured = cloud_observers(others, spec, frames, span.start_ns, span.stop_ns)
+    if not (
+        len(topics) > 1
+        or asked.every_ns
+        or asked.span_ns >= _LONG_NS
+        or (flat and "auto" in (params.scan_time, params.beams))
+    ):
+        return CombinationObservers(own, span, measured, None, {})
+    everything = [connection for found in own.values() for connection in found]
+    together = _header_observer(everything, span.start_ns, span.stop_ns, _LOOKED_AT * len(own))
+
+    def late(topic: str) -> Observer[MessageHeader]:
+        found = _header_observer(own[topic], span.start_ns, span.stop_ns, _LOOKED_AT)
+        found.is_needless = lambda: together.is_done and sum(each.topic == topic for each in together.found) >= _FEWEST
+        return found
+
+    return CombinationObservers(own, span, measured, together, {topic: late(topic) for topic in own})
+
+
+def measure_sources(
+    reader: Reader, combination: Combination, observers: CombinationObservers, frames: Placer
+) -> tuple[Measurements, Callable[[], Grouper[Contribution]] | None, list[str], list[str]]:
+    """Measure what scans of several messages need.
+
+    Parameters
+    ----------
+    reader
+        The recording: later messages are read if the clocks of the first ones differ.
+    observers
+        What was observed of the first messages.
 
     Returns
     -------
@@ -114,34 +185,25 @@ def measure_sources(
         If the stamps of the topics are of different clocks.
     """
     spec, topics = combination.spec, combination.sources
-    asked, params = spec.combining, spec.params
+    asked = spec.combining
     notes: list[str] = []
-    own = {topic: [each for each in connections if each.topic == topic] for topic in topics}
-    clouds = {topic: [each for each in found if each.ros_type != LASERSCAN] for topic, found in own.items()}
     timing: Mapping[str, Measurements] = {}
     if spec.needs_measuring:
         from pc2scan.pipeline.measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
-        others = [each for found in clouds.values() for each in found]
-        timing, notes = measure(reader, others, spec, frames, start_ns, stop_ns)
+        timing, notes = measure(observers.clouds, spec, frames)
         kept = [note for note in notes if note.startswith(f"{topics[0]}: ")]
         notes = kept
-    flat = [topic for topic in topics if len(clouds[topic]) < len(own[topic])]
+    flat = [topic for topic in topics if any(each.ros_type == LASERSCAN for each in observers.connections[topic])]
     if flat:
         _require_fields(flat, combination)
-    wanted = (
-        len(topics) > 1
-        or asked.every_ns
-        or asked.span_ns >= _LONG_NS
-        or (flat and "auto" in (params.scan_time, params.beams))
-    )
-    firsts = _first_messages(reader, own, start_ns, stop_ns) if wanted else {}
+    firsts = _first_messages(observers)
     lead = firsts.get(topics[0])
     found = timing.get(topics[0]) or _of_scans(combination, lead, notes)
     if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
         found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
     warnings = _doubtful(asked, reader, topics, firsts)
-    later = partial(_sample_delays, reader, own, start_ns, stop_ns)
+    later = partial(_sample_delays, reader, observers)
     grouper: Callable[[], Grouper[Contribution]]
     if asked.accumulates:
         # The first message is in the middle of an interval: near its edge, jitter would move messages to the next.
@@ -187,29 +249,30 @@ def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: M
     return found
 
 
-def _first_messages(
-    reader: Reader, own: Mapping[str, Sequence[Connection]], start_ns: int | None, stop_ns: int | None
-) -> dict[str, _TopicStart]:
-    """Read the first messages of all topics together, then those of topics that begin later."""
-    found = {topic: _TopicStart([], [], []) for topic in own}
-    everything = [connection for connections in own.values() for connection in connections]
-    _look(reader, everything, found, start_ns, stop_ns, _LOOKED_AT * len(own))
-    for topic, connections in own.items():
-        if len(found[topic].stamps) < _FEWEST:
-            found[topic] = _TopicStart([], [], [])
-            _look(reader, connections, found, start_ns, stop_ns, _LOOKED_AT)
-    return found
+def _first_messages(observers: CombinationObservers) -> dict[str, _TopicStart]:
+    """Return the first messages of each topic: those of all topics together, or its own if they have too few."""
+    if observers.together is None:
+        return {}
+    found = {topic: _start(topic, observers.together) for topic in observers.connections}
+    return {
+        topic: start if len(start.stamps) >= _FEWEST else _start(topic, observers.late[topic])
+        for topic, start in found.items()
+    }
 
 
-def _look(
-    reader: Reader,
-    connections: Sequence[Connection],
-    found: Mapping[str, _TopicStart],
-    start_ns: int | None,
-    stop_ns: int | None,
-    most: int,
-) -> None:
-    """Add the first messages to ``found``, at most ``most`` of them."""
+def _start(topic: str, observer: Observer[MessageHeader]) -> _TopicStart:
+    """Return the first messages of a topic among those that were observed."""
+    own = [each for each in observer.found if each.topic == topic]
+    return _TopicStart(
+        [each.stamp_ns for each in own],
+        [each.log_time_ns - each.stamp_ns for each in own],
+        [each.increment for each in own if each.increment is not None],
+    )
+
+
+def _header_observer(
+    connections: Sequence[Connection], start_ns: int | None, stop_ns: int | None, most: int
+) -> Observer[MessageHeader]:
     decoders: dict[int, Callable[[Buffer], Points | LaserScan]] = {
         each.id: partial(decode_laserscan, serialization=each.serialization)
         if each.ros_type == LASERSCAN
@@ -217,28 +280,12 @@ def _look(
         for each in connections
     }
 
-    def times(message: RawMessage) -> _MessageHeader:
-        topic, log_time_ns = message.connection.topic, message.log_time_ns
-        try:
-            decoded = decoders[message.connection.id](message.data)
-        except MessageError:
-            # An error of decoding is reported when this message is converted.
-            return _MessageHeader(topic, log_time_ns, None, None)
+    def header(message: RawMessage) -> MessageHeader:
+        decoded = decoders[message.connection.id](message.data)
         increment = abs(decoded.angle_increment) if isinstance(decoded, LaserScan) else None
-        return _MessageHeader(topic, log_time_ns, decoded.stamp_ns, increment)
+        return MessageHeader(message.connection.topic, message.log_time_ns, decoded.stamp_ns, increment)
 
-    # The callback returns only the times, so that no cloud is copied.
-    units = reader.units(connections, start_ns, stop_ns)
-    with closing(merge_by_time(units, times, path=reader.path)) as seen:
-        for each in islice(seen, most):
-            assert isinstance(each, _MessageHeader)
-            if each.stamp_ns is None:
-                continue
-            own = found[each.topic]
-            own.stamps.append(each.stamp_ns)
-            own.delays.append(each.log_time_ns - each.stamp_ns)
-            if each.increment is not None:
-                own.increments.append(each.increment)
+    return Observer(connections, header, most, start_ns, stop_ns)
 
 
 def _windows(firsts: Mapping[str, _TopicStart], topics: Sequence[str], window_ns: int | None) -> list[int]:
@@ -249,26 +296,21 @@ def _windows(firsts: Mapping[str, _TopicStart], topics: Sequence[str], window_ns
     return [max(period, periods[0]) // 2 for period in periods]
 
 
-def _sample_delays(
-    reader: Reader,
-    own: Mapping[str, Sequence[Connection]],
-    start_ns: int | None,
-    stop_ns: int | None,
-    topics: Sequence[str],
-) -> Iterator[list[int]]:
+def _sample_delays(reader: Reader, observers: CombinationObservers, topics: Sequence[str]) -> Iterator[list[int]]:
     """Yield the median delays of topics at some places of the recording where all of them have messages."""
+    start_ns, stop_ns = observers.span.start_ns, observers.span.stop_ns
     first_ns, last_ns = reader.summary.start_ns, reader.summary.end_ns
     if first_ns is None or last_ns is None:
         return
     first_ns = first_ns if start_ns is None else max(first_ns, start_ns)
     last_ns = last_ns if stop_ns is None else min(last_ns, stop_ns)
     for quarter in range(1, _QUARTERS):
-        found = {topic: _TopicStart([], [], []) for topic in topics}
-        for topic in topics:
-            begin_ns = first_ns + (last_ns - first_ns) * quarter // _QUARTERS
-            _look(reader, own[topic], found, begin_ns, stop_ns, _LOOKED_AT)
-        if all(each.delays for each in found.values()):
-            yield [median_low(found[topic].delays) for topic in topics]
+        begin_ns = first_ns + (last_ns - first_ns) * quarter // _QUARTERS
+        own = {topic: _header_observer(observers.connections[topic], begin_ns, stop_ns, _LOOKED_AT) for topic in topics}
+        observe(reader, own.values())
+        delays = [_start(topic, observer).delays for topic, observer in own.items()]
+        if all(delays):
+            yield list(map(median_low, delays))
 
 
 def _clocks(

@@ -1,0 +1,229 @@
+"""Observers: each takes something from messages of some connections, and all of them share one reading of a recording.
+
+A message that several observers want is read once, and a chunk is decompressed once. What an observer takes is taken
+while the message is in memory; nothing else of it is kept.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+
+from pc2scan.errors import MessageError
+
+from .units import Handle, merge_by_time
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Generator, Iterable, Sequence
+
+    from pc2scan.model import Connection, RawMessage
+
+    from .reader import Reader
+    from .units import Loaded, Unit
+
+_Value = TypeVar("_Value")
+
+
+class FirstTimes:
+    """The earliest log times of the messages so far: a chunk may have later messages before earlier ones.
+
+    Parameters
+    ----------
+    most
+        How many messages are wanted.
+    """
+
+    __slots__ = ("_most", "_times")
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._times: list[int] = []
+
+    def may_have(self, log_time_ns: int) -> bool:
+        """Add a message; return whether it may be among the first ones. False is certain.
+
+        Equal log times count once, because a chunk may be loaded again.
+        """
+        times = self._times
+        place = bisect_left(times, log_time_ns)
+        if place == self._most:
+            return False
+        if place == len(times) or times[place] != log_time_ns:
+            times.insert(place, log_time_ns)
+            del times[self._most :]
+        return True
+
+
+@dataclass(slots=True, eq=False)
+class Observer(Generic[_Value]):
+    """Takes a value from each of the first messages of some connections.
+
+    Attributes
+    ----------
+    connections
+        Those whose messages are wanted.
+    take
+        Returns what is kept of a message, whose data may be borrowed. It may be called again for a message, and for
+        some that are not among the first. If it raises a `MessageError`, nothing is kept; the message counts.
+    most
+        How many messages are wanted; None: all.
+    start_ns, stop_ns
+        Only messages with ``start_ns <= log_time_ns < stop_ns``; None: no limit.
+    keep
+        Receives the values, in the order of log time; None: `found` does.
+    is_needless
+        Whether no more messages are wanted, by what other observers found.
+    found
+        The values.
+    """
+
+    connections: Sequence[Connection]
+    take: Callable[[RawMessage], _Value]
+    most: int | None = None
+    start_ns: int | None = None
+    stop_ns: int | None = None
+    keep: Callable[[_Value], object] | None = None
+    is_needless: Callable[[], bool] | None = None
+    found: list[_Value] = field(default_factory=list)
+    _count: int = 0
+    _first: FirstTimes | None = None
+    _has_ended: bool = False
+
+    @property
+    def selection(self) -> tuple[frozenset[int], int | None, int | None]:
+        """The ids of the connections, and the limits of the log time."""
+        return frozenset(each.id for each in self.connections), self.start_ns, self.stop_ns
+
+    @property
+    def is_done(self) -> bool:
+        """Whether no more messages are wanted."""
+        return (
+            self._has_ended
+            or (self.most is not None and self._count >= self.most)
+            or (self.is_needless is not None and self.is_needless())
+        )
+
+    def end(self) -> None:
+        """Note that there are no more messages."""
+        self._has_ended = True
+
+    def value_of(self, message: RawMessage) -> tuple[Observer[Any], _Value | None] | None:
+        """Return what is kept of a message; None if it is not wanted."""
+        time_ns = message.log_time_ns
+        if (self.start_ns is not None and time_ns < self.start_ns) or (
+            self.stop_ns is not None and time_ns >= self.stop_ns
+        ):
+            return None
+        if self.most is not None:
+            if self.is_done:
+                return None
+            if self._first is None:
+                self._first = FirstTimes(self.most)
+            if not self._first.may_have(time_ns):
+                return None
+        try:
+            return self, self.take(message)
+        except MessageError:
+            return self, None
+
+    def add(self, value: _Value | None) -> bool:
+        """Count the next message, and keep its value; return whether no more messages are wanted."""
+        if self.most is not None:
+            if self.is_done:
+                return False
+            self._count += 1
+        if value is not None:
+            if self.keep is None:
+                self.found.append(value)
+            else:
+                self.keep(value)
+        return self.most is not None and self.is_done
+
+
+class _Seen(NamedTuple):
+    """What observers take of a message; an item of `merge_by_time`."""
+
+    log_time_ns: int
+    size: int
+    values: Sequence[tuple[Observer[Any], Any]]
+
+
+def observe(reader: Reader, observers: Iterable[Observer[Any]]) -> None:
+    """Show the messages of a recording to observers.
+
+    A recording with chunks is read once for all of them. Of one with rows, which are read topic by topic without
+    reading others, only those observers share a reading that want the same connections.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read.
+    DamageError
+        If the file is damaged, and damage is an error.
+    """
+    groups: dict[object, list[Observer[Any]]] = {}
+    for observer in observers:
+        groups.setdefault(reader.has_chunks or observer.selection, []).append(observer)
+    for group in groups.values():
+        if not all(observer.is_done for observer in group):
+            _observe_together(reader, group)
+        for observer in group:
+            observer.end()
+
+
+def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> None:
+    """Read a recording once."""
+    connections = {each.id: each for observer in observers for each in observer.connections}
+    by_connection: dict[int, list[Observer[Any]]] = {key: [] for key in connections}
+    for observer in observers:
+        for key in observer.selection[0]:
+            by_connection[key].append(observer)
+
+    def take(message: RawMessage) -> _Seen:
+        found = [each for observer in by_connection[message.connection.id] if (each := observer.value_of(message))]
+        return _Seen(message.log_time_ns, len(message.data), found)
+
+    selections = {observer.selection: observer for observer in observers}
+    starts, stops = zip(*((start, stop) for _, start, stop in selections), strict=True)
+    is_wanted = _unit_filter(reader, observers) if len(selections) > 1 else lambda _: True
+    units = reader.units(
+        list(connections.values()), None if None in starts else min(starts), None if None in stops else max(stops)
+    )
+    # Twice: when units are announced to the system, and when they are due.
+    chosen = (unit for unit in units if is_wanted(unit))
+    with closing(merge_by_time(chosen, take, loading=partial(_load_wanted, is_wanted), path=reader.path)) as messages:
+        for seen in messages:
+            assert isinstance(seen, _Seen)
+            has_enough = False
+            for observer, value in seen.values:
+                has_enough |= observer.add(value)
+            if has_enough and all(observer.is_done for observer in observers):
+                return
+
+
+def _unit_filter(reader: Reader, observers: Sequence[Observer[Any]]) -> Callable[[Unit], bool]:
+    """Return a function that finds out whether an observer still wants messages of a unit."""
+    listed: dict[object, frozenset[tuple[int, ...]]] = {}
+    places: list[tuple[Observer[Any], frozenset[tuple[int, ...]]]] = []
+    for observer in observers:
+        key = observer.selection
+        if key not in listed:
+            units = reader.units(observer.connections, observer.start_ns, observer.stop_ns)
+            listed[key] = frozenset(unit.place for unit in units)
+        places.append((observer, listed[key]))
+    return lambda unit: any(unit.place in own and not observer.is_done for observer, own in places)
+
+
+def _load_wanted(
+    is_wanted: Callable[[Unit], bool], units: Iterable[Unit], callback: Callable[[RawMessage], Any]
+) -> Generator[Handle]:
+    """Load each unit when its messages are due, if any observer wants them by then."""
+
+    def load(unit: Unit) -> Loaded[Any]:
+        return unit.load(callback, whole=False) if is_wanted(unit) else []
+
+    for unit in units:
+        yield Handle(unit, partial(load, unit))

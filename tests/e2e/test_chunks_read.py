@@ -1,0 +1,91 @@
+"""How often a conversion decompresses each chunk: at most once ahead of the conversion, and once in it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+from zlib import crc32
+
+import pytest
+
+import pc2scan
+from pc2scan.bags.mcap import chunks as mcap_chunks
+from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
+from pc2scan.core.rigid import Rigid
+from support.worlds.moving import Drive, Lidar, write_imu, write_world
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+TILTING = Drive(speed=0.5, turn=0.2, tilt=0.05)
+LIDARS = (
+    Lidar("/front", "front", columns=600),
+    Lidar("/rear", "rear", columns=600, mount=Rigid.from_rpy(0.0, 0.0, 3.1, (-0.2, 0.0, 0.5)), phase=0.03),
+    # Begins late.
+    Lidar("/late", "late", columns=400, phase=1.3),
+)
+IN_BASE = {"target_frame": "base_link", "min_height": 0.1, "max_height": 2.0}
+LEVEL = {"level": True, "imu": "/imu", "static_tf": "base_link imu_link 0.1 0 0.2 0 0 0"}
+DESKEWED = {**IN_BASE, "fixed_frame": "odom", "deskew": True}
+TOGETHER = {"topics": ["/front:=/scan", "/rear:=/scan", "/late:=/scan"]}
+
+#: Options, and the number of times that the chunk that is read most is decompressed.
+REQUESTS: list[tuple[dict[str, Any], int]] = [
+    ({"topics": "/front"}, 1),
+    ({"topics": "/front", "start": 20.7, "end": 21.5}, 1),
+    ({"topics": "/front", "scan_time": "auto", "time_increment": "auto", "beams": "auto"}, 2),
+    ({"topics": "/front", **IN_BASE}, 2),
+    ({"topics": "/front", "source_frame": "fornt", "min_height": 0.1}, 2),
+    ({"topics": "/front", **IN_BASE, "scan_time": "auto", "time_increment": "auto", "beams": "auto"}, 2),
+    ({"topics": "/front", **DESKEWED, "scan_time": "auto", "beams": "auto"}, 2),
+    ({"topics": "/front", **DESKEWED, "point_time": "azimuth:ccw:start"}, 2),
+    (
+        {"topics": "/front", **DESKEWED, **LEVEL, "scan_time": "auto", "beams": "auto"},
+        2,
+    ),
+    ({"topics": ["/front", "/late"], **DESKEWED, "level": True, "point_time": "azimuth:ccw:start", "start": 20.5}, 2),
+    ({**TOGETHER, **IN_BASE}, 2),
+    ({**TOGETHER, **DESKEWED, **LEVEL, "scan_time": "auto", "beams": "auto"}, 2),
+    ({**TOGETHER, **DESKEWED, "every": 0.5, "end": 21.5}, 2),
+]
+
+
+@pytest.fixture(scope="module", params=["mcap", "bag"])
+def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One recording with everything, in many chunks."""
+    folder = tmp_path_factory.mktemp("drive")
+    world = write_world(folder / "world.mcap", LIDARS, TILTING)
+    imu = write_imu(folder / "imu.mcap", TILTING, Rigid.from_rpy(0.0, 0.0, 0.0, (0.1, 0.0, 0.2)))
+    path = folder / f"drive.{request.param}"
+    pc2scan.convert(
+        [world, imu], path, topics="/late:=/unused", keep_clouds=True, min_height=0.1, compression="lz4", drop="/unused"
+    )
+    return path
+
+
+@pytest.fixture
+def decompressed(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
+    """How often each chunk is decompressed, by the CRC-32 of what is stored."""
+    counts: Counter[int] = Counter()
+
+    def counted(decompress: Callable[..., Any]) -> Callable[..., Any]:
+        def counting(name: str, data: Any, size: int) -> Any:
+            counts[crc32(data)] += 1
+            return decompress(name, data, size)
+
+        return counting
+
+    for module in (mcap_chunks, rosbag1_chunks):
+        monkeypatch.setattr(module, "decompress", counted(module.decompress))
+    return counts
+
+
+@pytest.mark.parametrize(("options", "most"), REQUESTS, ids=map(str, range(len(REQUESTS))))
+def test_no_chunk_is_decompressed_more_than_twice(
+    drive: Path, options: dict[str, Any], most: int, decompressed: Counter[int], tmp_path: Path
+) -> None:
+    report = pc2scan.convert(drive, tmp_path / "scans.mcap", **options)
+    assert any(topic.messages_out for topic in report.topics if topic.spec is not None)
+    assert len(decompressed) > 2
+    assert max(decompressed.values()) == most
