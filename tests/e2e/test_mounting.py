@@ -139,15 +139,6 @@ def test_transforms_tell_what_clouds_cannot(recorded: Callable[..., Path]) -> No
     assert "floor at z = 0.00 m in frame 'base_footprint', ceiling at 3.00 m" in done.stdout
 
 
-def test_convert_reads_transforms_where_clouds_cannot_tell(recorded: Callable[..., Path], tmp_path: Path) -> None:
-    tf = (transform("base_footprint", "lidar", (180, 0, 0), (0, 0, 0.6)),)
-    source = recorded(180, place="office", tf=tf)
-    done = run("convert", source, "-o", tmp_path / "a.mcap")
-    told = "warning: /points: frame 'lidar' is upside down according to its transform to 'base_footprint'"
-    assert told in done.stderr
-    assert told in run("info", source).stderr
-
-
 def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path: Path) -> None:
     done = run("info", HALL)
     assert done.stderr == ""

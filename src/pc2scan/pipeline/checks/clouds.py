@@ -174,12 +174,12 @@ class CloudFacts:
 
     @cached_property
     def mounting(self) -> Mounting:
-        """How the sensor is mounted; the robot's transforms are only read if the clouds do not show it, or a fault."""
+        """How the sensor is mounted; the robot's transforms are only read if it is not level."""
         from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
 
         known = self.transforms
         found = mounting(self.topic, self.source, self.samples, known.buffer)
-        if known.buffer is None and (found.fault or found.ground.kind == "unknown"):
+        if known.buffer is None and found.fault:
             return mounting(self.topic, self.source, self.samples, known.read())
         return found
 
