@@ -89,3 +89,9 @@ def test_no_chunk_is_decompressed_more_than_twice(
     assert any(topic.messages_out for topic in report.topics if topic.spec is not None)
     assert len(decompressed) > 2
     assert max(decompressed.values()) == most
+
+
+def test_scans_in_python_are_made_in_two_readings_as_well(drive: Path, decompressed: Counter[int]) -> None:
+    options: dict[str, Any] = {"topics": "/front", **DESKEWED, **LEVEL, "scan_time": "auto", "beams": "auto"}
+    assert list(pc2scan.scans(drive, **options))
+    assert max(decompressed.values()) == 2

@@ -13,13 +13,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from pc2scan.errors import MessageError
+from pc2scan.model import RawMessage, own_message
 
 from .units import Handle, merge_by_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Sequence
 
-    from pc2scan.model import Connection, RawMessage
+    from pc2scan.model import Connection
 
     from .reader import Reader
     from .units import Loaded, Unit
@@ -106,6 +107,12 @@ class Observer(Generic[_Value]):
             or (self.is_needless is not None and self.is_needless())
         )
 
+    @property
+    def takes_all_messages(self) -> bool:
+        """Whether it takes all messages as they are."""
+        limits = (self.most, self.start_ns, self.stop_ns, self.is_needless)
+        return self.take is own_message and limits == (None, None, None, None)
+
     def end(self) -> None:
         """Note that there are no more messages."""
         self._has_ended = True
@@ -177,15 +184,29 @@ def observe(reader: Reader, observers: Iterable[Observer[Any]]) -> None:
 def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> None:
     """Read a recording once."""
     connections = {each.id: each for observer in observers for each in observer.connections}
-    by_connection: dict[int, list[Observer[Any]]] = {key: [] for key in connections}
-    for observer in observers:
-        for key in observer.selection[0]:
-            by_connection[key].append(observer)
+    by_connection: dict[int, list[Observer[Any]]] = {}
+    lone: dict[int, Callable[[RawMessage], object]] = {}
 
-    def take(message: RawMessage) -> _Seen:
-        found = [each for observer in by_connection[message.connection.id] if (each := observer.value_of(message))]
+    def sort_out() -> None:
+        """Find those that still want messages of each connection, and what one that wants all of them does."""
+        by_connection.update({key: [] for key in connections})
+        for observer in observers:
+            if not observer.is_done:
+                for key in observer.selection[0]:
+                    by_connection[key].append(observer)
+        for key, (first, *further) in ((key, found) for key, found in by_connection.items() if found):
+            if not further and first.takes_all_messages:
+                lone[key] = first.keep or first.found.append
+
+    def take(message: RawMessage) -> _Seen | RawMessage:
+        key = message.connection.id
+        # There may be a million transforms.
+        if key in lone:
+            return own_message(message)
+        found = [each for observer in by_connection[key] if (each := observer.value_of(message))]
         return _Seen(message.log_time_ns, len(message.data), found)
 
+    sort_out()
     selections = {observer.selection: observer for observer in observers}
     starts, stops = zip(*((start, stop) for _, start, stop in selections), strict=True)
     is_wanted = _unit_filter(reader, observers) if len(selections) > 1 else lambda _: True
@@ -196,12 +217,17 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Non
     chosen = (unit for unit in units if is_wanted(unit))
     with closing(merge_by_time(chosen, take, loading=partial(_load_wanted, is_wanted), path=reader.path)) as messages:
         for seen in messages:
+            if isinstance(seen, RawMessage):
+                lone[seen.connection.id](seen)
+                continue
             assert isinstance(seen, _Seen)
             has_enough = False
             for observer, value in seen.values:
                 has_enough |= observer.add(value)
-            if has_enough and all(observer.is_done for observer in observers):
-                return
+            if has_enough:
+                sort_out()
+                if not any(by_connection.values()):
+                    return
 
 
 def _unit_filter(reader: Reader, observers: Sequence[Observer[Any]]) -> Callable[[Unit], bool]:
