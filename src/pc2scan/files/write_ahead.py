@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from pc2scan.threads import Threads
 
-Preparation = TypeVar("Preparation")
+Prepared = TypeVar("Prepared")
 
 #: Bytes that may wait for each thread.
 _BYTES_A_THREAD = 4 << 20
@@ -30,7 +30,7 @@ class WriteAhead:
         """Use these threads from now on."""
         self._queue = InOrder(pool, _BYTES_A_THREAD, 1)
 
-    def put(self, prepare: Callable[[], Preparation], write: Callable[[Preparation], None], size: int) -> None:
+    def put(self, prepare: Callable[[], Prepared], write: Callable[[Prepared], None], size: int) -> None:
         """Call ``prepare`` on any thread, then ``write`` with its result on the caller's, in order.
 
         Parameters

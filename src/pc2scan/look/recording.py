@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import UsageError, stamp_text
 from pc2scan.inspect.sampling import sampled
+from pc2scan.pipeline.preparation import span_of
 from pc2scan.pipeline.refusals import refuse_outside
-from pc2scan.pipeline.run import span_of
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:

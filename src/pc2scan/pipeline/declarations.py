@@ -1,4 +1,4 @@
-"""The connections of a destination, collected and then declared together."""
+"""The topics of a recording that is to be written: collected, and then declared together."""
 
 from __future__ import annotations
 
@@ -6,13 +6,24 @@ import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import MessageError
-from pc2scan.model import Definition
+from pc2scan.bags.formats import FORMATS
+from pc2scan.errors import MessageError, RecordingError
+from pc2scan.messages.definitions import definition
+from pc2scan.model import LATCHED_QOS, NEW_ID, Connection, Definition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
-    from pc2scan.model import Connection, Writer
+    from pc2scan.bags.destinations import Destination
+    from pc2scan.model import Buffer, Writer
+
+    from .items import OpenRoute
+    from .options import ConvertOptions
+    from .topic_report import TopicReport
+
+#: Maximum number of fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots
+#: have thousands.
+_MAX_COMPILED_FIELDS = 20_000
 
 _COMMENT = rb"#[^\n]*"
 
@@ -111,3 +122,119 @@ def _merge_connections(publishers: Sequence[Connection]) -> Connection:
         latching=any(each.latching for each in publishers),
         qos=merge_qos([each.qos for each in publishers]),
     )
+
+
+class RecordingTopics:
+    """The topics of a recording that is to be written, collected before they are declared.
+
+    Parameters
+    ----------
+    target
+        The recording.
+    same_kind
+        Whether the source is in the same kind of container.
+    options
+        The options of the conversion.
+
+    Notes
+    -----
+    Until `declare` is called, handles are places among the topics that were added.
+    """
+
+    def __init__(self, target: Destination, options: ConvertOptions, *, same_kind: bool) -> None:
+        self.target = target
+        self._same_kind = same_kind
+        self._options = options
+        self._declarations = Declarations()
+        #: The fields of all types that were compiled for re-encoding; their number is bounded.
+        self._compiled: dict[tuple[str, Definition], int] = {}
+
+    def add(self, connection: Connection) -> int:
+        """Add a connection; return its handle."""
+        return self._declarations.add(connection)
+
+    def add_like(self, source: Connection, topic: str, msgtype: str) -> int:
+        """Add a topic with the QoS profile, latching and caller id of a source's; return its handle."""
+        target = self.target
+        text, digest = definition(msgtype, target.ros_version)
+        same = source.ros_version == target.ros_version
+        return self.add(
+            Connection(
+                id=NEW_ID,
+                topic=topic,
+                msgtype=msgtype,
+                serialization=target.serialization,
+                definition=text,
+                digest=digest,
+                callerid=source.callerid if target.ros_version == 1 else None,
+                latching=source.latching,
+                qos=source.qos if same else LATCHED_QOS if source.latching and target.ros_version == 2 else "",
+            )
+        )
+
+    def add_passing(self, connection: Connection, entry: TopicReport) -> tuple[int, Callable[[Buffer], Buffer] | None]:
+        """Add a connection that passes through, re-encoded if the destination is of the other ROS version.
+
+        Parameters
+        ----------
+        entry
+            Its entry in the report, which is changed if its messages are re-encoded, or cannot pass.
+
+        Returns
+        -------
+        int, callable
+            Its handle, -1 if its messages cannot pass; and what re-encodes a message, None if nothing does.
+        """
+        target, options = self.target, self._options
+        foreign = connection.ros_version is None
+        # The same kind of container can store the message as it is, even if its type is unknown.
+        as_it_is = (self._same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)
+        defined_already = connection.definition.data or options.repair
+        if as_it_is or (connection.ros_version == target.ros_version and defined_already):
+            return self.add(connection), None
+        # Imported only for recordings without definitions, or for another ROS version.
+        from pc2scan.messages.transcode import DEFAULT_DISTRO, transcoder, with_definition  # noqa: PLC0415
+
+        distro = options.ros_distro or DEFAULT_DISTRO
+        if connection.ros_version == target.ros_version:
+            return self.add(with_definition(connection, distro)), None
+        if foreign:
+            error: MessageError = MessageError(
+                f"{connection.serialization or 'unspecified'} messages can only be stored in an {_holding_any()} file"
+            )
+        else:
+            try:
+                transcoding = transcoder(connection, target.ros_version, distro=distro)
+            except MessageError as err:
+                error = err
+            else:
+                self._compiled[connection.msgtype, connection.definition] = transcoding.fields
+                if sum(self._compiled.values()) > _MAX_COMPILED_FIELDS:
+                    raise RecordingError(
+                        f"its types have more than {_MAX_COMPILED_FIELDS} fields in all, too many to re-encode",
+                        hint="`drop` or `keep` chooses among the topics",
+                    )
+                entry.action, entry.note = "re-encoded", "; ".join(transcoding.notes)
+                return self.add(transcoding.connection), transcoding.encode
+        if options.on_error == "fail" and connection.message_count != 0:
+            error.topic = connection.topic
+            raise error
+        entry.note, entry.lost = error.message, True
+        entry.action, entry.target = "skipped", None
+        return -1, None
+
+    def declare(self, writer: Writer, routes: Iterable[OpenRoute]) -> list[int]:
+        """Declare all topics, and give the routes the writer's handles; return the handle of each topic."""
+        handles = self._declarations.declare(writer, one_a_topic=self.target.format.one_a_topic)
+        for route in routes:
+            if route.passing_handle >= 0:
+                route.passing_handle = handles[route.passing_handle]
+            for output in route.outputs:
+                if output.handle >= 0:
+                    output.handle = handles[output.handle]
+        return handles
+
+
+def _holding_any() -> str:
+    """Return the suffixes of files that hold messages of every encoding."""
+    return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)

@@ -11,7 +11,6 @@ from .checks import result_findings
 from .conversion import ConvertedMessage
 from .engine import convert
 from .items import Item
-from .routes import count_skipped
 from .tally import Tally
 
 if TYPE_CHECKING:
@@ -22,11 +21,11 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
 
     from .combine.combiner import Combiner
-    from .first_clouds import FirstClouds
     from .items import OpenRoute, Output, Span
     from .options import ConvertOptions
+    from .preparation import Preparation
+    from .recording import OpenRecording
     from .report import Report
-    from .routes import Routes
 
 #: How many of the first messages of a topic are converted, not counting those that fail, and how many are read at most,
 #: if there are transforms.
@@ -53,11 +52,10 @@ class _MeanSizes(NamedTuple):
 def forecast(
     reader: Reader,
     target: Destination,
-    opened: Routes,
+    recording: OpenRecording,
     options: ConvertOptions,
-    span: Span,
+    prepared: Preparation,
     report: Report,
-    firsts: FirstClouds,
 ) -> float:
     """Fill in a report like a conversion, estimated from the indexes and the first messages.
 
@@ -71,12 +69,12 @@ def forecast(
     MessageError
         With ``on_error`` ``fail``, if one of the first messages cannot be converted.
     """
-    routes = count_skipped(opened.by_id, reader, span.start_ns, span.stop_ns)
+    routes, span, firsts = recording.routes, prepared.span, prepared.firsts
     tally = Tally(routes, options.on_error, firsts.warn)
     report.skipped = tally.skipped
     try:
         sizes: dict[int, _MeanSizes] = _converted_sizes(
-            reader, routes, opened.combiners, span, tally, is_packed=target.compression != "none"
+            reader, routes, recording.combiners, span, tally, is_packed=target.compression != "none"
         )
         tally.finish()
         firsts.finish()
@@ -89,6 +87,9 @@ def forecast(
     sizes |= _correct_intervals(reader, routes, sizes, span.start_ns, span.stop_ns)
     others = [key for key in routes if key not in sizes]
     sizes |= _other_sizes(reader, [routes[key].connection for key in others])
+    if (levels := recording.levels) is not None:
+        made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
+        levels.report.messages_out = max(made, default=0)
     report.bytes_written = _written_size(reader, target, routes, counts, sizes)
     return sum((counts.get(key) or 0) * (size.passed + size.made + _INDEXED) for key, size in sizes.items())
 

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.opening import open_recordings
-from pc2scan.errors import ParameterError, UsageError
+from pc2scan.bags.opening import as_one, open_recordings
+from pc2scan.errors import ParameterError, Pc2ScanError, UsageError
 from pc2scan.tf.placing import Placer
+from pc2scan.tf.reading import read_robot_transforms
+
+from .first_clouds import FirstClouds
+from .items import Span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
-    from contextlib import ExitStack
+    from pathlib import Path
 
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
 
     from .conversion import Conversion, Measurements
-    from .first_clouds import TopicClouds
-    from .items import Span
     from .options import ConvertOptions
     from .plan import Combination, Plan
     from .scan_spec import ScanSpec
@@ -34,43 +36,62 @@ class Preparation(NamedTuple):
     ----------
     conversions
         Of each output, and of each combination.
+    span
+        The cut.
+    firsts
+        The first clouds, which are judged while they are converted.
     others
         The other recordings that transforms were read from.
-    buffer
-        The transforms; None if nothing is transformed.
     notes, warnings
         Texts for the user.
     """
 
     conversions: Mapping[ScanSpec | Combination, Conversion]
-    others: Sequence[Reader]
-    buffer: TransformBuffer | None
-    notes: list[str]
-    warnings: list[str]
+    span: Span
+    firsts: FirstClouds
+    others: Sequence[Reader] = ()
+    notes: Sequence[str] = ()
+    warnings: Sequence[str] = ()
 
 
-def prepare_conversions(
+def span_of(reader: Reader, options: ConvertOptions) -> Span:
+    """Return the cut in log times; relative times count from the recording's beginning."""
+    beginning = reader.summary.start_ns
+    if beginning is None:
+        first = next(reader.messages(), None)
+        beginning = first.log_time_ns if first is not None else 0
+    start = None if options.start is None else options.start.resolve(beginning)
+    stop = None if options.end is None else options.end.resolve(beginning)
+    if start is not None and stop is not None and start >= stop:
+        raise UsageError("the cut is empty: start is not before end")
+    return Span(start, stop, beginning if start is None else max(start, beginning))
+
+
+def prepare(
     reader: Reader,
+    sources: Sequence[Path],
     plan: Plan,
     options: ConvertOptions,
-    span: Span,
     stack: ExitStack,
-    judges: Callable[[ScanSpec, str], TopicClouds],
+    warn: Callable[[str], None] | None = None,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
     Parameters
     ----------
+    reader, sources
+        The recording, and its files, which are read again in the few cases that need it.
     stack
         Closes the other recordings.
-    judges
-        Returns the checks of the first clouds of a topic, for one output.
+    warn
+        Called immediately with warnings about the first clouds.
     """
-    asked = options.frames
+    asked, span = options.frames, span_of(reader, options)
+    firsts = FirstClouds(asked.source_frame, partial(_robot_transforms, sources, options, span), warn)
     needs_transforms = any(spec.needs_transforms for spec in plan.specs)
     needs_survey = needs_transforms or asked.static or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
-        return Preparation({spec: _unmeasured(spec, judges) for spec in plan.specs}, (), None, [], [])
+        return Preparation({spec: _unmeasured(spec, firsts) for spec in plan.specs}, span, firsts)
     from .survey import Survey, converted_alone  # noqa: PLC0415  # most conversions need none
 
     notes: list[str] = []
@@ -84,6 +105,7 @@ def prepare_conversions(
     if survey.transforms is not None:
         buffer, found = survey.transforms.finish()
         warnings += found
+        firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
     if asked.static or asked.source_frame:
         from .frame_checks import check_given_frames, first_frame  # noqa: PLC0415  # few conversions add frames
 
@@ -130,7 +152,7 @@ def prepare_conversions(
             notes += new_notes
             warnings += doubts
             conversions[combination] = MessagesToScan(
-                spec, combination.sources, frames, timing, grouper, deskew, partial(judges, spec)
+                spec, combination.sources, frames, timing, grouper, deskew, partial(firsts.of, spec)
             )
         if not observed.combinations or converted_alone(plan, spec):
             timings = None
@@ -143,8 +165,8 @@ def prepare_conversions(
             deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew.get(None))
             notes += new_notes
             warnings += doubts
-            conversions[spec] = _to_scans(spec, frames, timings, deskew, judges)
-    return Preparation(conversions, others, buffer, notes, warnings)
+            conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
+    return Preparation(conversions, span, firsts, others, notes, warnings)
 
 
 def _deskew(
@@ -164,9 +186,17 @@ def _deskew(
     return deskew, [spec.label + note for note in notes], doubts
 
 
-def _unmeasured(spec: ScanSpec, judges: Callable[[ScanSpec, str], TopicClouds]) -> Conversion:
+def _robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
+    """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
+    with suppress(Pc2ScanError), ExitStack() as stack:
+        reader = as_one(open_recordings(sources, stack, verify=options.verify))
+        return read_robot_transforms(reader, options.frames, span.first_ns)
+    return None
+
+
+def _unmeasured(spec: ScanSpec, firsts: FirstClouds) -> Conversion:
     """Return the conversion of an output that needs nothing but the message."""
-    return _to_clouds(spec, Placer()) if spec.reverse else _to_scans(spec, Placer(), None, None, judges)
+    return _to_clouds(spec, Placer()) if spec.reverse else _to_scans(spec, Placer(), None, None, firsts)
 
 
 def _to_clouds(spec: ScanSpec, frames: Placer) -> Conversion:
@@ -180,7 +210,7 @@ def _to_scans(
     frames: Placer,
     timings: Mapping[str, Measurements] | None,
     deskew: Deskew | None,
-    judges: Callable[[ScanSpec, str], TopicClouds],
+    firsts: FirstClouds,
 ) -> Conversion:
     from .cloud_to_scan import CloudToScan  # noqa: PLC0415  # each direction loads its own arithmetic
 
@@ -190,7 +220,7 @@ def _to_scans(
         timings,
         spec.filters,
         deskew,
-        partial(judges, spec),
+        partial(firsts.of, spec),
         keeps_used=bool(spec.keep_used),
         remove=spec.remove,
     )

@@ -2,150 +2,138 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.formats import FORMATS
-from pc2scan.errors import MessageError, RecordingError, UnwritableError
+from pc2scan.bags.formats import chunk_format
+from pc2scan.errors import MessageError, UnwritableError
 from pc2scan.messages.definitions import definition
+from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
 
 from .conversion import ConvertedMessage
-from .declarations import Declarations
+from .declarations import RecordingTopics
+from .routes import count_skipped, open_routes
 from .topic_report import TopicReport
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Mapping
+    from collections.abc import Generator, Mapping, Sequence
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer, Definition, Writer
+    from pc2scan.bags.splitting import Cut
+    from pc2scan.model import Buffer, Writer
     from pc2scan.tf.options import FrameOptions
 
-    from .items import Item, OpenRoute
+    from .combine.combiner import Combiner
+    from .conversion import Conversion, Step
+    from .items import Item, OpenRoute, Output
     from .levelling import LevelFrames
     from .options import ConvertOptions
+    from .plan import Plan
+    from .preparation import Preparation
     from .tally import Tally
 
-#: Maximum number of fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots
-#: have thousands.
-_MAX_COMPILED_FIELDS = 20_000
+
+class OpenRecording(NamedTuple):
+    """The routes of a conversion to a recording.
+
+    Attributes
+    ----------
+    routes, combiners
+        As for `pc2scan.pipeline.engine.convert`, without those that are counted already.
+    entries
+        The report's entries of all topics.
+    levels
+        Writes the frames of level scans; None if no scan is level.
+    rule
+        Which of the source's chunks can be copied whole; None: none.
+    warnings
+        What the recording cannot store.
+    """
+
+    routes: Mapping[int, OpenRoute]
+    combiners: Mapping[Output, Combiner]
+    entries: list[TopicReport]
+    levels: LevelFrames | None
+    rule: ChunkRule | None
+    warnings: Sequence[str]
+
+    @property
+    def first_scans(self) -> Sequence[tuple[TopicReport, Buffer]]:
+        """The first scan of each output, with the output's entry in the report."""
+        outputs = (output for route in self.routes.values() for output in route.outputs if output.sample)
+        return [
+            (output.report, output.sample)
+            for output in outputs
+            if output.report.spec is not None and output.report.spec.made_type == LASERSCAN
+        ]
 
 
-class RecordingTopics:
-    """The topics of a recording that is to be written, collected before they are declared.
+def open_recording(
+    reader: Reader,
+    plan: Plan,
+    prepared: Preparation,
+    target: Destination,
+    options: ConvertOptions,
+    cut: Cut | None,
+    writer: Writer | None,
+) -> OpenRecording:
+    """Declare the topics of a recording, and write what comes before all messages.
 
     Parameters
     ----------
-    target
-        The recording.
-    same_kind
-        Whether the source is in the same kind of container.
-    options
-        The options of the conversion.
-
-    Notes
-    -----
-    Until `declare` is called, handles are places among the topics that were added.
+    cut
+        Where the recording is split; None: it is one file.
+    writer
+        Its writer; None in a dry run.
     """
+    span, frames, warnings = prepared.span, options.frames, list[str]()
+    copying = target.chunks == chunk_format(reader.summary) != ""
+    if copying and writer is not None:
+        writer.keep_ids(reader.connections)
+    topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
+    opened = open_routes(plan.routes, prepared.conversions, partial(_encoder, target), topics)
+    entries = opened.entries
+    added = topics.add(_static_connection(target)) if frames.write_static else None
+    levels = _level_frames(reader, plan, topics, options)
+    handles = [] if writer is None else topics.declare(writer, opened.by_id.values())
+    if levels is not None:
+        entries.append(levels.report)
+    if levels is not None and writer is not None:
+        levels.handle = handles[levels.handle]
+    routes = count_skipped(opened.by_id, reader, span.start_ns, span.stop_ns)
+    if writer is None:
+        return OpenRecording(routes, opened.combiners, entries, levels, None, warnings)
+    if not options.only_scans:
+        warnings += _copy_extras(reader, target, writer)
+    if added is not None:
+        earliest_ns, latest_ns = target.times_ns
+        begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
+        entries.append(_write_static(frames, begin_ns, handles[added], target, writer))
+    rule = _chunk_rule(routes, target, writer) if copying else None
+    if rule is not None and cut is not None:
+        from pc2scan.bags.splitting import narrow_rule  # noqa: PLC0415  # most recordings are one file
 
-    def __init__(self, target: Destination, options: ConvertOptions, *, same_kind: bool) -> None:
-        self.target = target
-        self._same_kind = same_kind
-        self._options = options
-        self._declarations = Declarations()
-        #: The fields of all types that were compiled for re-encoding; their number is bounded.
-        self._compiled: dict[tuple[str, Definition], int] = {}
-
-    def add(self, connection: Connection) -> int:
-        """Add a connection; return its handle."""
-        return self._declarations.add(connection)
-
-    def add_like(self, source: Connection, topic: str, msgtype: str) -> int:
-        """Add a topic with the QoS profile, latching and caller id of a source's; return its handle."""
-        target = self.target
-        text, digest = definition(msgtype, target.ros_version)
-        same = source.ros_version == target.ros_version
-        return self.add(
-            Connection(
-                id=NEW_ID,
-                topic=topic,
-                msgtype=msgtype,
-                serialization=target.serialization,
-                definition=text,
-                digest=digest,
-                callerid=source.callerid if target.ros_version == 1 else None,
-                latching=source.latching,
-                qos=source.qos if same else LATCHED_QOS if source.latching and target.ros_version == 2 else "",
-            )
-        )
-
-    def add_passing(self, connection: Connection, entry: TopicReport) -> tuple[int, Callable[[Buffer], Buffer] | None]:
-        """Add a connection that passes through, re-encoded if the destination is of the other ROS version.
-
-        Parameters
-        ----------
-        entry
-            Its entry in the report, which is changed if its messages are re-encoded, or cannot pass.
-
-        Returns
-        -------
-        int, callable
-            Its handle, -1 if its messages cannot pass; and what re-encodes a message, None if nothing does.
-        """
-        target, options = self.target, self._options
-        foreign = connection.ros_version is None
-        # The same kind of container can store the message as it is, even if its type is unknown.
-        as_it_is = (self._same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)
-        defined_already = connection.definition.data or options.repair
-        if as_it_is or (connection.ros_version == target.ros_version and defined_already):
-            return self.add(connection), None
-        # Imported only for recordings without definitions, or for another ROS version.
-        from pc2scan.messages.transcode import DEFAULT_DISTRO, transcoder, with_definition  # noqa: PLC0415
-
-        distro = options.ros_distro or DEFAULT_DISTRO
-        if connection.ros_version == target.ros_version:
-            return self.add(with_definition(connection, distro)), None
-        if foreign:
-            error: MessageError = MessageError(
-                f"{connection.serialization or 'unspecified'} messages can only be stored in an {_holding_any()} file"
-            )
-        else:
-            try:
-                transcoding = transcoder(connection, target.ros_version, distro=distro)
-            except MessageError as err:
-                error = err
-            else:
-                self._compiled[connection.msgtype, connection.definition] = transcoding.fields
-                if sum(self._compiled.values()) > _MAX_COMPILED_FIELDS:
-                    raise RecordingError(
-                        f"its types have more than {_MAX_COMPILED_FIELDS} fields in all, too many to re-encode",
-                        hint="`drop` or `keep` chooses among the topics",
-                    )
-                entry.action, entry.note = "re-encoded", "; ".join(transcoding.notes)
-                return self.add(transcoding.connection), transcoding.encode
-        if options.on_error == "fail" and connection.message_count != 0:
-            error.topic = connection.topic
-            raise error
-        entry.note, entry.lost = error.message, True
-        entry.action, entry.target = "skipped", None
-        return -1, None
-
-    def declare(self, writer: Writer, routes: Iterable[OpenRoute]) -> list[int]:
-        """Declare all topics, and give the routes the writer's handles; return the handle of each topic."""
-        handles = self._declarations.declare(writer, one_a_topic=self.target.format.one_a_topic)
-        for route in routes:
-            if route.passing_handle >= 0:
-                route.passing_handle = handles[route.passing_handle]
-            for output in route.outputs:
-                if output.handle >= 0:
-                    output.handle = handles[output.handle]
-        return handles
+        rule = narrow_rule(rule, cut, reader.connections)
+    return OpenRecording(routes, opened.combiners, entries, levels, rule, warnings)
 
 
-def _holding_any() -> str:
-    """Return the suffixes of files that hold messages of every encoding."""
-    return " or ".join(entry.suffix for entry in FORMATS.values() if entry.holds_any)
+def _encoder(target: Destination, conversion: Conversion, _: Connection) -> Step:
+    """Return the last step of results that are written to a recording."""
+    return conversion.encoder(target.serialization)
+
+
+def _level_frames(reader: Reader, plan: Plan, topics: RecordingTopics, options: ConvertOptions) -> LevelFrames | None:
+    """Return the writer of the level frames' transforms; None if no scan is level."""
+    if not any(spec.level for spec in plan.specs):
+        return None
+    from .levelling import LevelFrames, tf_connection  # noqa: PLC0415  # only where scans are level
+
+    connection = tf_connection(reader, options.frames, topics.target)
+    entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "added", "from `level`")
+    return LevelFrames(topics.add(connection), topics.target.serialization, entry)
 
 
 def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tally, levels: LevelFrames | None) -> None:
@@ -191,7 +179,7 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
     return refused
 
 
-def chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Writer) -> ChunkRule:
+def _chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Writer) -> ChunkRule:
     """Return which of the source's chunks can be copied whole, after everything is declared in the destination."""
     untouched = frozenset(
         route.connection.id
@@ -201,7 +189,7 @@ def chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Wri
     return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1])
 
 
-def copy_extras(reader: Reader, target: Destination, writer: Writer) -> list[str]:
+def _copy_extras(reader: Reader, target: Destination, writer: Writer) -> list[str]:
     """Copy MCAP's attachments and metadata records if the destination can store them; return a warning if it cannot."""
     carries = target.file_format.has_extras
     lost = 0
@@ -223,7 +211,7 @@ def copy_extras(reader: Reader, target: Destination, writer: Writer) -> list[str
     return [f"{lost} MCAP attachments and metadata records are not copied: the destination cannot store them"]
 
 
-def static_connection(target: Destination) -> Connection:
+def _static_connection(target: Destination) -> Connection:
     """Return the connection of the added transforms: one more latched publisher of /tf_static."""
     msgtype = "tf2_msgs/msg/TFMessage"
     text, digest = definition(msgtype, target.ros_version)
@@ -240,10 +228,10 @@ def static_connection(target: Destination) -> Connection:
     )
 
 
-def write_static(
+def _write_static(
     frames: FrameOptions, log_time_ns: int, handle: int, target: Destination, writer: Writer
 ) -> TopicReport:
-    """Write the added transforms, and return what was written; ``handle`` is that of `static_connection`."""
+    """Write the added transforms, and return what was written; ``handle`` is that of `_static_connection`."""
     rows = [transform.row(log_time_ns) for transform in frames.static]
     writer.write(handle, log_time_ns, encode_transforms(rows, target.serialization), log_time_ns)
     msgtype = "tf2_msgs/msg/TFMessage"

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from .combine.combiner import Combiner
     from .conversion import Conversion, Step
+    from .declarations import RecordingTopics
     from .plan import Combination, Route, RouteTask
-    from .recording import RecordingTopics
     from .scan_spec import ScanSpec
 
 

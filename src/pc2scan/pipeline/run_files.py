@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+import time
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import DestinationError, OutputError
+from pc2scan.errors import DestinationError, OutputError, Pc2ScanError
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.source import changed_while_read, state_of
 from pc2scan.result import BEGINNING, Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Generator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.splitting import Cut
@@ -130,6 +131,20 @@ class RunFiles:
                 self.open_report(stack)
             if self._write_report is not None:
                 self._write_report(report.as_json())
+
+    @contextmanager
+    def reporting(self, report: Report) -> Generator[None]:
+        """Write the report at the end, also after an error."""
+        began = time.monotonic()
+        try:
+            yield
+        except Exception as err:
+            report.errors = [err if isinstance(err, Pc2ScanError) else Pc2ScanError(f"{type(err).__name__}: {err}")]
+            report.seconds = round(time.monotonic() - began, 3)
+            self.deliver_failure(report)
+            raise
+        report.seconds = round(time.monotonic() - began, 3)
+        self.deliver(report)
 
     def refuse_changed(self) -> None:
         """Raise if a source changed during the run: the result may mix its old and new bytes."""

@@ -13,13 +13,11 @@ from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
 from pc2scan.pipeline.checks import cut_warnings, request_warnings, result_findings
-from pc2scan.pipeline.first_clouds import FirstClouds
 from pc2scan.pipeline.plan import make_plan
-from pc2scan.pipeline.preparation import prepare_conversions
+from pc2scan.pipeline.preparation import prepare
 from pc2scan.pipeline.refusals import refuse_unusable
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.routes import open_routes
-from pc2scan.pipeline.run import robot_transforms, span_of
 
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer, Connection
     from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
+    from pc2scan.pipeline.first_clouds import FirstClouds
     from pc2scan.pipeline.options import ConvertOptions
 
     from .stream import Selection
@@ -213,7 +212,6 @@ class Scans(Stream[Scan]):
             self._selection.select_connections(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
         plan = make_plan(reader.connections, options)
-        span = span_of(reader, options)
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
@@ -222,22 +220,25 @@ class Scans(Stream[Scan]):
             *cut_warnings(reader, options),
             *plan.warnings,
         )
-        found = _ScanWarnings(report)
-        transforms = partial(robot_transforms, self._selection.paths, options, span)
-        found.firsts = FirstClouds(report.source_frame, transforms, found.pending.append)
-        conversions, others, buffer, notes, warnings = prepare_conversions(
-            reader, plan, options, span, stack, found.firsts.of
-        )
-        report.notes += notes
-        report.warnings += warnings
-        if buffer is not None:
-            found.firsts.transforms.buffer, found.firsts.transforms.static = buffer, options.frames.static
-        found.pending[:0] = report.warnings
+        early: list[str] = []
+        prepared = prepare(reader, self._selection.paths, plan, options, stack, early.append)
+        report.add(prepared.warnings, prepared.notes)
+        early[:0] = report.warnings
         self.notes = tuple(report.notes)
-        opened = open_routes(plan.routes, conversions, _reader)
+        opened = open_routes(plan.routes, prepared.conversions, _reader)
         report.topics += opened.entries
+        found = _ScanWarnings(report, prepared.firsts, early)
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
-        return StreamSource(stack, [reader, *others], topics, opened.by_id, span, found, options.jobs, opened.combiners)
+        return StreamSource(
+            stack,
+            [reader, *prepared.others],
+            topics,
+            opened.by_id,
+            prepared.span,
+            found,
+            options.jobs,
+            opened.combiners,
+        )
 
     def to_dataframe(self) -> Any:
         """Return a ``pandas.DataFrame`` with a row for each beam of each scan. Reads all scans into memory.
@@ -342,18 +343,18 @@ def _read_back(serialization: str, result: ConvertedMessage) -> ConvertedMessage
 class _ScanWarnings:
     """The warnings of a conversion to `Scan`; see `ConversionWarnings`."""
 
-    def __init__(self, report: Report) -> None:
-        self.pending: list[str] = []
-        self.firsts: FirstClouds
+    def __init__(self, report: Report, firsts: FirstClouds, early: list[str]) -> None:
         self._report = report
+        self._firsts = firsts
+        self._early = early
 
     def early(self) -> Sequence[str]:
-        found = tuple(self.pending)
-        self.pending.clear()
+        found = tuple(self._early)
+        self._early.clear()
         return found
 
     def conclude(self) -> Sequence[str]:
-        firsts, report = self.firsts, self._report
+        firsts, report = self._firsts, self._report
         firsts.finish()
         report.add(firsts.warnings, firsts.notes, firsts.advice)
         report.add(*result_findings(report))

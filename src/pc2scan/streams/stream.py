@@ -22,8 +22,8 @@ from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import convert
 from pc2scan.pipeline.items import OpenRoute, Output
 from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.preparation import span_of
 from pc2scan.pipeline.refusals import refuse_no_messages
-from pc2scan.pipeline.run import span_of
 from pc2scan.pipeline.tally import Tally
 from pc2scan.pipeline.topic_report import TopicReport
 from pc2scan.threads import Threads, cores
