@@ -170,7 +170,7 @@ def _fill_in(routes: Mapping[int, OpenRoute], counts: Mapping[int, int], report:
     """Replace the counts of the sampled messages by the counts of all messages."""
     entries = {id(entry): entry for route in routes.values() for entry in route.reports}
     for entry in entries.values():
-        entry.messages_in = entry.messages_out = 0
+        entry.messages_in = entry.messages_out = entry.skipped = 0
     uncounted = []
     for key, route in routes.items():
         count = counts.get(key, route.connection.message_count)
