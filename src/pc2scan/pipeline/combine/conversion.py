@@ -277,33 +277,43 @@ class MessagesToScan(Conversion):
             flat,
             sample=sample,
         )
-        if flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
-            return self._keep_points(contribution)
-        if self._rigid or (self._once and number == 0):
-            if number == 0 and not self._rigid:
-                self._leads = [*self._leads[1 - _LEADS :], contribution._replace(points=_NO_POINTS, track=None)]
-            return self._project(contribution)
-        return self._project_as_assumed(contribution) if self._once else self._keep_points(contribution)
+        lead = self._lead_of(contribution)
+        return self._keep_points(contribution) if lead is None else self._project(lead, contribution)
 
-    def _project(self, contribution: Contribution) -> Contribution:
-        """Return a message with the ranges of the beams instead of its points."""
-        nearest, motion = self._find_nearest(contribution, contribution)
-        points = Points(contribution.points.sequence, contribution.stamp_ns, contribution.points.frame_id, {})
-        size = _OVERHEAD + nearest.ranges.nbytes
-        return contribution._replace(points=points, nearest=nearest, motion=motion, size=size)
+    def _lead_of(self, contribution: Contribution) -> Contribution | None:
+        """Return the message whose scan a message can be projected for at once; None if it must wait for its group.
 
-    def _project_as_assumed(self, contribution: Contribution) -> Contribution:
-        """Return a message projected for the scan that it probably belongs to, with its points for any other scan.
-
-        The points are in the processor's cache now; projecting them later takes twice as long.
+        It is the message itself if its place does not depend on the scan's time, or if it leads. A message of another
+        topic probably belongs to the leading message that is nearest in time.
         """
-        held = self._keep_points(contribution)
+        if contribution.flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
+            return None
+        if self._rigid:
+            return contribution
+        if not self._once:
+            return None
+        if contribution.source == 0:
+            self._leads = [*self._leads[1 - _LEADS :], contribution._replace(points=_NO_POINTS, track=None)]
+            return contribution
         leads = sorted(self._leads, key=attrgetter("stamp_ns"))
         if len(leads) < _FEWEST_LEADS:
-            return held
+            return None
         lead = min(leads, key=lambda lead: abs(lead.stamp_ns - contribution.stamp_ns))
-        if 2 * abs(lead.stamp_ns - contribution.stamp_ns) > leads[-1].stamp_ns - leads[-2].stamp_ns:
-            return held
+        is_near = 2 * abs(lead.stamp_ns - contribution.stamp_ns) <= leads[-1].stamp_ns - leads[-2].stamp_ns
+        return lead if is_near else None
+
+    def _project(self, lead: Contribution, contribution: Contribution) -> Contribution:
+        """Return a message with the ranges of the beams in the scan of ``lead``.
+
+        The points are in the processor's cache now; projecting them later takes twice as long. They are kept if another
+        message leads, because the message may belong to another scan.
+        """
+        if lead is contribution:
+            nearest, motion = self._find_nearest(lead, contribution)
+            points = Points(contribution.points.sequence, contribution.stamp_ns, contribution.points.frame_id, {})
+            size = _OVERHEAD + nearest.ranges.nbytes
+            return contribution._replace(points=points, nearest=nearest, motion=motion, size=size)
+        held = self._keep_points(contribution)
         try:
             nearest, motion = self._find_nearest(lead, contribution)
         except MessageError:
