@@ -160,7 +160,7 @@ def test_a_result_that_takes_more_memory_is_made_in_its_turn() -> None:
     output = Output(TopicReport("/a", "", "/cloud", "converted"), 0)
     route = OpenRoute(TOPIC, None, convert, outputs=[output], shrinks_from=1 << 30)
     with Threads(2) as threads:
-        for number, item in enumerate(engine.convert(reader, {1: route}, Span(None, None, 0), threads)):
+        for number, item in enumerate(engine.items_of(reader, {1: route}, Span(None, None, 0), threads)):
             assert isinstance(item, Item)
             assert len(made) == number + 1
 

@@ -74,7 +74,7 @@ class Load(Protocol):
         ----------
         callback
             Called with each wanted message on the thread that read it, while it is still in that core's cache.
-            The message's data may be borrowed: a message that is kept must be copied by `pc2scan.model.owned`.
+            The message's data may be borrowed: a message that is kept must be copied by `pc2scan.model.own_message`.
         whole
             Whether the chunk may be returned as a whole, which its reader does if its messages are sorted by log time.
         """

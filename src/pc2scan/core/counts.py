@@ -54,6 +54,11 @@ class PointCounts:
         self._set(_NONE | rejected)
 
     @classmethod
+    def of_filters(cls, rejected: Mapping[str, int]) -> PointCounts:
+        """Return the counts of points that filters rejected, by the filter's name."""
+        return cls(sum(rejected.values()), **rejected)
+
+    @classmethod
     def of_projection(cls, total: int, rejected: tuple[int, ...]) -> PointCounts:
         """Return the counts of a cloud, from the result of the loops over points.
 

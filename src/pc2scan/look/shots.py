@@ -210,7 +210,7 @@ def _deskew(observers: Mapping[str, Observer[TurnSample]], options: ConvertOptio
     if not options.scan.deskew:
         return None
     asked = options.scan
-    where = PointTime.parse(asked.point_time) if asked.point_time else PointTime()
+    where = PointTime.parse(asked.point_time)
     turns, _ = measure_turns(observers, asked.point_time)
     return Deskew(frames, asked.fixed_frame, where, asked.stamp, turns)
 

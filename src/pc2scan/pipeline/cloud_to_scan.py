@@ -129,6 +129,7 @@ class CloudToScan(Conversion):
         )
         self._place = PlaceStage(frames, deskew)
         self._select: Callable[[PlacedCloud], PlacedCloud] | None = None
+        # The motion of a deskewed cloud is that of the points that are kept.
         if filters or deskew is not None:
             from .stages.selection import SelectStage  # noqa: PLC0415  # only where something is selected
 
@@ -145,7 +146,7 @@ class CloudToScan(Conversion):
         return CLOUDS[source_type or POINTCLOUD2](source)
 
     def stages(self, topic: str) -> tuple[Step, ...]:
-        """Return the stages of one topic's messages, with its timing: place, select, project; see `Conversion`."""
+        """Return the stages of one topic's messages: place, select, project, remove; see `Conversion`."""
         measured = self._timings.get(topic, self._default)
         beams = Beams(self.params, measured)
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
@@ -162,7 +163,7 @@ class CloudToScan(Conversion):
         scan = beams.project(*points.xyz(), _transform(placed), intensities)
         counts = scan.counts
         if placed.rejected:
-            counts += PointCounts(sum(placed.rejected.values()), **placed.rejected)
+            counts += PointCounts.of_filters(placed.rejected)
         if first_beam_ns:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + first_beam_ns)

@@ -146,7 +146,7 @@ def converter(
         (*conversion.stages(topic), *filter(None, [own])) for conversion, own in zip(conversions, last, strict=True)
     ]
     if len(chains) == 1:
-        return partial(_alone, (decode, *chains[0]))
+        return partial(_in_turn, (decode, *chains[0]))
     tree: list[_StepNode] = []
     for place, chain in enumerate(chains):
         nodes = tree
@@ -157,7 +157,7 @@ def converter(
                 nodes.append(node)
             node.places.append(place)
             nodes = node.further
-    return partial(_all, decode, tree, len(conversions))
+    return partial(_in_tree, decode, tree, len(conversions))
 
 
 class _StepNode(NamedTuple):
@@ -168,7 +168,7 @@ class _StepNode(NamedTuple):
     further: list[_StepNode]
 
 
-def _all(
+def _in_tree(
     decode: Callable[[Buffer], Any], tree: Sequence[_StepNode], count: int, data: Buffer
 ) -> list[ConvertedMessage | MessageError]:
     found: list[Any] = [None] * count
@@ -191,7 +191,7 @@ def _follow(nodes: Sequence[_StepNode], value: Any, found: list[Any]) -> None:
                 found[place] = made
 
 
-def _alone(steps: Sequence[Step], value: Any) -> tuple[Any]:
+def _in_turn(steps: Sequence[Step], value: Any) -> tuple[Any]:
     for step in steps:
         value = step(value)
     return (value,)

@@ -55,7 +55,7 @@ class DeferredMessage(NamedTuple):
         return self.message.size
 
 
-def convert(
+def items_of(
     reader: Reader,
     routes: Mapping[int, OpenRoute],
     span: Span,
@@ -66,7 +66,7 @@ def convert(
     window: int | None = None,
     progress: Progress | None = None,
 ) -> Generator[Item | StoredChunk]:
-    """Convert all messages of the cut.
+    """Yield what became of all messages of the cut.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _messages(
                     messages += 1
                     steps += 1
                 yield item.work(item.message) if isinstance(item, DeferredMessage) else item
-                # The item is not in memory while the next one is made.
+                # Frees the item before the next one is made.
                 del item
                 if progress is not None and steps >= _PROGRESS_EVERY:
                     steps = 0
@@ -207,7 +207,7 @@ def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Unit:
 
 
 def _names(message: RawMessage) -> Collection[Hashable]:
-    """Return what a message is the newest one of."""
+    """Return the keys that a message supersedes in earlier ones."""
     connection = message.connection
     if not is_static(connection.topic):
         return [connection.id]

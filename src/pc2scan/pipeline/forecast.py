@@ -9,7 +9,7 @@ from pc2scan.errors import MessageError
 
 from .checks import result_findings
 from .conversion import ConvertedMessage
-from .engine import convert
+from .engine import items_of
 from .items import Item
 from .tally import Tally
 
@@ -109,11 +109,13 @@ def _converted_sizes(
         if route.convert is None:
             continue
         read, made = list[int](), list[int]()
-        with closing(convert(reader, {key: route}, span, None)) as items:
+        with closing(items_of(reader, {key: route}, span, None)) as items:
             for found in items:
                 # No rule allows whole chunks here.
                 assert isinstance(found, Item)
-                results = [(output, _alone(combiners.get(output), output, result)) for output, result in found.results]
+                results = [
+                    (output, _scan_of_one(combiners.get(output), output, result)) for output, result in found.results
+                ]
                 item = found._replace(results=results)
                 read.append(item.size_in)
                 tally.count(item)
@@ -127,7 +129,7 @@ def _converted_sizes(
     return sizes
 
 
-def _alone(combiner: Combiner | None, output: Output, result: Any) -> Any:
+def _scan_of_one(combiner: Combiner | None, output: Output, result: Any) -> Any:
     """Return the scan of a message alone, if it waits for others; if it leads them, its size counts for all."""
     if combiner is None or output.handle < 0 or isinstance(result, MessageError):
         return result

@@ -42,7 +42,7 @@ class OpenRoute:
     """What is done with the messages of one connection.
 
     ``convert`` and ``encode`` are the work on a message; None if there is none. Results of ``convert`` go to
-    ``outputs``; an error goes to none. Messages of ``shrinks_from`` bytes and more become smaller by it. ``report`` is
+    ``outputs``, and so does its error. Messages of ``shrinks_from`` bytes and more become smaller by it. ``report`` is
     the entry of messages that are not converted; each output has another one. ``passing_handle`` is the writer's for
     messages as they are; -1 if they are not written. ``messages`` counts the messages that were read.
     """

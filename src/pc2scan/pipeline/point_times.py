@@ -198,7 +198,7 @@ def turn_observers(
     start_ns, stop_ns
         The cut, by log time; None: no limit.
     """
-    asked = PointTime.parse(point_time).turn if point_time else None
+    asked = PointTime.parse(point_time).turn
     if asked is None or asked.period:
         return {}
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .plan import Combination, Plan
     from .scan_spec import ScanSpec
     from .stages.deskew import Deskew
-    from .survey import DeskewObservers
+    from .survey import DeskewObservers, Survey
 
 
 class Preparation(NamedTuple):
@@ -92,7 +92,7 @@ def prepare(
     needs_survey = needs_transforms or asked.static or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
         return Preparation({spec: _unmeasured(spec, firsts) for spec in plan.specs}, span, firsts)
-    from .survey import Survey, converted_alone  # noqa: PLC0415  # most conversions need none
+    from .survey import Survey  # noqa: PLC0415  # most conversions need none
 
     notes: list[str] = []
     warnings: list[str] = []
@@ -129,44 +129,60 @@ def prepare(
         if spec.reverse:
             conversions[spec] = _to_clouds(spec, frames)
             continue
-        observed = survey.outputs[spec]
-        if observed.delays is not None:
-            from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
-
-            warnings += (each for each in clock_warnings(*observed.delays) if each not in warnings)
-        if observed.frame is not None and buffer is not None:
-            from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
-
-            with _naming_output(spec):
-                doubts = check_fixed_frame(asked.source_frame or first_frame(observed.frame), spec, buffer)
-            warnings += (spec.label + doubt for doubt in doubts)
-        for combination, observers in observed.combinations.items():
-            from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
-            from .combine.measurements import measure_sources  # noqa: PLC0415
-
-            with _naming_output(spec):
-                timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, frames)
-            notes += (spec.label + note for note in new_notes)
-            warnings += (spec.label + doubt for doubt in doubts)
-            deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew[combination])
-            notes += new_notes
-            warnings += doubts
-            conversions[combination] = MessagesToScan(
-                spec, combination.sources, frames, timing, grouper, deskew, partial(firsts.of, spec)
-            )
-        if not observed.combinations or converted_alone(plan, spec):
-            timings = None
-            if spec.needs_measuring:
-                from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
-
-                with _naming_output(spec):
-                    timings, new_notes = measure(observed.clouds, spec, frames)
-                notes += (spec.label + note for note in new_notes)
-            deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew.get(None))
-            notes += new_notes
-            warnings += doubts
-            conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
+        made, new_notes, doubts = _prepare_output(spec, reader, survey, plan, frames, firsts)
+        conversions |= made
+        notes += new_notes
+        # Several outputs of one topic have the same doubts about its clock.
+        warnings += (each for each in doubts if each not in warnings)
     return Preparation(conversions, span, firsts, others, notes, warnings)
+
+
+def _prepare_output(
+    spec: ScanSpec, reader: Reader, survey: Survey, plan: Plan, frames: Placer, firsts: FirstClouds
+) -> tuple[dict[ScanSpec | Combination, Conversion], list[str], list[str]]:
+    """Return the conversions of an output to scans, with notes and warnings, from what the survey observed."""
+    observed = survey.outputs[spec]
+    conversions: dict[ScanSpec | Combination, Conversion] = {}
+    notes, warnings = list[str](), list[str]()
+    if observed.delays is not None:
+        from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
+
+        warnings += clock_warnings(*observed.delays)
+    if observed.frame is not None and frames.buffer is not None:
+        from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
+
+        with _naming_output(spec):
+            doubts = check_fixed_frame(frames.source_frame or first_frame(observed.frame), spec, frames.buffer)
+        warnings += (spec.label + doubt for doubt in doubts)
+    for combination, observers in observed.combinations.items():
+        from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
+        from .combine.measurements import measure_sources  # noqa: PLC0415
+
+        with _naming_output(spec):
+            timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, frames)
+        notes += (spec.label + note for note in new_notes)
+        warnings += (spec.label + doubt for doubt in doubts)
+        deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew[combination])
+        notes += new_notes
+        warnings += doubts
+        conversions[combination] = MessagesToScan(
+            spec, combination.sources, frames, timing, grouper, deskew, partial(firsts.of, spec)
+        )
+    from .survey import converted_alone  # noqa: PLC0415  # most conversions need none
+
+    if not observed.combinations or converted_alone(plan, spec):
+        timings = None
+        if spec.needs_measuring:
+            from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
+
+            with _naming_output(spec):
+                timings, new_notes = measure(observed.clouds, spec, frames)
+            notes += (spec.label + note for note in new_notes)
+        deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew.get(None))
+        notes += new_notes
+        warnings += doubts
+        conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
+    return conversions, notes, warnings
 
 
 def _deskew(
@@ -178,7 +194,7 @@ def _deskew(
     from .point_times import measure_turns, time_warnings  # noqa: PLC0415  # only with deskewing
     from .stages.deskew import Deskew, PointTime  # noqa: PLC0415
 
-    where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
+    where = PointTime.parse(spec.point_time)
     doubts = [] if observers is None else [spec.label + each for each in time_warnings(observers.times)]
     with _naming_output(spec):
         turns, notes = measure_turns({} if observers is None else observers.turns, spec.point_time)

@@ -42,7 +42,7 @@ class OpenRecording(NamedTuple):
     Attributes
     ----------
     routes, combiners
-        As for `pc2scan.pipeline.engine.convert`, without those that are counted already.
+        As for `pc2scan.pipeline.engine.items_of`, without those that are counted already.
     entries
         The report's entries of all topics.
     levels

@@ -36,7 +36,7 @@ from pc2scan.tf.options import FrameOptions
 from pc2scan.threads import Threads, cores
 
 from .checks import cut_warnings, request_warnings, result_findings
-from .engine import convert
+from .engine import items_of
 from .plan import make_plan
 from .preparation import prepare, span_of
 from .recording import open_recording, write_items
@@ -116,7 +116,7 @@ def run(
                     writer.compress_ahead(threads)
                 tally = Tally(recording.routes, options.on_error, firsts.warn)
                 report.skipped = tally.skipped
-                items = convert(
+                items = items_of(
                     reader,
                     recording.routes,
                     prepared.span,
@@ -238,7 +238,7 @@ def _writing(target: Destination, unfinished: Path, cut: Cut | None) -> Generato
 def _staging(
     files: RunFiles, target: Destination, output: OutputOptions, stack: ExitStack, report: Report
 ) -> AbstractContextManager[Path]:
-    """Return what stages the destination, after everything that can refuse it before."""
+    """Check the destination and the report's file, and return the context that writes beside the destination first."""
     if output.folder is not None:
         stack.enter_context(output_folder(output.folder))
     files.open_report(stack)

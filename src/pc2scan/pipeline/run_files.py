@@ -103,7 +103,7 @@ class RunFiles:
         self._write_report: Callable[[str], None] | None = None
 
     def open_report(self, stack: ExitStack) -> None:
-        """Raise if an input would be overwritten, or if the report cannot be written."""
+        """Open the report's file; raise if that cannot be done, or if an input would be overwritten."""
         report = [] if self._output.report is None else [OutputPath(self._output.report, "`report`")]
         destination = [] if self.destination is None else [OutputPath(self.destination, numbered=self.numbered)]
         refuse_overlap(self._inputs, [*destination, *report])

@@ -199,7 +199,7 @@ def _deskew_observers(spec: ScanSpec, sources: Sequence[Connection], span: Span)
     from .point_times import time_observers, turn_observers  # noqa: PLC0415  # only with deskewing
     from .stages.deskew import PointTime  # noqa: PLC0415
 
-    where = PointTime.parse(spec.point_time) if spec.point_time else PointTime()
+    where = PointTime.parse(spec.point_time)
     if where.turn is None:
         return DeskewObservers(time_observers(sources, where, span), {})
     return DeskewObservers({}, turn_observers(sources, spec.point_time, span.start_ns, span.stop_ns))

@@ -27,7 +27,7 @@ class TopicReport:
         The topic in the destination: the scan's if converted, the same if it passed through, None if it was skipped.
     action
         ``converted``, ``joined`` (its messages are in the scans of another topic), ``passed``, ``re-encoded``,
-        ``skipped``, or ``added`` (transforms given by the user).
+        ``skipped``, or ``added`` (transforms given by the user or of level frames, and points behind ranges).
     note
         Why it was skipped, or another note; empty otherwise.
     messages_in, messages_out, skipped

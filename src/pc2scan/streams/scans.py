@@ -225,7 +225,7 @@ class Scans(Stream[Scan]):
         report.add(prepared.warnings, prepared.notes)
         early[:0] = report.warnings
         self.notes = tuple(report.notes)
-        opened = open_routes(plan.routes, prepared.conversions, _reader)
+        opened = open_routes(plan.routes, prepared.conversions, _last_step)
         report.topics += opened.entries
         found = _ScanWarnings(report, prepared.firsts, early)
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
@@ -329,7 +329,7 @@ def _decode(serialization: str, data: Buffer) -> LaserScan:
     return scan
 
 
-def _reader(_: Conversion, connection: Connection) -> Callable[[ConvertedMessage], ConvertedMessage]:
+def _last_step(_: Conversion, connection: Connection) -> Callable[[ConvertedMessage], ConvertedMessage]:
     """Return the last step of a conversion to `Scan`: the numbers of the arrays become those of a message."""
     return partial(_read_back, connection.serialization)
 

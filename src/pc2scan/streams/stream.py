@@ -19,7 +19,7 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage
-from pc2scan.pipeline.engine import convert
+from pc2scan.pipeline.engine import items_of
 from pc2scan.pipeline.items import OpenRoute, Output
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.preparation import span_of
@@ -306,7 +306,7 @@ class Stream(ABC, Generic[Item]):
         for topic, connections in chosen.items():
             output = Output(TopicReport(topic, msgtype, topic, "converted"), 0)
             for each in connections:
-                convert = partial(_read, decoder(each.serialization))
+                convert = partial(_as_recorded, decoder(each.serialization))
                 # A message is decoded at once: its object takes no more memory.
                 routes[each.id] = OpenRoute(each, convert=convert, outputs=[output], shrinks_from=0)
         # Objects are as large as their messages: other threads would hold many of them ahead of the loop.
@@ -365,7 +365,7 @@ class Stream(ABC, Generic[Item]):
         jobs = source.jobs or cores()
         with ExitStack() as stack:
             threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
-            found = convert(
+            found = items_of(
                 source.readers[0],
                 source.routes,
                 source.span,
@@ -452,7 +452,7 @@ class Stream(ABC, Generic[Item]):
         return f"<{type(self).__name__} on {', '.join(map(visible, self.topics[:_SHOWN]))}{more} of {paths}>"
 
 
-def _read(decode: Callable[[Buffer], Any], data: Buffer) -> tuple[ConvertedMessage]:
+def _as_recorded(decode: Callable[[Buffer], Any], data: Buffer) -> tuple[ConvertedMessage]:
     """Return a message as it was recorded, in the form of the result of a conversion."""
     return (ConvertedMessage(decode(data), _NO_POINTS, empty=False, size=len(data)),)
 

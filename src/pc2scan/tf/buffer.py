@@ -129,36 +129,6 @@ class TransformBuffer:
         time_ns = stamp_ns or self._latest_common_time(query)
         return self._chain(query, time_ns).target_from_source(time_ns)
 
-    def lookup_through(
-        self, target: str, target_ns: int, source: str, source_ns: int, fixed: str, tolerance_ns: int = 0
-    ) -> Rigid:
-        """Return where ``source`` was at one time, as seen from ``target`` at another one.
-
-        Parameters
-        ----------
-        target, target_ns
-            The frame that looks, and when.
-        source, source_ns
-            The frame that is looked at, and when.
-        fixed
-            A frame that does not move in between.
-        tolerance_ns
-            As for `lookup`.
-
-        Raises
-        ------
-        TransformError
-            As `lookup` does.
-
-        Notes
-        -----
-        Source of the rule: ``BufferCore::lookupTransform`` with two times, which multiplies two lookups as matrices:
-        the result's quaternion has unit length. Agrees to 1e-9.
-        """
-        moved = self.lookup(fixed, source, source_ns, tolerance_ns)
-        seen = self.lookup(target, fixed, target_ns, tolerance_ns)
-        return seen.product(moved)
-
     def rows(
         self,
         target: str,

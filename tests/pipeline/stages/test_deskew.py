@@ -17,6 +17,7 @@ from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer
 from support.tables import rows
+from tf.through import lookup_through
 
 TABLES = Path(__file__).with_name("times.txt")
 SECOND = 1_000_000_000
@@ -62,7 +63,7 @@ def assert_placed_by_lookups(known: Placer, fixed: str, xyz: Any, times: Any, st
     assert known.buffer is not None
     for place, (point, time) in enumerate(zip(xyz.astype(np.float64), times.tolist(), strict=True)):
         try:
-            transform = known.buffer.lookup_through(target, moving.stamp_ns, "lidar", T0 + time, fixed)
+            transform = lookup_through(known.buffer, target, moving.stamp_ns, "lidar", T0 + time, fixed)
         except TransformError:
             assert np.isnan(found[place]).all()
             lost += 1

@@ -326,7 +326,7 @@ class MessagesToScan(Conversion):
         points, transform, rejected, motion = self._place(lead, member)
         nearest = self._projector.nearest(PointsPart(*points.xyz(), _round_transform(transform)))
         if rejected:
-            nearest.counts += PointCounts(sum(rejected.values()), **rejected)
+            nearest.counts += PointCounts.of_filters(rejected)
         return nearest, motion
 
     def _keep_points(self, contribution: Contribution) -> Contribution:
@@ -387,7 +387,7 @@ class MessagesToScan(Conversion):
                 continue
             points, transform, found, motion = self._place(lead, member)
             if found:
-                others.append(PointCounts(sum(found.values()), **found))
+                others.append(PointCounts.of_filters(found))
             if motion is not None:
                 motions.append(motion)
             values = points.field(self._intensity) if self._intensity in points.fields else None

@@ -81,13 +81,15 @@ class PointTime:
 
     @classmethod
     def parse(cls, text: str) -> PointTime:
-        """Parse ``FIELD``, ``FIELD:UNIT``, or the forms that `Turn` parses.
+        """Parse ``FIELD``, ``FIELD:UNIT``, or the forms that `Turn` parses; empty text means the default.
 
         Raises
         ------
         UsageError
             If the text has another form.
         """
+        if not text:
+            return cls()
         field, colon, unit = text.partition(":")
         if field == AZIMUTH:
             return cls(turn=Turn.parse(text))

@@ -147,7 +147,7 @@ class SelectStage:
         moving: MovingCloud | None,
         rejected: dict[str, int],
     ) -> None:
-        """Return the points in another frame."""
+        """Place the remaining points in another frame, and count those that have no place there."""
         points = seen.by_frame[Frame.SOURCE]
         if moving is not None and frame is Frame.TARGET:
             seen.by_frame[frame], kept, lost = moving.place(points)
