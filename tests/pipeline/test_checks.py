@@ -34,8 +34,7 @@ TABLE = Path(__file__).with_name("checks.txt")
 #: `tests/e2e/test_combined.py`; of whole results, in `test_report.py` and `tests/e2e`.
 ELSEWHERE = {
     *("cut_without_effect", "target_that_moves", "returns_at_sensor", "fixed_frame_of_rebinned", "rebinned_beams"),
-    *("returns_without_object", "refused_scans", "lost_topics", "evenly_divided_circle", "range_of_preset"),
-    "filters_without_effect",
+    *("refused_scans", "lost_topics", "evenly_divided_circle", "range_of_preset", "filters_without_effect"),
 }
 
 

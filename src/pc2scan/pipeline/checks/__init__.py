@@ -35,6 +35,7 @@ REQUEST: Checks[OutputRequest] = (
     request.fixed_frame_of_rebinned,
     request.zeros_as_obstacles,
     request.unused_no_return,
+    request.returns_without_object,
     request.milliseconds_as_seconds,
     request.increment_in_degrees,
     request.sector_in_degrees,
@@ -59,7 +60,7 @@ FIRST_CLOUDS: Checks[CloudFacts] = (
 FIRST_CLOUDS_NOTES: Checks[CloudFacts] = (clouds.heights_left_to_user,)
 
 #: What the whole result shows.
-RESULT: Checks[Result] = (result.returns_without_object, result.refused_scans, result.lost_topics)
+RESULT: Checks[Result] = (result.refused_scans, result.lost_topics)
 RESULT_NOTES: Checks[ScanSpec] = (result.evenly_divided_circle, result.range_of_preset)
 
 #: What the counts of a topic show.

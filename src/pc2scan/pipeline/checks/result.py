@@ -110,16 +110,6 @@ class TopicResult(NamedTuple):
         return (spec.imu or spec.fixed_frame) if spec else "", frame
 
 
-def returns_without_object(result: Result) -> Iterator[str]:
-    """Yield a warning if a parameter puts returns where there is no object."""
-    specs = [spec for topic, _ in result.first_scans if (spec := topic.spec) is not None]
-    if any(spec.params.reduce == "mean" for spec in specs):
-        yield (
-            "reduce is mean, which puts returns where nothing is, between a near and a far object: "
-            "8 % of the returns in a simulated hall. `reduce=surface` is as smooth, without them"
-        )
-
-
 def refused_scans(result: Result) -> Iterator[str]:
     """Yield a warning for each reason why consumers would ignore the scans, or abort, with the topics."""
     topics: dict[str, dict[str, None]] = {}
