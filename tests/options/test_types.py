@@ -42,7 +42,7 @@ CALLS = {
     'pc2scan.convert("a", target_frame=5)': 'Argument "target_frame" to "convert" has incompatible type "int"',
     'pc2scan.convert("a", each=True)': 'Unexpected keyword argument "each" for "convert"',
     'pc2scan.view("a", keep="/tf")': 'Unexpected keyword argument "keep" for "view"',
-    'pc2scan.scans("a", jobs=2)': 'Unexpected keyword argument "jobs" for "scans"',
+    'pc2scan.scans("a", overwrite=True)': 'Unexpected keyword argument "overwrite" for "scans"',
     'pc2scan.map("a", "map.yaml")': 'Too many positional arguments for "map"',
     'pc2scan.info("a", min_height=1)': 'Unexpected keyword argument "min_height" for "info"',
     "pc2scan.convert(5)": 'Argument 1 to "convert" has incompatible type "int"',
