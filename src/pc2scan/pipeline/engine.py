@@ -118,12 +118,13 @@ def _messages(
         # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
         with closing(schedule(units, work, threads, window=window, path=reader.path)) as items:
             for item in items:
-                if isinstance(item, StoredChunk):
-                    messages += sum(len(entries) for entries in item.index.values())
-                    steps += _PROGRESS_EVERY
-                else:
-                    messages += 1
-                    steps += 1
+                if progress is not None:
+                    if isinstance(item, StoredChunk):
+                        messages += sum(map(len, item.index.values()))
+                        steps += _PROGRESS_EVERY
+                    else:
+                        messages += 1
+                        steps += 1
                 yield item.work(item.message) if isinstance(item, DeferredMessage) else item
                 # Frees the item before the next one is made.
                 del item

@@ -15,6 +15,7 @@ from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChun
 from .conversion import ConvertedMessage
 from .declarations import RecordingTopics
 from .routes import count_skipped, open_routes
+from .tally import NOTHING_REFUSED
 from .topic_report import TopicReport
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tal
 def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[int, MessageError]:
     """Write an item; return what the destination cannot store, as `Tally.count` takes it."""
     log_time_ns, publish_time_ns, sequence = item.log_time_ns, item.publish_time_ns, item.sequence
-    refused: dict[int, MessageError] = {}
+    refused: dict[int, MessageError] | None = None
     if item.passing is not None:
         try:
             writer.write(item.route.passing_handle, log_time_ns, item.passing, publish_time_ns, sequence)
@@ -175,8 +176,8 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
                 levels.write(result.level, log_time_ns, publish_time_ns, writer)
             writer.write(output.handle, log_time_ns, result.message, publish_time_ns, sequence)
         except UnwritableError as err:
-            refused[place] = err
-    return refused
+            refused = {**(refused or {}), place: err}
+    return refused or NOTHING_REFUSED
 
 
 def _chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Writer) -> ChunkRule:

@@ -123,7 +123,7 @@ def run(
                     threads,
                     combiners=recording.combiners,
                     rule=recording.rule,
-                    window=_window(options),
+                    window=options.window,
                     progress=progress,
                 )
                 try:
@@ -288,11 +288,6 @@ def _estimate(
 
             there = [part.name for part in parts_beside(target.path) if str(part) not in report.files]
             report.warnings += unrecorded_warning(target.path.name, there)
-
-
-def _window(options: ConvertOptions) -> int | None:
-    """Return how many units may be loaded ahead, the node's `queue_size`; None: as many as memory allows."""
-    return min((spec.params.queue_size for spec in options.scans if spec.params.queue_size), default=None)
 
 
 def _overlap_warnings(readers: Sequence[Reader]) -> Sequence[str]:

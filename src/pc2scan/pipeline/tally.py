@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from .items import Item, OpenRoute
     from .topic_report import TopicReport
 
-_NONE: Mapping[int, MessageError] = {}
+#: The destination stores everything.
+NOTHING_REFUSED: Mapping[int, MessageError] = {}
 
 
 class Tally:
@@ -64,7 +65,7 @@ class Tally:
         """Whether transforms connect at least one message with the target frame, or none are needed."""
         return not self._transforms.is_possible
 
-    def count(self, item: Item, refused: Mapping[int, MessageError] = _NONE) -> None:
+    def count(self, item: Item, refused: Mapping[int, MessageError] = NOTHING_REFUSED) -> None:
         """Count an item.
 
         Parameters
@@ -97,21 +98,23 @@ class Tally:
         for place, (output, result) in enumerate(item.results):
             entry = output.report
             entry.messages_in += not item.is_group
-            if isinstance(result, MessageError) or place in refused:
-                entry.skipped += 1
-                failed.append((result if isinstance(result, MessageError) else refused[place], entry))
-            elif isinstance(result, ConvertedMessage):
+            if isinstance(result, ConvertedMessage) and place not in refused:
                 entry.messages_out += 1
                 if not output.used:
-                    output.sample = output.sample or result.message
+                    if output.sample is None:
+                        output.sample = result.message
                     entry.count(result)
-                if isinstance(result.sample, SharedSample):
+                if result.sample is not None:
+                    assert isinstance(result.sample, SharedSample)
                     result.sample.add(result.counts)
                     # Several outputs may have one result.
                     result.sample = None
+            elif isinstance(result, MessageError) or place in refused:
+                entry.skipped += 1
+                failed.append((result if isinstance(result, MessageError) else refused[place], entry))
         if failed:
             self._skip(item, failed)
-        if route.convert is not None and not (item.is_group or self.is_connected):
+        if self._transforms.is_possible and route.convert is not None and not item.is_group:
             self._transforms.note(route.connection.topic, item.failure)
 
     def count_chunk(self, chunk: StoredChunk) -> None:

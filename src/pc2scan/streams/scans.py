@@ -238,6 +238,7 @@ class Scans(Stream[Scan]):
             found,
             options.jobs,
             opened.combiners,
+            options.window,
         )
 
     def to_dataframe(self) -> Any:

@@ -218,6 +218,8 @@ class StreamSource(NamedTuple):
         The number of threads; 0: one for each processor core.
     combiners
         What makes scans of several messages, by the outputs of these.
+    window
+        How many units may be loaded ahead; None: as many as memory allows.
     """
 
     stack: ExitStack
@@ -228,6 +230,7 @@ class StreamSource(NamedTuple):
     warnings: ConversionWarnings | None = None
     jobs: int = 0
     combiners: Mapping[Output, Combiner] = {}
+    window: int | None = None
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -371,6 +374,7 @@ class Stream(ABC, Generic[Item]):
                 source.span,
                 threads,
                 combiners=source.combiners,
+                window=source.window,
                 progress=progress,
             )
             stack.enter_context(closing(found))
