@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import ChunkRule, RawMessage
+    from pc2scan.model import ChunkRule
     from pc2scan.threads import Threads
 
     from .combine.combiner import Combiner

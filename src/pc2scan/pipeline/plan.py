@@ -87,6 +87,11 @@ class Plan(NamedTuple):
     combinations: tuple[Combination, ...] = ()
     warnings: tuple[str, ...] = ()
 
+    @property
+    def needs_transforms(self) -> bool:
+        """Whether any output is transformed."""
+        return any(spec.needs_transforms for spec in self.specs)
+
 
 def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Plan:
     """Decide which topics are converted, which pass through, and which are skipped.

@@ -72,6 +72,7 @@ def prepare(
     sources: Sequence[Path],
     plan: Plan,
     options: ConvertOptions,
+    span: Span,
     stack: ExitStack,
     warn: Callable[[str], None] | None = None,
 ) -> Preparation:
@@ -81,15 +82,16 @@ def prepare(
     ----------
     reader, sources
         The recording, and its files, which are read again in the few cases that need it.
+    span
+        The cut.
     stack
         Closes the other recordings.
     warn
         Called immediately with warnings about the first clouds.
     """
-    asked, span = options.frames, span_of(reader, options)
+    asked = options.frames
     firsts = FirstClouds(asked.source_frame, partial(_robot_transforms, sources, options, span), warn)
-    needs_transforms = any(spec.needs_transforms for spec in plan.specs)
-    needs_survey = needs_transforms or asked.static or asked.source_frame or plan.combinations
+    needs_survey = plan.needs_transforms or asked.static or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
         return Preparation({spec: _unmeasured(spec, firsts) for spec in plan.specs}, span, firsts)
     from .survey import Survey  # noqa: PLC0415  # most conversions need none
@@ -97,7 +99,7 @@ def prepare(
     notes: list[str] = []
     warnings: list[str] = []
     others: list[Reader] = []
-    if needs_transforms:
+    if plan.needs_transforms:
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
     survey = Survey(reader, others, plan, asked, span)
     survey.read()

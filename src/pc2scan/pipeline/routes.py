@@ -85,11 +85,11 @@ def open_routes(
             made.report = shared(passing or TopicReport(topic, msgtype, None, "skipped"))
             continue
         chosen = [conversions[task.key] for task in route.tasks]
-        steps: list[Step | None] = [last(conversion, connection) for conversion in chosen]
+        steps = [last(conversion, connection) for conversion in chosen]
         joined = [_combiner_of(combinations, *each) for each in zip(route.tasks, chosen, steps, strict=True)]
         # A group has the last step, not its messages.
-        steps = [None if combiner else step for step, combiner in zip(steps, joined, strict=True)]
-        made.convert = converter(chosen, topic, connection.serialization, msgtype, steps)
+        own_steps = [None if combiner else step for step, combiner in zip(steps, joined, strict=True)]
+        made.convert = converter(chosen, topic, connection.serialization, msgtype, own_steps)
         made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
         for place, (task, conversion, combiner) in enumerate(zip(route.tasks, chosen, joined, strict=True)):
             leads = task.combination is None or task.combination.sources[0] == topic
@@ -116,7 +116,7 @@ def open_routes(
 
 
 def _combiner_of(
-    combiners: dict[Combination, Combiner], task: RouteTask, conversion: Conversion, last: Step | None
+    combiners: dict[Combination, Combiner], task: RouteTask, conversion: Conversion, last: Step
 ) -> Combiner | None:
     """Return the `Combiner` that makes one scan of several messages; all routes of a combination share it."""
     if task.combination is None:

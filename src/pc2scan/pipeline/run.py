@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Writer
 
     from .engine import Progress
+    from .items import Span
     from .options import ConvertOptions
     from .plan import Plan
 
@@ -97,16 +98,20 @@ def run(
         report.destination = str(target.path)
         report.container, report.ros_version = target.container, target.ros_version
         report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
-        report.add((*_overlap_warnings(readers), *plan.warnings, *request_warnings(options)))
+        if readers[1:]:
+            from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
+
+            report.add(overlap_warnings(readers))
+        report.add((*plan.warnings, *request_warnings(options)))
         if output.dry_run:
             _estimate(files, reader, plan, target, options, output, stack, report)
             return report
         with _staging(files, target, output, stack, report) as unfinished:
-            _refuse_no_messages(reader, plan, options)
+            span = _span_with_messages(reader, plan, options)
             report.add(cut_warnings(reader, options))
-            prepared = prepare(reader, files.read, plan, options, stack, warn)
+            prepared = prepare(reader, files.read, plan, options, span, stack, warn)
             report.add(prepared.warnings, prepared.notes)
-            cut = None if output.cut is None else replace(output.cut, begin_ns=prepared.span.first_ns)
+            cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
             with _writing(target, unfinished, cut) as writer:
                 threads = _threads(options, stack)
                 recording = open_recording(reader, plan, prepared, target, options, cut, writer)
@@ -119,7 +124,7 @@ def run(
                 items = items_of(
                     reader,
                     recording.routes,
-                    prepared.span,
+                    span,
                     threads,
                     combiners=recording.combiners,
                     rule=recording.rule,
@@ -269,11 +274,10 @@ def _estimate(
         check_parts(target.path, overwrite=output.overwrite)
     else:
         check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
-    _refuse_no_messages(reader, plan, options)
+    span = _span_with_messages(reader, plan, options)
     report.add(cut_warnings(reader, options))
-    prepared = prepare(reader, files.read, plan, options, stack)
+    prepared = prepare(reader, files.read, plan, options, span, stack)
     report.add(prepared.warnings, prepared.notes)
-    span = prepared.span
     recording = open_recording(reader, plan, prepared, target, options, None, None)
     report.topics = recording.entries
     size = forecast(reader, target, recording, options, prepared, report)
@@ -290,20 +294,12 @@ def _estimate(
             report.warnings += unrecorded_warning(target.path.name, there)
 
 
-def _overlap_warnings(readers: Sequence[Reader]) -> Sequence[str]:
-    if not readers[1:]:
-        return ()
-    from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
-
-    return overlap_warnings(readers)
-
-
-def _refuse_no_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> None:
-    """Raise if there are no messages to convert in the cut."""
+def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> Span:
+    """Return the cut; raise if it has no messages to convert."""
     span = span_of(reader, options)
-    refuse_no_messages(
-        reader, [route.connection for route in plan.routes if route.targets], span.start_ns, span.stop_ns
-    )
+    converted = [route.connection for route in plan.routes if route.targets]
+    refuse_no_messages(reader, converted, span.start_ns, span.stop_ns)
+    return span
 
 
 def _refuse_missing_destination(sources: Sequence[Path], destination: Path | None, output: OutputOptions) -> None:

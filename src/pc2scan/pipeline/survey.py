@@ -111,10 +111,9 @@ class Survey:
     def __init__(self, reader: Reader, others: Sequence[Reader], plan: Plan, asked: FrameOptions, span: Span) -> None:
         self._readers = [reader, *others]
         self._span = span
-        needs_transforms = any(spec.needs_transforms for spec in plan.specs)
-        self.transforms = TransformReading(asked) if needs_transforms else None
+        self.transforms = TransformReading(asked) if plan.needs_transforms else None
         self.robot: RobotTransforms | None = None
-        if asked.source_frame and not needs_transforms:
+        if asked.source_frame and self.transforms is None:
             self.robot = RobotTransforms(reader, asked, span.first_ns)
         self.given_frames: list[Observer[str]] = []
         if asked.static or asked.source_frame:

@@ -42,8 +42,6 @@ class Tally:
         The first `MAX_LISTED` messages that were not converted.
     failures
         How many messages, or groups, have an error.
-    messages
-        How many messages were read, of all topics that are not skipped.
     """
 
     def __init__(

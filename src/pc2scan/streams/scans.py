@@ -14,7 +14,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
 from pc2scan.pipeline.checks import cut_warnings, request_warnings, result_findings
 from pc2scan.pipeline.plan import make_plan
-from pc2scan.pipeline.preparation import prepare
+from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_unusable
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.routes import open_routes
@@ -221,7 +221,7 @@ class Scans(Stream[Scan]):
             *plan.warnings,
         )
         early: list[str] = []
-        prepared = prepare(reader, self._selection.paths, plan, options, stack, early.append)
+        prepared = prepare(reader, self._selection.paths, plan, options, span_of(reader, options), stack, early.append)
         report.add(prepared.warnings, prepared.notes)
         early[:0] = report.warnings
         self.notes = tuple(report.notes)

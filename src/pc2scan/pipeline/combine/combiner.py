@@ -51,7 +51,7 @@ class Combiner:
     conversion
         The conversion of the messages.
     last
-        The consumer's last step with each scan; None: there is none.
+        The consumer's last step with each scan.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Combiner:
         The report's entry of each topic, by the topic's number. All publishers of a topic share one.
     """
 
-    def __init__(self, conversion: MessagesToScan, last: Callable[[ConvertedMessage], ConvertedMessage] | None) -> None:
+    def __init__(self, conversion: MessagesToScan, last: Callable[[ConvertedMessage], ConvertedMessage]) -> None:
         if conversion.grouper is None:
             raise ValueError("each message is a scan by itself")
         self.reports: dict[int, TopicReport] = {}
@@ -88,7 +88,7 @@ class Combiner:
         made: ConvertedMessage | MessageError
         try:
             members = [member.item.contribution for member in group.members]
-            made = self._finish(self._conversion.scan(contribution, members))
+            made = self._last(self._conversion.scan(contribution, members))
         except MessageError as err:
             made = err
             err.stamp_ns = err.stamp_ns or contribution.stamp_ns
@@ -105,10 +105,7 @@ class Combiner:
 
     def alone(self, contribution: Contribution) -> ConvertedMessage:
         """Make the scan of one message alone, for forecasts."""
-        return self._finish(self._conversion.alone(contribution))
-
-    def _finish(self, scan: ConvertedMessage) -> ConvertedMessage:
-        return scan if self._last is None else self._last(scan)
+        return self._last(self._conversion.alone(contribution))
 
 
 def add_groups(
