@@ -6,7 +6,7 @@ It needs neither RANSAC nor linear algebra, and imports nothing; `pc2scan.core.g
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -73,21 +73,19 @@ class CloudSample:
     zeros: int = 0
 
     @classmethod
-    def of(cls, cloud: Points, judged_in: str = "", moved: Rigid | None = None) -> CloudSample:
-        """Return a sample of a cloud.
-
-        Parameters
-        ----------
-        judged_in, moved
-            The frame in which it is judged, and the transform to it; without them, its own.
-        """
+    def of(cls, cloud: Points) -> CloudSample:
+        """Return a sample of a cloud, which is judged in its own frame."""
         x, y, z = cloud.xyz()
-        points, origin = thin_points(x, y, z), (0.0, 0.0, 0.0)
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
-        if moved is not None:
-            points, origin = moved.rotation.apply(points), tuple(moved.translation.tolist())
-        return cls(cloud.frame_id, cloud.stamp_ns, judged_in or cloud.frame_id, points, origin, zeros)
+        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, thin_points(x, y, z), zeros=zeros)
+
+    def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
+        """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
+        if transform is None:
+            return replace(self, judged_in=frame)
+        origin = tuple(transform.translation.tolist())
+        return replace(self, judged_in=frame, points=transform.rotation.apply(self.points), origin=origin)
 
     @property
     def placed(self) -> _Points:

@@ -19,6 +19,7 @@ from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
+from .cloud_info import FirstSamples
 from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
 
@@ -305,9 +306,10 @@ def check(
         reader = as_one(readers)
         chosen = _scan_connections(reader.connections, tuple(topics))
         others = open_recordings(options.tf_from, stack)
-        buffer, warnings = read_transforms([*readers, *others], options)
+        first = FirstSamples((each for each in reader.connections if each.ros_version is not None), moved=True)
+        buffer, warnings = read_transforms([reader, *others], options, [*first.observers.values()])
         found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, progress)
-        found = _with_mountings(found, reader, buffer)
+        found = _with_mountings(found, first, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
 
@@ -351,9 +353,9 @@ def _check_topics(
     return [_topic_check(name, scans, places) for name, (scans, places) in topics.items()]
 
 
-def _with_mountings(found: Sequence[TopicCheck], reader: Reader, buffer: TransformBuffer) -> list[TopicCheck]:
+def _with_mountings(found: Sequence[TopicCheck], first: FirstSamples, buffer: TransformBuffer) -> list[TopicCheck]:
     """Add findings about the scans' frames, from the clouds of the recording."""
-    tilted = mounting_findings(reader, buffer, [frame for topic in found for frame in topic.frames])
+    tilted = mounting_findings(first, buffer, [frame for topic in found for frame in topic.frames])
     return [
         replace(topic, findings=(*(tilted[frame] for frame in topic.frames if frame in tilted), *topic.findings))
         for topic in found

@@ -34,7 +34,7 @@ _SHOWN = tuple(spec.name for spec in fields(ProjectionParams) if spec.name not i
 
 
 def clouds_page(
-    taken: Shots, buffer: TransformBuffer | None, options: ConvertOptions, *, preset: str, command: Sequence[str]
+    taken: Shots, options: ConvertOptions, *, preset: str, command: Sequence[str]
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Describe a page of clouds.
 
@@ -42,8 +42,6 @@ def clouds_page(
     ----------
     taken
         The clouds.
-    buffer
-        The transforms; None if there are none.
     options
         The options of the conversion.
     preset
@@ -57,6 +55,10 @@ def clouds_page(
         As `pc2scan.look.html.html` takes them.
     """
     notes = list(taken.notes)
+    if options.scan.deskew:
+        notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
+    if options.scan.level:
+        notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
     step, blobs = _compress_to_fit(taken.shots)
     if step > 1:
         notes.append(
@@ -73,7 +75,8 @@ def clouds_page(
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
         columns = {name: column[::step] for name, column in shot.columns.items()}
-        entry = {**_shot_as_dict(shot, buffer), "data": description_of(_name(number), columns), "filtered": None}
+        data = description_of(_name(number), columns)
+        entry = {**_shot_as_dict(shot, taken.transforms), "data": data, "filtered": None}
         if shot.filtered is not None:
             named = {"filtered": shot.filtered[::step]}
             entry["filtered"] = description_of(f"filtered-{number}", named)

@@ -135,7 +135,7 @@ class TopicClouds:
 
     def sample(self, points: Points, place: Placement) -> SharedSample:
         """Return a sample of a cloud's points; on any thread."""
-        return SharedSample(self, CloudSample.of(points, place.frame_id, place.target_from_source))
+        return SharedSample(self, CloudSample.of(points).placed_in(place.frame_id, place.target_from_source))
 
     def add(self, sample: CloudSample, counts: PointCounts) -> None:
         """Add the next cloud, in the order of writing."""

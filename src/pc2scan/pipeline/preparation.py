@@ -44,6 +44,8 @@ class Preparation(NamedTuple):
         The other recordings that transforms were read from.
     notes, warnings
         Texts for the user.
+    transforms
+        All transforms; None if they were not read.
     """
 
     conversions: Mapping[ScanSpec | Combination, Conversion]
@@ -52,6 +54,7 @@ class Preparation(NamedTuple):
     others: Sequence[Reader] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
+    transforms: TransformBuffer | None = None
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -75,6 +78,8 @@ def prepare(
     span: Span,
     stack: ExitStack,
     warn: Callable[[str], None] | None = None,
+    *,
+    needs_transforms: bool = False,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -88,10 +93,13 @@ def prepare(
         Closes the other recordings.
     warn
         Called immediately with warnings about the first clouds.
+    needs_transforms
+        Whether the caller needs all transforms, even if the conversion does not.
     """
+    needs_transforms |= plan.needs_transforms
     asked = options.frames
     firsts = FirstClouds(asked.source_frame, partial(_robot_transforms, sources, options, span), warn)
-    needs_survey = plan.needs_transforms or asked.static or asked.source_frame or plan.combinations
+    needs_survey = needs_transforms or asked.static or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
         return Preparation({spec: _unmeasured(spec, firsts) for spec in plan.specs}, span, firsts)
     from .survey import Survey  # noqa: PLC0415  # most conversions need none
@@ -99,19 +107,23 @@ def prepare(
     notes: list[str] = []
     warnings: list[str] = []
     others: list[Reader] = []
-    if plan.needs_transforms:
+    if needs_transforms:
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-    survey = Survey(reader, others, plan, asked, span)
+    survey = Survey(reader, others, plan, asked, span, needs_transforms=needs_transforms)
     survey.read()
-    buffer: TransformBuffer | None = None
+    transforms: TransformBuffer | None = None
     if survey.transforms is not None:
-        buffer, found = survey.transforms.finish()
+        transforms, found = survey.transforms.finish()
         warnings += found
+    buffer = transforms if plan.needs_transforms else None
+    if buffer is not None:
         firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
+    elif survey.robot is not None:
+        firsts.transforms.read = survey.robot.finish
     if asked.static or asked.source_frame:
         from .frame_checks import check_given_frames, first_frame  # noqa: PLC0415  # few conversions add frames
 
-        robot = None if survey.robot is None else survey.robot.finish()
+        robot = transforms if survey.robot is None else survey.robot.finish()
         warnings += check_given_frames(map(first_frame, survey.given_frames), plan, asked, buffer, robot)
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
@@ -136,7 +148,7 @@ def prepare(
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
         warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, span, firsts, others, notes, warnings)
+    return Preparation(conversions, span, firsts, others, notes, warnings, transforms)
 
 
 def _prepare_output(

@@ -90,13 +90,15 @@ class Survey:
         The options about transforms.
     span
         The cut. It limits clouds, never transforms.
+    needs_transforms
+        Whether all transforms are read.
 
     Attributes
     ----------
     transforms
-        All transforms; None if nothing is transformed.
+        All transforms; None if they are not needed.
     robot
-        Those between the robot's frames, where they are needed although nothing is transformed.
+        Those between the robot's frames, if not all transforms are read.
     given_frames
         The frames of the first messages, if the user gives frames.
     outputs
@@ -108,13 +110,20 @@ class Survey:
         If it is not clear which transforms to use, or an IMU does not exist.
     """
 
-    def __init__(self, reader: Reader, others: Sequence[Reader], plan: Plan, asked: FrameOptions, span: Span) -> None:
+    def __init__(
+        self,
+        reader: Reader,
+        others: Sequence[Reader],
+        plan: Plan,
+        asked: FrameOptions,
+        span: Span,
+        *,
+        needs_transforms: bool,
+    ) -> None:
         self._readers = [reader, *others]
         self._span = span
-        self.transforms = TransformReading(asked) if plan.needs_transforms else None
-        self.robot: RobotTransforms | None = None
-        if asked.source_frame and self.transforms is None:
-            self.robot = RobotTransforms(reader, asked, span.first_ns)
+        self.transforms = TransformReading(asked) if needs_transforms else None
+        self.robot = None if needs_transforms else RobotTransforms(reader, asked, span.first_ns)
         self.given_frames: list[Observer[str]] = []
         if asked.static or asked.source_frame:
             from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions add frames

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
     from pc2scan.pipeline.first_clouds import FirstClouds
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.tf.buffer import TransformBuffer
 
     from .stream import Selection
 
@@ -179,6 +180,8 @@ class Scans(Stream[Scan]):
         The topics of the scans.
     notes
         Values that were measured, or chosen by default, for scans that are made of clouds.
+    transforms
+        All transforms of the recording, if they were read for scans that are made of clouds; else None.
     damage
         The damage that the last loop found.
     skipped, skipped_count
@@ -189,8 +192,12 @@ class Scans(Stream[Scan]):
         self,
         selection: Selection,
         conversion: ConvertOptions | None = None,
+        *,
+        needs_transforms: bool = False,
     ) -> None:
         self._conversion = conversion
+        self._needs_transforms = needs_transforms
+        self.transforms: TransformBuffer | None = None
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
 
@@ -221,7 +228,17 @@ class Scans(Stream[Scan]):
             *plan.warnings,
         )
         early: list[str] = []
-        prepared = prepare(reader, self._selection.paths, plan, options, span_of(reader, options), stack, early.append)
+        prepared = prepare(
+            reader,
+            self._selection.paths,
+            plan,
+            options,
+            span_of(reader, options),
+            stack,
+            early.append,
+            needs_transforms=self._needs_transforms,
+        )
+        self.transforms = prepared.transforms
         report.add(prepared.warnings, prepared.notes)
         early[:0] = report.warnings
         self.notes = tuple(report.notes)
