@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import LevelTransform
     from pc2scan.tf.up_sources import UpSource
 
+    from .report import TopicReport
     from .scan_spec import ScanSpec
-    from .topic_report import TopicReport
 
 _TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
