@@ -12,6 +12,7 @@ from pc2scan.core.floor import CloudSample
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
+from pc2scan.model import Summary
 from pc2scan.options.call import Options
 from pc2scan.pipeline import checks
 from pc2scan.pipeline.checks.clouds import CloudFacts, KnownTransforms
@@ -42,13 +43,17 @@ def named(group: Iterable[Any], facts: Any) -> dict[str, list[str]]:
     return {check.__name__: texts for check in group if (texts := checks.found_by((check,), facts))}
 
 
+#: A recording without messages.
+RECORDED = Summary("mcap", "", (), 0, 0, None, None)
+
+
 @pytest.mark.parametrize(("options", "name", "text"), rows(TABLE, "request"))
 def test_a_check_of_the_request(options: dict[str, Any], name: str, text: str) -> None:
     request = conversion_of(Options("convert", options)).options
     found = named(checks.REQUEST, OutputRequest(request, request.scan))
     assert list(found) == [name]
     assert found[name][0].startswith(text)
-    assert checks.request_warnings(request) == found[name]
+    assert checks.request_warnings(request, RECORDED) == found[name]
 
 
 @pytest.mark.parametrize(("roll", "options", "used", "name", "text"), rows(TABLE, "clouds"))

@@ -35,7 +35,7 @@ from pc2scan.result import Failure
 from pc2scan.tf.options import FrameOptions
 from pc2scan.threads import Threads, cores
 
-from .checks import cut_warnings, request_warnings, result_findings
+from .checks import request_warnings, result_findings
 from .engine import items_of
 from .plan import make_plan
 from .preparation import prepare, span_of
@@ -102,13 +102,12 @@ def run(
             from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
 
             report.add(overlap_warnings(readers))
-        report.add((*plan.warnings, *request_warnings(options)))
+        report.add((*plan.warnings, *request_warnings(options, reader.summary)))
         if output.dry_run:
             _estimate(files, reader, plan, target, options, output, stack, report)
             return report
         with _staging(files, target, output, stack, report) as unfinished:
             span = _span_with_messages(reader, plan, options)
-            report.add(cut_warnings(reader, options))
             prepared = prepare(reader, files.read, plan, options, span, stack, warn)
             report.add(prepared.warnings, prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
@@ -275,7 +274,6 @@ def _estimate(
     else:
         check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
     span = _span_with_messages(reader, plan, options)
-    report.add(cut_warnings(reader, options))
     prepared = prepare(reader, files.read, plan, options, span, stack)
     report.add(prepared.warnings, prepared.notes)
     recording = open_recording(reader, plan, prepared, target, options, None, None)

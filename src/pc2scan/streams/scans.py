@@ -12,7 +12,7 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
-from pc2scan.pipeline.checks import cut_warnings, request_warnings, result_findings
+from pc2scan.pipeline.checks import request_warnings, result_findings
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_unusable
@@ -222,11 +222,7 @@ class Scans(Stream[Scan]):
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
-        report.warnings += (
-            *request_warnings(options),
-            *cut_warnings(reader, options),
-            *plan.warnings,
-        )
+        report.warnings += (*plan.warnings, *request_warnings(options, reader.summary))
         early: list[str] = []
         prepared = prepare(
             reader,

@@ -14,8 +14,7 @@ from .request import Cut, OutputRequest
 from .result import Result, TopicResult
 
 if TYPE_CHECKING:
-    from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer
+    from pc2scan.model import Buffer, Summary
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.report import Report, TopicReport
     from pc2scan.pipeline.scan_spec import ScanSpec
@@ -89,14 +88,10 @@ def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
     return [label + text for check in checks for text in check(facts)]
 
 
-def request_warnings(options: ConvertOptions) -> list[str]:
-    """Return the warnings about a request, of each output."""
-    return [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
-
-
-def cut_warnings(reader: Reader, options: ConvertOptions) -> list[str]:
-    """Return the warnings about the cut of a recording."""
-    return found_by(CUT, Cut(options.start, options.end, reader.summary))
+def request_warnings(options: ConvertOptions, recorded: Summary) -> list[str]:
+    """Return the warnings about a request, of each output, and about the cut of the recording."""
+    found = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
+    return found + found_by(CUT, Cut(options.start, options.end, recorded))
 
 
 def result_findings(
