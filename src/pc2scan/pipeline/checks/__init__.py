@@ -37,13 +37,18 @@ REQUEST: Checks[OutputRequest] = (
     request.milliseconds_as_seconds,
     request.increment_in_degrees,
     request.sector_in_degrees,
+    request.beams_beyond_half_turn,
 )
 
 #: What a cut leaves of the recording.
 CUT: Checks[Cut] = (request.cut_without_effect,)
 
 #: What each of the first clouds of a topic shows, at once.
-EACH_CLOUD: Checks[CloudFacts] = (clouds.target_that_moves, clouds.returns_at_sensor)
+EACH_CLOUD: Checks[CloudFacts] = (
+    clouds.target_that_moves,
+    clouds.clouds_in_fixed_frame,
+    clouds.returns_at_sensor,
+)
 
 #: What the first clouds show about their frame, which all outputs share.
 FRAME: Checks[CloudFacts] = (clouds.frame_not_level,)
