@@ -117,7 +117,9 @@ class CloudFacts:
         first = self.samples[0]
         if len(first.points) < FEWEST_POINTS:
             return True
-        return first.floor is not None and self.floor_share < _MOST_FLOOR and not any(swapped_transform(self))
+        if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
+            return False
+        return self.spec.level or not first.tilt_by_transform
 
     @property
     def are_nearly_empty(self) -> bool:
