@@ -26,7 +26,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 README = (ROOT / "README.md").read_text("utf-8")
-PAGES = {path.stem: path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
+DOCS = ROOT / "docs"
+#: The pages by their paths under docs, without the suffix.
+PAGES = {
+    path.relative_to(DOCS).with_suffix("").as_posix(): path.read_text("utf-8") for path in sorted(DOCS.rglob("*.md"))
+}
 TEXT = "\n".join([README, *PAGES.values()])
 COMMANDS = ("convert", "batch", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
 
@@ -144,15 +148,15 @@ def test_the_report_has_the_keys_of_its_page(tmp_path: Path) -> None:
     assert inner["skipped"] >= {"topic", "log_time_ns", "stamp_ns", "reason", "hint"}
 
 
-def row_of(name: str) -> str:
-    (row,) = [line for line in TEXT.splitlines() if line.startswith(f"| `{name}`")]
+def row_of(page: str, name: str) -> str:
+    (row,) = [line for line in PAGES[page].splitlines() if line.startswith(f"| `{name}`")]
     return row
 
 
 def test_what_is_said_of_diff_and_golden() -> None:
     # Of the geometry one name stands for all.
-    assert quoted(row_of("--ignore NAME")) == IGNORABLE.keys() - {*GEOMETRY} | {"angle_max"}
-    assert quoted(row_of("case.yaml")) - {"convert", "diff"} == set(KEYS)
+    assert quoted(row_of("diff", "--ignore NAME")) == IGNORABLE.keys() - {*GEOMETRY} | {"angle_max"}
+    assert quoted(row_of("golden", "case.yaml")) - {"convert", "diff"} == set(KEYS)
     report = json.loads(run("diff", ROOT / "fixtures" / "hall.bag", ROOT / "fixtures" / "hall.mcap", "--json").stdout)
     keys = {
         name.removesuffix("[]") for name in quoted(after(PAGES["diff"], "`--json` prints", "Exit"), r"\w+(?:\[\])?")

@@ -64,7 +64,8 @@ class TimeRange(TypedDict, total=False):
         bool,
         Option(
             Flag(),
-            "Check the CRCs of an MCAP source. Without it, reading is faster, but damage may not be detected.",
+            "Whether the CRCs of an MCAP source are checked. If not, reading is faster, but damage may not be "
+            "detected.",
             panel=RUN,
             default=True,
             typed="--no-verify",
