@@ -16,9 +16,8 @@ import typer
 
 from pc2scan.cli.app import COMMANDS, application
 from pc2scan.cli.examples import EXAMPLES
-from pc2scan.cli.spelling import as_typed
 from pc2scan.options.option import Parameter
-from pc2scan.options.table import options_of
+from pc2scan.options.table import options_of, spelling_of
 from pc2scan.options.values import Flag
 
 if TYPE_CHECKING:
@@ -176,11 +175,17 @@ _CODE = re.compile(r"(?<=[ (])'([^']+ [^']+)'(?=[ ,.;:)]|$)|(?<![\w-])(--[a-z][a
 
 def _prose(text: str) -> str:
     """Return a text of the help as a line of Markdown."""
-    named = re.sub("`[^`]+`", lambda found: f"`{as_typed(found[0]).strip('`')}`", " ".join(text.split()))
-    parts = named.split("`")
+    parts = re.sub("`([a-z_]+)(?:=([^`]*))?`", _spelled, " ".join(text.split())).split("`")
     # Every second part is code already.
     parts[::2] = ["`".join(_marked(part)) for part in parts[::2]]
     return "`".join(parts)
+
+
+def _spelled(named: re.Match[str]) -> str:
+    """Return an option that is named as in Python as it is typed."""
+    name, value = named.groups()
+    words = [spelling_of(name) or name, *([value] if value not in {None, "True"} else [])]
+    return f"`{' '.join(words)}`"
 
 
 def _marked(text: str) -> Iterable[str]:
