@@ -18,7 +18,7 @@ from pc2scan import pytest_plugin
 from pc2scan.compare.rules import GEOMETRY, IGNORABLE
 from pc2scan.core.presets import PRESETS
 from pc2scan.golden.case import KEYS
-from pc2scan.options.table import PARAMETERS
+from pc2scan.options.table import PARAMETERS, output_options
 from support import ROOT
 from support.command import environment, run
 from support.worlds.moving import Lidar, write_world
@@ -112,6 +112,12 @@ def test_every_command_parameter_and_preset_is_named() -> None:
     assert {parameter.spelling for parameter in PARAMETERS.values()} <= options_of("convert")
     assert all(re.search(rf"\b{consumer}\b", PAGES["slam"]) for consumer in PRESETS)
     assert f"consumer of the scans: {', '.join(PRESETS)}." in " ".join(help_of("convert").split())
+
+
+def test_every_key_of_an_output_is_named() -> None:
+    table = after(PAGES["scans-file"], "## Keys of an output")
+    rows = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
+    assert quoted("\n".join(rows)) == {"sources", *output_options()}
 
 
 def test_exit_statuses_are_told_alike() -> None:
@@ -227,6 +233,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ):
         assert run("convert", hall, "-o", folder / name, *options, *further).status == 0
     (folder / "params.yaml").write_text("pointcloud_to_laserscan:\n  ros__parameters:\n    min_height: -0.3\n")
+    (folder / "scans.yaml").write_text(code_blocks("yaml", PAGES["scans-file"])[0])
     shutil.copytree(ROOT / "fixtures" / "golden" / "tf_static", folder / "golden" / "tf_static")
     return folder
 
