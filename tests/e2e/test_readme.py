@@ -183,19 +183,14 @@ def test_what_is_said_of_diff_and_golden() -> None:
     ("blocks", "commands", "accepted"),
     [
         (
-            code_blocks("sh", after(PAGES["slam"], "<!-- dataset recipe -->"))[:1],
-            "info tf convert check",
-            "slam_toolbox",
-        ),
-        (
             code_blocks("sh", after(PAGES["slam"], "## A recipe for each program")),
             "",
             "slam_toolbox cartographer gmapping mrpt",
         ),
         (code_blocks("sh", after(README, "## From a bag to a map")), "info convert check", "slam_toolbox"),
-        (code_blocks("sh", PAGES["tutorial"]), "info convert check", "slam_toolbox"),
+        (code_blocks("sh", PAGES["tutorial"]), "info tf tf convert check", "slam_toolbox"),
     ],
-    ids=["dataset", "programs", "README", "tutorial"],
+    ids=["programs", "README", "tutorial"],
 )
 def test_a_recipe_ends_in_accepted_scans(blocks: list[str], commands: str, accepted: str, tmp_path: Path) -> None:
     shutil.copy(ROOT / "fixtures" / "hall.bag", tmp_path / "drive.bag")
