@@ -64,7 +64,8 @@ class TimeRange(TypedDict, total=False):
         bool,
         Option(
             Flag(),
-            "Check the CRCs of an MCAP source. Without it, reading is faster, but damage may not be detected.",
+            "Whether the CRCs of an MCAP source are checked. If not, reading is faster, but damage may not be "
+            "detected.",
             panel=RUN,
             default=True,
             typed="--no-verify",
@@ -101,9 +102,8 @@ class PointSelection(TypedDict, total=False):
         Names | None,
         Option(
             Texts("BEAMS"),
-            "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. Parameters of "
-            "laser_filters may follow, and it is its filter then: 'shadows min_angle=5 neighbors=10', "
-            "'speckles filter_window=3'.",
+            "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. With parameters, "
+            "the filter of laser_filters removes them: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'.",
             common=True,
         ),
     ]
@@ -337,7 +337,7 @@ class OtherTopics(TypedDict, total=False):
         Names | None,
         Option(
             Texts("TOPIC"),
-            "Copy only these of the topics that are not converted (names or globs).",
+            "Of the topics that are not converted, copy only these (names or globs).",
             common=True,
             offers=topics_of(),
         ),

@@ -252,7 +252,7 @@ class SeveralOutputs(TypedDict, total=False):
         Path | Mapping[str, Any] | list[Any] | None,
         Option(
             Outputs(),
-            "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters given "
-            "besides override those of all outputs.",
+            "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters of the "
+            "call override those of all outputs.",
         ),
     ]
