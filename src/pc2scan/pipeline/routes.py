@@ -68,13 +68,19 @@ def open_routes(
             continue
         connection = route.connection
         made = opened[connection.id] = OpenRoute(connection)
-        passing = opening.pass_on(route, made)
+        passing = None
+        if route.passes and recording is not None:
+            passing = TopicReport(connection.topic, connection.ros_type, connection.topic, "passed")
+            made.passing_handle, made.encode = recording.add_passing(connection, passing)
         if not route.tasks:
             made.report = opening.shared(passing or TopicReport(connection.topic, connection.ros_type, None, "skipped"))
             continue
         chosen = [conversions[task.key] for task in route.tasks]
         steps = [last(conversion, connection) for conversion in chosen]
-        combiners = [opening.combiner_of(*each) for each in zip(route.tasks, chosen, steps, strict=True)]
+        combiners = [
+            None if task.combination is None else opening.combiner_of(task.combination, conversion, step)
+            for task, conversion, step in zip(route.tasks, chosen, steps, strict=True)
+        ]
         # A group has the last step, not its messages.
         own_steps = [None if combiner else step for step, combiner in zip(steps, combiners, strict=True)]
         made.convert = converter(chosen, connection.topic, connection.serialization, connection.ros_type, own_steps)
@@ -106,27 +112,16 @@ class _Opening:
         key = (entry.topic, entry.msgtype, entry.target, entry.action, entry.note, entry.spec)
         return self.entries.setdefault(key, entry)
 
-    def pass_on(self, route: Route, made: OpenRoute) -> TopicReport | None:
-        """Let messages pass to the recording; return the entry of that, None if they do not."""
-        if not route.passes or self._recording is None:
-            return None
-        connection = route.connection
-        entry = TopicReport(connection.topic, connection.ros_type, connection.topic, "passed")
-        made.passing_handle, made.encode = self._recording.add_passing(connection, entry)
-        return entry
-
-    def combiner_of(self, task: RouteTask, conversion: Conversion, last: Step) -> Combiner | None:
+    def combiner_of(self, combination: Combination, conversion: Conversion, last: Step) -> Combiner | None:
         """Return what makes one scan of several messages; all routes of a combination share it."""
-        if task.combination is None:
-            return None
         from .combine.combiner import Combiner  # noqa: PLC0415
         from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
 
         if not isinstance(conversion, MessagesToScan) or conversion.grouper is None:
             return None
-        if task.combination not in self._combiners:
-            self._combiners[task.combination] = Combiner(conversion, last)
-        return self._combiners[task.combination]
+        if combination not in self._combiners:
+            self._combiners[combination] = Combiner(conversion, last)
+        return self._combiners[combination]
 
     def add_outputs(
         self,

@@ -117,7 +117,10 @@ class Tally:
         if failed:
             self._skip(item, failed)
         if not self.is_connected and route.convert is not None and not item.is_group:
-            self._note_connected(route.connection.topic, item.failure)
+            error = item.failure
+            self.is_connected = not isinstance(error, UnconnectedError)
+            if isinstance(error, UnconnectedError):
+                self._note_unconnected(route.connection.topic, error)
 
     def count_chunk(self, chunk: StoredChunk) -> None:
         """Count the messages of a chunk that passes as a whole."""
@@ -140,11 +143,8 @@ class Tally:
             topic, first = self._first_unconnected
             raise UnconnectedError(f"nothing can be converted: {first.message}", topic=topic, hint=first.hint)
 
-    def _note_connected(self, topic: str, error: MessageError | None) -> None:
-        """Note whether transforms connect a message with the target frame; warn if they connect none of the first."""
-        self.is_connected = not isinstance(error, UnconnectedError)
-        if not isinstance(error, UnconnectedError):
-            return
+    def _note_unconnected(self, topic: str, error: UnconnectedError) -> None:
+        """Note a message that no transforms connect with the target frame; warn if they connect none of the first."""
         self._unconnected += 1
         self._first_unconnected = self._first_unconnected or (topic, error)
         if self._unconnected == _LOOKED_AT and self._warn is not None:

@@ -182,7 +182,8 @@ def sector_in_degrees(request: OutputRequest) -> Iterator[str]:
 def beams_beyond_half_turn(request: OutputRequest) -> Iterator[str]:
     """Yield a warning if some beams have angles that no point has: those of points are from -pi to pi."""
     params = request.spec.params
-    if request.spec.reverse or params.angle_max - params.angle_min > FULL_TURN:
+    # Beams of a full circle go round it, wherever it begins.
+    if request.spec.reverse or params.angle_max - params.angle_min > FULL_TURN or params.layout.full_circle:
         return
     low, high = max(params.angle_min, -math.pi), min(params.angle_max, math.pi)
     share = 1 - max(0.0, high - low) / (params.angle_max - params.angle_min)
