@@ -69,7 +69,8 @@ def convert(
     path, folder = destination_of(destination)
     output = output_of(options, folder=folder)
     try:
-        options.check()
+        if options.wrong is not None:
+            raise options.wrong
         conversion = conversion_of(options, warnings)
     except Pc2ScanError as err:
         from .pipeline.run import report_failure  # noqa: PLC0415
@@ -221,7 +222,7 @@ def info(sources: Sequence[Path], options: Options) -> Info:
         described=options.topics,
         target_frame=options.target_frame,
         frames=frames_of(options),
-        given={name: options.given[name] for name in _OF_FRAMES if name in options.given},
+        given=options.among(_OF_FRAMES),
     )
 
 

@@ -52,11 +52,6 @@ class ConversionRequest(NamedTuple):
     files: Mapping[str, Path]
 
 
-def _among(options: Options, names: Iterable[str]) -> dict[str, Any]:
-    """Return those of some options that were given."""
-    return {name: options.given[name] for name in names if name in options.given}
-
-
 def first_output(options: ConvertOptions, verb: str, note: Callable[[str], None]) -> ConvertOptions:
     """Return a conversion with the first of its outputs only; ``verb`` says in the note what it is used for."""
     if options.scans[1:]:
@@ -80,7 +75,7 @@ def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None
         If an option has a wrong value, or contradicts another one.
     """
     filters = _filters_in(options.filters)
-    settings = [Setting(name, value, options.origin(name)) for name, value in options.parameters.items()]
+    settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in options.parameters.items()]
     if options.scans is not None:
         return _several_scans(options, settings, note)
     noted: dict[str, None] = {}
@@ -153,7 +148,7 @@ def _of_node(
         combining=Combining.of(**options.given),
         filters=(*_point_filters(options, resolved), *filters),
         remove=_beam_filters(options.remove),
-        **_among(options, _OF_A_SCAN),
+        **options.among(_OF_A_SCAN),
     )
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
     return ConversionRequest(_options(options, (scan,), frames), files)
@@ -165,7 +160,7 @@ def _note_ignored(places: Iterable[str], note: Callable[[str], None]) -> None:
 
 
 def _options(options: Options, scans: tuple[ScanSpec, ...], frames: FrameOptions) -> ConvertOptions:
-    return ConvertOptions(scans=scans, frames=frames, **_among(options, _OF_ALL))
+    return ConvertOptions(scans=scans, frames=frames, **options.among(_OF_ALL))
 
 
 def named_files(options: Options) -> dict[str, Path]:
@@ -220,7 +215,7 @@ def output_of(options: Options, *, folder: Path | None = None, like_source: bool
         from .pipeline.split import cut_of  # noqa: PLC0415  # most recordings are one file
 
         cut = cut_of(options.split, repeat_latched=options.repeat_latched)
-    return OutputOptions(cut=cut, folder=folder, like_source=like_source, **_among(options, OutputOptions._fields))
+    return OutputOptions(cut=cut, folder=folder, like_source=like_source, **options.among(OutputOptions._fields))
 
 
 def destination_of(destination: PathText | None) -> tuple[Path | None, Path | None]:

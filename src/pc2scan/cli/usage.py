@@ -8,7 +8,7 @@ import shlex
 from typing import TYPE_CHECKING
 
 # Typer has no public place for these; pyproject.toml allows only versions in which they are here.
-from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParameter, NoArgsIsHelpError, NoSuchOption
+from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParameter, NoSuchOption
 from typer._click.exceptions import UsageError as TyperUsageError
 
 from pc2scan.errors import UsageError
@@ -19,8 +19,6 @@ from .spelling import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-__all__ = ["NoArgsIsHelpError", "TyperUsageError", "in_our_words"]
 
 #: Typer's names of types, and ours.
 _KINDS = {

@@ -35,13 +35,15 @@ class Options:
     known
         The options that there are, if not those of the command.
     later
-        Whether a wrong value is an error only in `check`; until then, it counts as not given.
+        Whether a wrong value raises no error, but counts as not given and is kept in ``wrong``.
 
     Attributes
     ----------
     given
         What was given, by name, as `pc2scan.options.values` reads it. Values that are defaults are not in it, except
         those of the projection's parameters, which override those of files and presets.
+    wrong
+        The first error of the values, if it was not raised.
 
     Raises
     ------
@@ -49,7 +51,7 @@ class Options:
         If a value has the wrong type, or means nothing.
     """
 
-    __slots__ = ("_known", "_wrong", "command", "given", "origins")
+    __slots__ = ("_known", "command", "given", "origins", "wrong")
 
     def __init__(
         self,
@@ -64,28 +66,22 @@ class Options:
         self.origins = origins or {}
         self._known = options_of(command) if known is None else known
         self.given: dict[str, Any] = {}
-        self._wrong: UsageError | None = None
+        self.wrong: UsageError | None = None
         for name, value in values.items():
-            try:
-                self._read(name, value)
-            except UsageError as err:
-                if not later:
-                    raise
-                self._wrong = self._wrong or err
-
-    def _read(self, name: str, value: Any) -> None:
-        option = self._known[name]
-        if isinstance(option, Parameter):
-            self.given[name] = _python_value(value)
-        elif value is not None and not _is_default(value, option.default):
-            read = option.value.read(name, value)
-            if not _is_default(read, option.default):
-                self.given[name] = read
-
-    def check(self) -> None:
-        """Raise the first error of the values, if that was put off."""
-        if self._wrong is not None:
-            raise self._wrong
+            option = self._known[name]
+            if isinstance(option, Parameter):
+                # NumPy's scalars as Python's.
+                self.given[name] = value.item() if getattr(value, "ndim", None) == 0 else value
+            elif value is not None and not _is_default(value, option.default):
+                try:
+                    read = option.value.read(name, value)
+                except UsageError as err:
+                    if not later:
+                        raise
+                    self.wrong = self.wrong or err
+                else:
+                    if not _is_default(read, option.default):
+                        self.given[name] = read
 
     def __getattr__(self, name: str) -> Any:
         """Return the value of an option; one that this command does not have has the default of a conversion."""
@@ -104,14 +100,14 @@ class Options:
         more.given = self.given | {name: (*self.given.get(name, ()), *values) for name, values in texts.items()}
         return more
 
-    def origin(self, name: str) -> str:
-        """Return where a parameter of the projection was given."""
-        return self.origins.get(name, CALL)
+    def among(self, names: Iterable[str]) -> dict[str, Any]:
+        """Return what was given of these options."""
+        return {name: self.given[name] for name in names if name in self.given}
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The given parameters of the projection."""
-        return {name: value for name, value in self.given.items() if isinstance(self._known[name], Parameter)}
+        """The given parameters of the projection, in the order in which they were given."""
+        return {name: value for name, value in self.given.items() if name in PARAMETERS}
 
     @property
     def of_one_output(self) -> list[str]:
@@ -137,8 +133,3 @@ def _is_default(value: object, default: object) -> bool:
     if isinstance(value, tuple) and not value:
         return True
     return value is default or (type(value) is type(default) and bool(value == default))
-
-
-def _python_value(value: object) -> object:
-    """Return NumPy's scalars as Python's."""
-    return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
