@@ -10,8 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .errors import Pc2ScanError
-from .options.frames import frames_of
-from .requests import conversion_of, destination_of, first_output, named_files, output_of
+from .requests import conversion_of, destination_of, first_output, frames_of, named_files, output_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -18,8 +18,8 @@ from pc2scan.pipeline.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.pipeline.checks.request import OutputRequest
 from pc2scan.pipeline.checks.result import TopicResult
 from pc2scan.pipeline.combine.counts import Jump, Run, SourceCounts
+from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.report import Report
-from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.topic_report import TopicReport
 from pc2scan.requests import conversion_of
 from support.tables import rows

@@ -121,11 +121,11 @@ def call_options(name: str, typed: Mapping[str, Any]) -> Options:
             continue
         option = known[key]
         if isinstance(option, Parameter):
-            number = _NUMBERS.get(option.kind)
+            number = _NUMBERS.get(option.value.kind)
             try:
                 words[key] = number(value) if number else value
             except ValueError:
-                from pc2scan.pipeline.ros_scalars import plain_scalar
+                from pc2scan.pipeline.parameters import plain_scalar
 
                 # In the notation of a parameter file.
                 words[key] = plain_scalar(value)

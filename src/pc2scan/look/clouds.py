@@ -90,7 +90,8 @@ def clouds_page(
         "presets": {name: {k: v for k, v in values.items() if k in _SHOWN} for name, values in PRESETS.items()},
         "preset": preset,
         "parameters": {
-            name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": PARAMETERS[name].words} for name in _SHOWN
+            name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": PARAMETERS[name].value.words}
+            for name in _SHOWN
         },
         "command": list(command),
         "targetFrame": options.scan.params.target_frame,

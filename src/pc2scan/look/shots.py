@@ -16,9 +16,9 @@ from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.pipeline.levelling import UpSources
 from pc2scan.pipeline.measurements import cloud_observers, measure
+from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.point_times import measure_turns, turn_observers
-from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.pipeline.stages.deskew import Deskew, PointTime
 from pc2scan.pipeline.stages.selection import SelectStage
 from pc2scan.text import counted

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
     from pc2scan.errors import Pc2ScanError
 
-    from .scan_spec import ScanSpec
+    from .options import ScanSpec
     from .topic_report import TopicReport
 
 #: The text for the frame of scans without a target frame.

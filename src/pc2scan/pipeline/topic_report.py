@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from .combine.counts import SourceCounts
     from .combine.rebinning import Rebinning
     from .conversion import ConvertedMessage
-    from .scan_spec import ScanSpec
+    from .options import ScanSpec
 
 
 @dataclass(slots=True)

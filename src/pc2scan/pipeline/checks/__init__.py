@@ -16,9 +16,8 @@ from .result import Result, TopicResult
 if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Buffer
-    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.options import ConvertOptions, ScanSpec
     from pc2scan.pipeline.report import Report
-    from pc2scan.pipeline.scan_spec import ScanSpec
     from pc2scan.pipeline.topic_report import TopicReport
 
     from .clouds import CloudFacts

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from pc2scan.core.verdicts import Outcome, Verdict
     from pc2scan.model import Buffer
     from pc2scan.pipeline.combine.counts import SourceCounts
+    from pc2scan.pipeline.options import ScanSpec
     from pc2scan.pipeline.report import Report
-    from pc2scan.pipeline.scan_spec import ScanSpec
     from pc2scan.pipeline.topic_report import TopicReport
 
 #: How many topics the warning about skipped ones lists.
