@@ -141,15 +141,9 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
     warnings = _Warnings(warn)
     conversion = conversion_of(options, warnings)
     first = first_output(conversion.options, "shown", warnings)
-    from .look.command_line import convert_words  # noqa: PLC0415
     from .look.view import page_of, write_page  # noqa: PLC0415
 
-    asked: dict[str, Any] = {
-        "clouds": options.clouds,
-        "at": options.at,
-        "preset": options.preset or "",
-        "command": convert_words(sources, first, "scans.mcap"),
-    }
+    asked: dict[str, Any] = {"clouds": options.clouds, "at": options.at, "preset": options.preset or ""}
     if destination is None:
         return _with(page_of(sources, first, **asked), warnings)
     page = write_page(sources, destination, first, overwrite=options.overwrite, also_read=conversion.files, **asked)

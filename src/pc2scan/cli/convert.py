@@ -13,8 +13,7 @@ from pc2scan.options.call import Options
 from pc2scan.pipeline.parameters import from_preset
 
 from .options import Destination
-from .progress import progress_bar
-from .render import LiveWarnings, say, show
+from .render import LiveWarnings, progress_bar, say, show
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

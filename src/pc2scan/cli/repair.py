@@ -28,7 +28,7 @@ def repair(
     """
     from pc2scan import commands
 
-    from .progress import progress_bar
+    from .render import progress_bar
 
     silent = options.quiet or options.as_json
     with progress_bar(enabled=not silent) as progress:

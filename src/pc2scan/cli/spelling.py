@@ -7,14 +7,8 @@ Messages name an option as in Python, in backticks: ```overwrite=True` replaces 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
 
 from pc2scan.options.table import spelling_of
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from pc2scan.result import Call
 
 _NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
@@ -34,22 +28,3 @@ def _spelled(named: re.Match[str]) -> str:
     if option is None:
         return named[0]
     return option if value in (None, "True") else f"{option} {value}"
-
-
-def call_words(call: Call) -> list[str]:
-    """Return the words of the command that a result proposes."""
-    words = ["pc2scan", call.command, *call.sources]
-    for name, value in call.options.items():
-        words += _option_words(spelling_of(name) or f"--{name}", value)
-    return words
-
-
-def _option_words(spelling: str, value: Any) -> Iterator[str]:
-    """Yield an option; negative numbers need no "=" before them, because no option begins with a digit."""
-    if value is True:
-        yield spelling
-    elif isinstance(value, tuple):
-        for each in value:
-            yield from _option_words(spelling, each)
-    else:
-        yield from (spelling, f"{value:g}" if isinstance(value, float) else str(value))

@@ -1,4 +1,4 @@
-"""The options of one call, whoever gives them: Python, the command line or a file."""
+"""The options of one call, whoever gives them: Python, the command line or a file; and a call as a command line."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.errors import UsageError
 
 from .option import ONE_OUTPUT, SINGLE, Parameter
-from .table import PARAMETERS, conversion_options, options_of
+from .table import PARAMETERS, conversion_options, options_of, spelling_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from typing_extensions import Self
+
+    from pc2scan.result import Call
 
     from .option import Option
 
@@ -133,3 +135,22 @@ def _is_default(value: object, default: object) -> bool:
     if isinstance(value, tuple) and not value:
         return True
     return value is default or (type(value) is type(default) and bool(value == default))
+
+
+def call_words(call: Call) -> list[str]:
+    """Return the words of the command that a result proposes."""
+    words = ["pc2scan", call.command, *call.sources]
+    for name, value in call.options.items():
+        words += _option_words(spelling_of(name) or f"--{name}", value)
+    return words
+
+
+def _option_words(spelling: str, value: Any) -> Iterator[str]:
+    """Yield an option; negative numbers need no "=" before them, because no option begins with a digit."""
+    if value is True:
+        yield spelling
+    elif isinstance(value, tuple):
+        for each in value:
+            yield from _option_words(spelling, each)
+    else:
+        yield from (spelling, f"{value:g}" if isinstance(value, float) else str(value))
