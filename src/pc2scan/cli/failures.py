@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, Pc2ScanError
 
-from .render import say, show_error
-from .spelling import as_typed
+from .render import as_typed, say, show_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -21,7 +21,7 @@ from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
 
-from .spelling import as_typed
+from .render import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

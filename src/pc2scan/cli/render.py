@@ -5,6 +5,7 @@ All text of the commands is printed here, so that it is safe to show.
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from contextlib import contextmanager
@@ -14,17 +15,20 @@ import typer
 
 from pc2scan.errors import visible
 from pc2scan.options.call import call_words
+from pc2scan.options.table import spelling_of
 from pc2scan.result import Call
 from pc2scan.tables import Table
 
 from .screen import Screen
-from .spelling import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterable, Iterator
 
     from pc2scan.errors import Pc2ScanError
     from pc2scan.result import Part, Result
+
+#: An option in a text, as in Python, in backticks.
+_NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
 
 def say(text: str = "", *, err: bool = False) -> None:
@@ -57,6 +61,25 @@ class LiveWarnings(list[str]):
         """Show a warning."""
         self.append(text)
         warn(text)
+
+
+def as_typed(text: str) -> str:
+    """Return a text with its options as they are typed; other text in backticks is unchanged.
+
+    Messages name an option as in Python: ```overwrite=True` replaces it``.
+
+    >>> as_typed("`overwrite=True` replaces it; `topics=/points:=/b` is free; see `min_height` and `ls`")
+    '--overwrite replaces it; --topic /points:=/b is free; see --min-height and `ls`'
+    """
+    return _NAMED.sub(_spelled, text) if "`" in text else text
+
+
+def _spelled(named: re.Match[str]) -> str:
+    name, value = named.groups()
+    option = spelling_of(name)
+    if option is None:
+        return named[0]
+    return option if value in (None, "True") else f"{option} {value}"
 
 
 def print_json(document: object) -> None:

@@ -15,7 +15,7 @@ from pc2scan.errors import UsageError
 from pc2scan.options.table import GROUPS, instead_of, options_of
 from pc2scan.text import did_you_mean
 
-from .spelling import as_typed
+from .render import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

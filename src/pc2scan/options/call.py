@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import UsageError
 
+from .conversion import CloudCombination
 from .option import ONE_OUTPUT, SINGLE, Parameter
 from .table import PARAMETERS, conversion_options, options_of, spelling_of
 
@@ -126,9 +127,11 @@ class Options:
 
     @property
     def makes_scans(self) -> bool:
-        """Whether any parameter of the projection is given: by name, by a preset or in a file."""
-        sources = ("params", "preset", "params_file", "param")
-        return bool(self.parameters) or any(self.given.get(name) for name in sources)
+        """Whether parameters of the projection are given (by name, by a preset, in a file), or scans to be combined."""
+        combining = CloudCombination.__annotations__.keys()
+        return any(self.given.get(name) for name in ("params", "preset", "params_file", "param")) or any(
+            name in PARAMETERS or name in combining for name in self.given
+        )
 
 
 def _is_default(value: object, default: object) -> bool:
