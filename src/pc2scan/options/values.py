@@ -422,9 +422,13 @@ class Moment(Value):
 
     def read(self, name: str, value: Any) -> Any:
         """Return it as a `pc2scan.options.moment.TimeBound`."""
-        from .moment import bound_of  # noqa: PLC0415  # most conversions have no cut
+        from .moment import TimeBound  # noqa: PLC0415  # most conversions have no cut
 
-        return bound_of(name, value)
+        try:
+            return TimeBound.of(value)
+        except UsageError as err:
+            err.message = f"`{name}`: {err.message}"
+            raise
 
     def admits(self, value: object) -> bool:
         """Return whether it is a number or text."""
