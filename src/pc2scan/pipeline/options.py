@@ -14,7 +14,7 @@ from pc2scan.errors import ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.options.conversion import CloudCombination, PointSelection, RobotMotion
+from pc2scan.options.conversion import CloudCombination, PointSelection
 from pc2scan.options.values import nanoseconds_of
 from pc2scan.tf.options import FrameOptions
 
@@ -36,8 +36,8 @@ _MOST_MESSAGES = 100_000
 
 _CLOUDS = r"(\d+) ?(?:clouds?|scans?|messages?)"
 
-#: Options that are attributes of an output as they are.
-_AS_GIVEN = (*RobotMotion.__annotations__, "keep_used")
+#: Attributes of an output that are made of options. All others are options as they are given.
+_MADE = frozenset({"topics", "params", "reverse", "channels", "filters", "remove"})
 
 
 class TopicRequest(NamedTuple):
@@ -206,7 +206,7 @@ class ScanSpec:
         **more
             Attributes that are no options.
         """
-        read = {name: values[name] for name in _AS_GIVEN if name in values}
+        read = {name: values[name] for name in cls.__dataclass_fields__ if name in values and name not in _MADE}
         if values.keys() & CloudCombination.__annotations__.keys():
             read["combining"] = Combining.of(**values)
         if values.keys() & PointSelection.__annotations__.keys():
