@@ -19,13 +19,15 @@ from .tf.options import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from typing import Any
+    from typing import Any, TypeAlias
 
     from .arguments import PathText
     from .core.unproject import UnprojectParams
     from .pipeline.run_files import OutputOptions
     from .streams.stream import Selection
     from .tf.static import StaticTransform
+
+    Warn: TypeAlias = Callable[[str], None]
 
 #: Options that are attributes of a conversion, as they are.
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}
@@ -43,10 +45,13 @@ class ConversionRequest(NamedTuple):
         The options of the pipeline.
     files
         The files that were read for them, by option.
+    notes
+        Warnings about files.
     """
 
     options: ConvertOptions
     files: Mapping[str, Path]
+    notes: tuple[str, ...] = ()
 
 
 def frames_of(options: Options) -> FrameOptions:
@@ -77,22 +82,25 @@ def frames_of(options: Options) -> FrameOptions:
     )
 
 
-def first_output(options: ConvertOptions, verb: str, note: Callable[[str], None]) -> ConvertOptions:
-    """Return a conversion with the first of its outputs only; ``verb`` says in the note what it is used for."""
+def first_output(request: ConversionRequest, verb: str, warn: Warn | None) -> ConversionRequest:
+    """Return a conversion with the first of its outputs only; ``verb`` says in a note what it is used for."""
+    options = request.options
     if options.scans[1:]:
-        note(f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}")
-    return options.with_scan()
+        only = f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}"
+        _pass_on([only], warn)
+        request = request._replace(notes=(*request.notes, only))
+    return request._replace(options=options.with_scan())
 
 
-def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None) -> ConversionRequest:
+def conversion_of(options: Options, warn: Warn | None = None) -> ConversionRequest:
     """Read the options of a conversion.
 
     Parameters
     ----------
     options
         Missing ones have the defaults of `pc2scan.convert`.
-    note
-        Called with warnings about files, once for each, also if an error follows.
+    warn
+        Called with each of the notes as soon as it is known, also if an error follows.
 
     Raises
     ------
@@ -101,34 +109,36 @@ def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None
     """
     settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in options.parameters.items()]
     if options.scans is not None:
-        return _several_scans(options, settings, note)
+        return _several_scans(options, settings, warn)
     try:
-        return _of_node(options, settings, options.node, note)
+        return _of_node(options, settings, options.node, warn)
     except SeveralNodesError as err:
         if options.reverse or options.params_file is None:
             raise
-        return _of_nodes(options, settings, err.nodes, options.params_file, note)
+        return _of_nodes(options, settings, err.nodes, options.params_file, warn)
 
 
 def _of_nodes(
-    options: Options, settings: list[Setting], nodes: Sequence[str], file: Path, note: Callable[[str], None]
+    options: Options, settings: list[Setting], nodes: Sequence[str], file: Path, warn: Warn | None
 ) -> ConversionRequest:
     """Read the options of a conversion with an output for each node of a parameter file."""
     from .pipeline.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
 
-    noted: dict[str, None] = {}
-
-    def note_once(text: str) -> None:
-        if text not in noted:
-            noted[text] = None
-            note(text)
-
     refuse_topics(options.topics, nodes, file)
-    each = [_of_node(options, settings, node, note_once, one_of_several=True) for node in nodes]
-    return ConversionRequest(options_of_nodes(nodes, [found.options for found in each], file), each[0].files)
+    each: list[ConversionRequest] = []
+    for node in nodes:
+        each.append(_of_node(options, settings, node, warn, beside=tuple(each)))
+    conversion = options_of_nodes(nodes, [request.options for request in each], file)
+    return ConversionRequest(conversion, each[0].files, tuple(note for request in each for note in request.notes))
 
 
-def _several_scans(options: Options, settings: list[Setting], note: Callable[[str], None]) -> ConversionRequest:
+def _pass_on(notes: Iterable[str], warn: Warn | None) -> None:
+    if warn is not None:
+        for note in notes:
+            warn(note)
+
+
+def _several_scans(options: Options, settings: list[Setting], warn: Warn | None) -> ConversionRequest:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
     from .pipeline.yaml_nodes import parse_param  # noqa: PLC0415  # few conversions have several outputs
@@ -136,22 +146,28 @@ def _several_scans(options: Options, settings: list[Setting], note: Callable[[st
     refuse_beside(options.of_one_output)
     settings = [*settings, *(parse_param(text) for text in reversed(options.param))]
     found = load_scans(options.scans, settings)
-    for place in found.ignored:
-        note(_IGNORED + place)
+    notes = tuple(_IGNORED + place for place in found.ignored)
+    _pass_on(notes, warn)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
     conversion = ConvertOptions(scans=found.specs, frames=frames_of(options), **options.among(_OF_ALL))
-    return ConversionRequest(conversion, named_files(options) | files)
+    return ConversionRequest(conversion, named_files(options) | files, notes)
 
 
 def _of_node(
     options: Options,
     settings: list[Setting],
     node: str | None,
-    note: Callable[[str], None],
+    warn: Warn | None,
     *,
-    one_of_several: bool = False,
+    beside: Sequence[ConversionRequest] | None = None,
 ) -> ConversionRequest:
-    """Read the options of a conversion with one output; a parameter file is read for one of its nodes."""
+    """Read the options of a conversion with one output; a parameter file is read for one of its nodes.
+
+    Parameters
+    ----------
+    beside
+        The conversions of other nodes in the same file, whose notes are not repeated; None if there is only one node.
+    """
     if options.params is not None:
         resolved = _changed_params(options)
     else:
@@ -164,8 +180,10 @@ def _of_node(
             preset=options.preset,
             reverse=options.reverse,
         )
-    for place in resolved.ignored:
-        note(_IGNORED + place)
+    known = {note for other in beside or () for note in other.notes}
+    notes = tuple(dict.fromkeys(_IGNORED + place for place in resolved.ignored if _IGNORED + place not in known))
+    if notes:
+        _pass_on(notes, warn)
     frames = frames_of(options)
     topics, typed = options.topics, list(options.remap)
     if typed and topics:
@@ -175,7 +193,7 @@ def _of_node(
     if typed or resolved.remaps:
         from .pipeline.nodes import read_remaps, remaps_of_node  # noqa: PLC0415  # few are given any
 
-        if one_of_several and node is not None:
+        if beside is not None and node is not None:
             typed = remaps_of_node(typed, node)
         typed = [text for text in typed if not text.startswith("__")]
         moved = read_remaps((*resolved.remaps, *typed), reverse=resolved.reverse)
@@ -187,7 +205,7 @@ def _of_node(
         more["channels"] = _channels(options.channels, options.range_cutoff)
     scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    return ConversionRequest(ConvertOptions(scans=(scan,), frames=frames, **options.among(_OF_ALL)), files)
+    return ConversionRequest(ConvertOptions(scans=(scan,), frames=frames, **options.among(_OF_ALL)), files, notes)
 
 
 #: The beginning of the note about an entry of a file.

@@ -58,7 +58,7 @@ def read_remaps(texts: Iterable[str], *, reverse: bool = False) -> Remappings:
 
     Returns
     -------
-    Remapped
+    Remappings
         A remapping of ``scan`` alone applies to the only PointCloud2 topic.
 
     Raises
