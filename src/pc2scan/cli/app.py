@@ -197,10 +197,6 @@ def _as_exit(err: Pc2ScanError | TyperUsageError, words: Sequence[str]) -> Excep
         return err
     from .failures import show_failure
 
-    if isinstance(err, TyperUsageError):
-        from .usage import in_our_words
-
-        err = in_our_words(err, words)
     return typer.Exit(show_failure(err, words))
 
 
