@@ -148,7 +148,7 @@ def _combinations(
     spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
 ) -> list[Combination]:
     """Return the topics whose messages become scans together."""
-    if spec.reverse:
+    if not spec.may_combine:
         return []
     sources: dict[str, list[str]] = {}
     for topic, names in targets.items():
