@@ -542,7 +542,7 @@ def scans(
 
     names, asked = names_in("topics", topics), Options("scans", options)
     conversion = None
-    if asked.makes_scans or asked.given.keys() & {"lead", "window", "accumulate", "every", "rebin"}:
+    if asked.makes_scans:
         given = {**asked.given, "topics": names, "only_scans": True}
         conversion = conversion_of(Options("convert", given)).options
         if conversion.scan.reverse:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pc2scan.cli.in_process import run_command
-from pc2scan.cli.spelling import as_typed
+from pc2scan.cli.render import as_typed
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
 from support import conversions, sampled

@@ -11,8 +11,7 @@ import pc2scan
 from pc2scan.core.project import Projector
 from pc2scan.look.recording import open_recording
 from pc2scan.look.shots import take_shots
-from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.options import ConvertOptions, ScanSpec
 from pc2scan.pipeline.stages.where import Where
 from support import ROOT
 

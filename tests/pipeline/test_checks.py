@@ -20,8 +20,8 @@ from pc2scan.pipeline.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.pipeline.checks.request import OutputRequest
 from pc2scan.pipeline.checks.result import TopicResult
 from pc2scan.pipeline.combine.counts import Jump, Run, SourceCounts
+from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.report import Report, TopicReport
-from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.requests import conversion_of
 from pc2scan.tf.builder import TransformBuilder
 from support.tables import rows

@@ -15,8 +15,7 @@ from pc2scan.files.similar_paths import missing_hint
 from pc2scan.files.source import open_bytes
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import Flag, PathName, Texts
-from pc2scan.pipeline.parameters import RIVALS
-from pc2scan.pipeline.ros_scalars import plain_scalar
+from pc2scan.pipeline.parameters import RIVALS, plain_scalar
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
 from pc2scan.remote.urls import is_url
 from pc2scan.text import did_you_mean

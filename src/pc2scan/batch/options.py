@@ -64,7 +64,7 @@ class BatchOptions:
     @classmethod
     def of(cls, options: Options) -> BatchOptions:
         """Return how a batch runs, by the options of a call."""
-        return cls(**{name: options.given[name] for name in cls.__dataclass_fields__ if name in options.given})
+        return cls(**options.among(cls.__dataclass_fields__))
 
     def __post_init__(self) -> None:
         if isinstance(self.dask, str) and "://" not in self.dask:

@@ -113,10 +113,9 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     if unknown := keywords.keys() - known.keys():
         raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
     options = Options("batch", keywords, origins, known=known)
-    notes: list[str] = []
     _check_export(options)
     output = output_of(options, like_source=True)
-    conversion = conversion_of(options, notes.append)
+    conversion = conversion_of(options)
     export = None
     if options.export is not None:
         from pc2scan.export.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
@@ -126,7 +125,7 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     frames = conversion.options.frames
     frames = replace(frames, tf_from=tuple(map(_absolute_path, frames.tf_from)))
     files = {name: _absolute_path(path) for name, path in conversion.files.items()}
-    return Request(replace(conversion.options, frames=frames), output, files, tuple(notes), export)
+    return Request(replace(conversion.options, frames=frames), output, files, conversion.notes, export)
 
 
 def _check_export(options: Options) -> None:

@@ -15,7 +15,7 @@ from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import files_output
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.pipeline.scan_spec import TopicRequest
+from pc2scan.pipeline.options import TopicRequest
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection
 

@@ -110,7 +110,6 @@ def write_page(
     clouds: int = 10,
     at: Sequence[TimeBound] = (),
     preset: str = "",
-    command: Sequence[str] = (),
     overwrite: bool = False,
     also_read: Mapping[str, Path] | None = None,
 ) -> Page:
@@ -138,7 +137,7 @@ def write_page(
         [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
-        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, command=command)
+        page = page_of(sources, options, clouds=clouds, at=at, preset=preset)
         deliver(page.html)
     return replace(page, path=str(destination))
 
@@ -150,7 +149,6 @@ def page_of(
     clouds: int = 10,
     at: Sequence[TimeBound] = (),
     preset: str = "",
-    command: Sequence[str] = (),
 ) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
 
@@ -166,8 +164,6 @@ def page_of(
         Moments to show instead.
     preset
         The preset that the parameters come from; empty for none.
-    command
-        The words of the command line that converts the recording, without the parameters of the projection.
 
     Raises
     ------
@@ -183,7 +179,7 @@ def page_of(
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             taken = take_shots(recording, options, count=clouds, at_ns=at_ns, level=False)
-            described, blobs = clouds_page(taken, options, preset=preset, command=command)
+            described, blobs = clouds_page(sources, taken, options, preset=preset)
         else:
             asked = [request.source for request in options.scan.topics]
             topics, buffer = scan_connections(reader, asked), _transforms(recording)

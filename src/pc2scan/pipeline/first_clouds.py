@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement
 
-    from .scan_spec import ScanSpec
+    from .options import ScanSpec
 
 
 class SharedSample(NamedTuple):

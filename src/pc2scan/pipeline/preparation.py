@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.errors import ParameterError, Pc2ScanError, UsageError
+from pc2scan.errors import Pc2ScanError, UsageError
 from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import read_robot_transforms
 
@@ -15,16 +15,15 @@ from .first_clouds import FirstClouds
 from .items import Span
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
 
     from .conversion import Conversion, Measurements
-    from .options import ConvertOptions
+    from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
-    from .scan_spec import ScanSpec
     from .stages.deskew import Deskew
     from .survey import DeskewObservers, Survey
 
@@ -165,14 +164,14 @@ def _prepare_output(
     if observed.frame is not None and frames.buffer is not None:
         from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
 
-        with _naming_output(spec):
+        with spec.naming_errors():
             doubts = check_fixed_frame(frames.source_frame or first_frame(observed.frame), spec, frames.buffer)
         warnings += (spec.label + doubt for doubt in doubts)
     for combination, observers in observed.combinations.items():
         from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
         from .combine.measurements import measure_sources  # noqa: PLC0415
 
-        with _naming_output(spec):
+        with spec.naming_errors():
             timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, frames)
         notes += (spec.label + note for note in new_notes)
         warnings += (spec.label + doubt for doubt in doubts)
@@ -189,7 +188,7 @@ def _prepare_output(
         if spec.needs_measuring:
             from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
-            with _naming_output(spec):
+            with spec.naming_errors():
                 timings, new_notes = measure(observed.clouds, spec, frames)
             notes += (spec.label + note for note in new_notes)
         deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew.get(None))
@@ -210,7 +209,7 @@ def _deskew(
 
     where = PointTime.parse(spec.point_time)
     doubts = [] if observers is None else [spec.label + each for each in time_warnings(observers.times)]
-    with _naming_output(spec):
+    with spec.naming_errors():
         turns, notes = measure_turns({} if observers is None else observers.turns, spec.point_time)
     deskew = Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
     return deskew, [spec.label + note for note in notes], doubts
@@ -254,15 +253,3 @@ def _to_scans(
         keeps_used=bool(spec.keep_used),
         remove=spec.remove,
     )
-
-
-@contextmanager
-def _naming_output(spec: ScanSpec) -> Generator[None]:
-    """Add the name of an output, and the origin of a parameter, to errors."""
-    try:
-        yield
-    except UsageError as err:
-        if isinstance(err, ParameterError) and (origin := spec.origins.get(err.name)):
-            err.message += f" (from {origin})"
-        err.message = spec.label + err.message
-        raise

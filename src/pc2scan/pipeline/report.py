@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .combine.counts import SourceCounts
     from .combine.rebinning import Rebinning
     from .conversion import ConvertedMessage
-    from .scan_spec import ScanSpec
+    from .options import ScanSpec
 
 #: The text for the frame of scans without a target frame.
 _OWN = "each message's own"

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from .combine.combiner import Combiner
     from .conversion import Conversion, Step
     from .declarations import RecordingTopics
+    from .options import ScanSpec
     from .plan import Combination, Route, RouteTask
-    from .scan_spec import ScanSpec
 
 
 class Routes(NamedTuple):

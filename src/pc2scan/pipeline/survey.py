@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from .combine.measurements import CombinationObservers
     from .items import Span
     from .measurements import FirstCloud
+    from .options import ScanSpec
     from .plan import Combination, Plan
     from .point_times import PointTimes
-    from .scan_spec import ScanSpec
     from .stages.turn import TurnSample
 
 
@@ -131,10 +131,10 @@ class Survey:
             self.given_frames = [frame_observer([route.connection], span) for route in plan.routes if route.tasks]
         self._imus: dict[str, ImuReading] = {}
         for spec in plan.specs:
-            if spec.imu:
-                from pc2scan.tf.imu import ImuReading, ImuRequest  # noqa: PLC0415  # few scans are level
+            if spec.imu_request:
+                from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few scans are level
 
-                topic = ImuRequest.parse(spec.imu).topic
+                topic = spec.imu_request.topic
                 self._imus.setdefault(topic, ImuReading(self._readers, topic))
         self.outputs = {spec: self._observers_of(spec, plan, asked) for spec in plan.specs if not spec.reverse}
 
@@ -217,9 +217,8 @@ def _motion_connections(reader: Reader, spec: ScanSpec, frames: FrameOptions) ->
     """Yield the connections with moving transforms, and those of the IMU, that the spec uses."""
     if spec.fixed_frame:
         yield from (c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic))
-    if spec.imu:
+    if spec.imu_request:
         from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
-        from pc2scan.tf.imu import ImuRequest  # noqa: PLC0415
 
-        topic = ImuRequest.parse(spec.imu).topic.strip("/")
+        topic = spec.imu_request.topic.strip("/")
         yield from (c for c in reader.connections if c.ros_type == IMU and c.topic.strip("/") == topic)

@@ -15,9 +15,8 @@ from .result import Result, TopicResult
 
 if TYPE_CHECKING:
     from pc2scan.model import Buffer, Summary
-    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.options import ConvertOptions, ScanSpec
     from pc2scan.pipeline.report import Report, TopicReport
-    from pc2scan.pipeline.scan_spec import ScanSpec
 
     from .clouds import CloudFacts
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.floor import CloudSample
-    from pc2scan.pipeline.scan_spec import ScanSpec
+    from pc2scan.pipeline.options import ScanSpec
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.static import StaticTransform

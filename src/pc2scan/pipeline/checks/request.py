@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Summary
     from pc2scan.options.moment import TimeBound
-    from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.scan_spec import ScanSpec
+    from pc2scan.pipeline.options import ConvertOptions, ScanSpec
 
 #: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
 _COARSE = 0.2

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from pc2scan.core.verdicts import Outcome, Verdict
     from pc2scan.model import Buffer
     from pc2scan.pipeline.combine.counts import SourceCounts
+    from pc2scan.pipeline.options import ScanSpec
     from pc2scan.pipeline.report import Report, TopicReport
-    from pc2scan.pipeline.scan_spec import ScanSpec
 
 #: How many topics the warning about skipped ones lists.
 _MAX_WARNED = 5

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Measurements, Step
     from pc2scan.pipeline.first_clouds import SharedSample, TopicClouds
-    from pc2scan.pipeline.scan_spec import ScanSpec
+    from pc2scan.pipeline.options import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.pipeline.stages.selection import SelectStage
