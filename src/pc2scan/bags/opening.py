@@ -74,7 +74,7 @@ def sniff(path: Path) -> str:
             raise UsageError(
                 "only convert, info and tf read URLs", path=shown_path(path), hint="download it, and convert the copy"
             ) from err
-        from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415  # only for errors
+        from pc2scan.files.places import missing_hint  # noqa: PLC0415  # only for errors
 
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
         hint = _interruption_hint(path) or missing_hint(path, suffixes)

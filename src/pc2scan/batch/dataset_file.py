@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.arguments import local_path
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_bytes
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import Flag, PathName, Texts

@@ -43,7 +43,7 @@ def seek_and_read(descriptor: int, length: int, offset: int) -> bytes:
 read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else seek_and_read
 
 
-def lock(descriptor: int) -> None:
+def lock_descriptor(descriptor: int) -> None:
     """Lock an open file; the system releases it when the process ends.
 
     Raises
@@ -84,13 +84,6 @@ def unusable_name(name: str) -> str:
         return "ends with a character that Windows drops"
     forbidden = sorted(set(name) & set('<>:"|?*'))
     return f"has {' '.join(forbidden)}, which names on Windows cannot have" if forbidden else ""
-
-
-def sync_file(path: Path) -> None:
-    """Wait until a file's content is on the disk."""
-    # Not read-only: Windows flushes only files that are open for writing.
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
 
 
 def sync_directory(path: Path) -> None:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
+from .new_file import NewFile
 from .ownership import check_kind
 from .places import check_place
-from .source import NewFile
 from .staging import temporary_path
 
 if TYPE_CHECKING:

@@ -44,7 +44,7 @@ def refuse_unusable(options: ConvertOptions) -> None:
     """
     for path in options.frames.tf_from:
         if not os.path.lexists(path):
-            from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415  # only for errors
+            from pc2scan.files.places import missing_hint  # noqa: PLC0415  # only for errors
 
             raise MissingError("does not exist (from `tf_from`)", path=path, hint=missing_hint(path))
     if options.ros_distro:
