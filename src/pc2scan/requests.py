@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from .arguments import path_of, path_text, paths_in, refuse_unknown, value_and_type
+from .arguments import refuse_unknown, value_and_type
 from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
+from .files.urls import path_of, path_text, paths_in
 from .options.call import CALL, Options
 from .options.frames import frames_of
 from .options.option import POINTS
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-    from .arguments import PathText
     from .core.unproject import UnprojectParams
+    from .files.urls import PathText
     from .pipeline.run_files import OutputOptions
     from .pipeline.stages.beams import BeamFilter
     from .pipeline.stages.filters import Filter

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import typer
 from typer.models import ParameterInfo, TyperPath
 
-from pc2scan.arguments import local_path
+from pc2scan.files.urls import local_path, path_or_url
 from pc2scan.options import values
 from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter as ProjectionParameter
@@ -66,6 +66,7 @@ def typed_command(name: str, command: Callable[..., None]) -> Callable[..., None
 
     @wraps(command)
     def run(**typed: Any) -> None:
+        typed = {key: _paths(value) for key, value in typed.items()}
         options = _options(name, {key: value for key, value in typed.items() if key not in own})
         # A failed conversion has a report, so `convert` checks them itself.
         if name != "convert":
@@ -77,6 +78,13 @@ def typed_command(name: str, command: Callable[..., None]) -> Callable[..., None
     # Typer reads only the signature.
     run.__annotations__ = {}
     return run
+
+
+def _paths(value: Any) -> Any:
+    """Return a typed value, with URLs as such; Typer makes ordinary paths of them."""
+    if isinstance(value, list):
+        return list(map(_paths, value))
+    return path_or_url(value) if isinstance(value, Path) else value
 
 
 def _read_urls(annotation: Any) -> None:

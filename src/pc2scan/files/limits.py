@@ -50,16 +50,17 @@ class ConnectionLimit:
         self._count = self._bytes = 0
         self._topics: set[str] = set()
 
-    def add(self, described: int = 0, *, count: int = 1, most: int = MAX_CONNECTIONS) -> None:
+    def add(self, described: int = 0, *, count: int = 1, most: int | None = None) -> None:
         """Count connections that take so many bytes to describe, with their definitions.
 
         Raises
         ------
         RecordingError
-            If there are more than ``most``, or their descriptions are larger than `allowed_bytes`.
+            If there are more than ``most`` (`MAX_CONNECTIONS`), or their descriptions are larger than `allowed_bytes`.
         """
         self._count += count
         self._bytes += described
+        most = MAX_CONNECTIONS if most is None else most
         if self._count > most:
             raise self._too_many(most)
         if self._bytes > (allowed := allowed_bytes(self._size)):

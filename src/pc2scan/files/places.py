@@ -12,10 +12,11 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import DestinationError, OutputError, RecordingError
+from pc2scan.errors import DestinationError, MissingError, OutputError, RecordingError
 from pc2scan.text import nearest
 
 from . import system
+from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -43,6 +44,11 @@ def working_names(dst: Path) -> tuple[Path, ...]:
 
 def check_place(dst: Path) -> None:
     """Raise if no file with this name can be written."""
+    if isinstance(dst, UrlPath):
+        if dst.is_read_only:
+            hint = f"give a destination: `destination={dst.name}`"
+            raise DestinationError(f"{dst.scheme}:// can only be read", path=dst, hint=hint)
+        return
     if dst.name in {"", ".."}:
         raise DestinationError("is not a name that a recording can have", path=dst)
     if reason := system.unusable_name(dst.name):
@@ -98,6 +104,11 @@ def output_folder(folder: Path) -> Iterator[None]:
     OutputError
         If it cannot be made.
     """
+    if isinstance(folder, UrlPath):
+        # There, folders are only a part of names.
+        check_place(folder)
+        yield
+        return
     if folder.is_dir():
         yield
         return
@@ -152,7 +163,7 @@ def parts_beside(dst: Path) -> list[Path]:
     """Return what exists beside a destination with the name of a part of it: ``drive_0.bag`` of ``drive.bag``."""
     try:
         return [dst.with_name(name) for name in parts_among((entry.name for entry in dst.parent.iterdir()), dst.name)]
-    except OSError:
+    except (OSError, MissingError):
         return []
 
 
@@ -172,7 +183,7 @@ def private_folder(path: Path) -> TemporaryDirectory[str]:
     import tempfile  # noqa: PLC0415  (it loads the compression modules)
 
     try:
-        return tempfile.TemporaryDirectory(prefix="pc2scan-")
+        return tempfile.TemporaryDirectory(prefix="pc2scan-", dir=system.scratch.get())
     except OSError as err:
         raise _no_copy(err, path, None) from err
 

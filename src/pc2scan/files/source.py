@@ -6,6 +6,7 @@ import errno
 import os
 import stat
 from contextlib import suppress
+from io import TextIOWrapper
 from threading import RLock
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakValueDictionary, ref
@@ -13,10 +14,10 @@ from weakref import WeakValueDictionary, ref
 from pc2scan.errors import RecordingError
 
 from .system import BINARY, read_at
+from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from io import TextIOWrapper
     from pathlib import Path
     from typing import BinaryIO
 
@@ -27,26 +28,23 @@ _BORROWED_BYTES = range(1 << 18, 1 << 24)
 #: Endings of the files that SQLite keeps beside a database while it is written.
 _LOGS = ("-wal", "-journal")
 
-#: Functions that fetch the bytes of stand-ins, by path. They are called with the offset and length before each read.
-on_demand: dict[Path, Callable[[int, int], None]] = {}
-
-#: Bytes of a stand-in that are fetched when it is opened: the beginning identifies its format.
-_HEAD_BYTES = 1 << 17
-
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
     """Return the name, inode, size and both times of change of each file of a recording, to detect changes.
 
     The ctime is included because ``cp -p``, ``rsync -t`` and ``touch -r`` set a modification time back. Logs beside a
-    database are included: a recorder that is still running may write only to these.
+    database are included: a recorder that is still running may write only to these. Files at URLs have no times; what
+    stands for them changes with the version.
     """
     try:
+        if isinstance(path, UrlPath):
+            return path.states()
         if path.is_dir():
             files = sorted(path.iterdir())
         else:
             files = [path, *(side for suffix in _LOGS if (side := file_beside(path, suffix)))]
         states = [(file.name, file.stat()) for file in files]
-    except OSError:
+    except (OSError, RecordingError):
         return ()
     return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns) for name, state in states)
 
@@ -61,7 +59,8 @@ def changed_while_read(path: Path | str) -> RecordingError:
 def file_beside(path: Path, suffix: str) -> Path | None:
     """Return the file with another file's name and ``suffix``; None if it does not exist or the name is too long."""
     side = path.with_name(path.name + suffix)
-    with suppress(OSError):
+    # A web server may refuse to say whether it exists.
+    with suppress(OSError, RecordingError):
         return side if side.is_file() else None
     return None
 
@@ -74,13 +73,13 @@ def open_bytes(path: Path) -> BinaryIO:
     OSError
         If it does not exist, may not be read, or is neither a file nor a directory.
     """
-    if on_demand and (fetch := on_demand.get(path)) is not None:
-        fetch(0, _HEAD_BYTES)
-    return open(path, "rb", opener=_open_regular)
+    return path.open("rb") if isinstance(path, UrlPath) else open(path, "rb", opener=_open_regular)
 
 
 def open_text(path: Path) -> TextIOWrapper:
     """Open a file of UTF-8 text as `open_bytes` does."""
+    if isinstance(path, UrlPath):
+        return TextIOWrapper(path.open("rb"), encoding="utf-8")
     return open(path, encoding="utf-8", opener=_open_regular)
 
 
@@ -229,9 +228,14 @@ class SourceFile:
         self.start = start
         #: Where in the file another recording follows this one.
         self.next_start: int | None = None
-        self._fetch = on_demand.get(path)
+        #: Fetches bytes before they are read; None for a local file.
+        self._fetch: Callable[[int, int], None] | None = None
         self._descriptor = -1
         self._buffers = _shared.setdefault("", BufferPool())
+        if isinstance(path, UrlPath):
+            ranges = path.remote.ranges()
+            self._fetch, self._descriptor, self.size = ranges.fetch, ranges.descriptor(), ranges.size - start
+            return
         try:
             self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size - start
@@ -257,6 +261,7 @@ class SourceFile:
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
         self._buffers = BufferPool()
+        self._fetch = None
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)

@@ -13,6 +13,7 @@ from pc2scan.errors import DestinationError, OutputError
 from .ownership import check_existing, existing_error, file_ids, refuse_others
 from .places import LEFTOVERS, LOCK, OLD, PARTIAL, check_new_folder, check_place, working_names
 from .system import REFUSES_LINKS, lock_descriptor, remove, sync_directory
+from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -80,6 +81,14 @@ def staged_output(
     OutputError
         If its directory or the result cannot be written.
     """
+    if isinstance(dst, UrlPath):
+        from .transfers import upload  # noqa: PLC0415  # loads fsspec
+
+        check_destination(dst, overwrite=overwrite, owned=owned)
+        with upload(dst, overwrite=overwrite, owned=owned) as (local, finish):
+            yield local
+            finish()
+        return
 
     def check(_: Record | None) -> bool:
         check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
@@ -97,13 +106,18 @@ def staged_output(
 
 
 def check_destination(
-    dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None, folder: Path | None = None
+    dst: Path,
+    *,
+    overwrite: bool,
+    owned: Record | None = None,
+    record_in: FolderRecord | None = None,
+    folder: Path | None = None,
 ) -> None:
     """Raise what `staged_output` would raise at its beginning, as far as that is known without writing anything.
 
     Parameters
     ----------
-    dst, overwrite, record_in
+    dst, overwrite, owned, record_in
         See `staged_output`.
     folder
         The folder of `dst`, if it will be made.
@@ -113,14 +127,14 @@ def check_destination(
     DestinationError, OutputError
         See `staged_output` and `output_folder`.
     """
-    if folder is not None and not folder.is_dir():
+    if folder is not None and not isinstance(dst, UrlPath) and not folder.is_dir():
         check_new_folder(folder)
         return
     check_place(dst)
-    if not overwrite and os.path.lexists(dst.with_name(dst.name + OLD)):
+    if not overwrite and not isinstance(dst, UrlPath) and os.path.lexists(dst.with_name(dst.name + OLD)):
         # An interrupted run has set the old output aside. It would be restored first, and then exist.
         raise existing_error(dst)
-    check_existing(dst, overwrite=overwrite, record_in=record_in)
+    check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
 
 
 @contextmanager
@@ -130,7 +144,7 @@ def temporary_path(
     check_again: Callable[[Path], None] | None = None,
     *,
     stays: Callable[[], bool] = lambda: False,
-) -> Iterator[tuple[Path, Callable[[], None]]]:
+) -> Iterator[tuple[Path, Callable[[], object]]]:
     """Yield a path to write to, and a function that renames it to the destination.
 
     Parameters
@@ -157,6 +171,12 @@ def temporary_path(
         See `staged_output`.
     """
     check_place(dst)
+    if isinstance(dst, UrlPath):
+        from .transfers import upload  # noqa: PLC0415  # loads fsspec
+
+        with upload(dst, overwrite=check(None)) as staged:
+            yield staged
+        return
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
@@ -180,7 +200,7 @@ def clean_up(dst: Path, *, recorded: bool = False) -> None:
     OutputError
         If something cannot be removed.
     """
-    if not any(map(os.path.lexists, working_names(dst))):
+    if isinstance(dst, UrlPath) or not any(map(os.path.lexists, working_names(dst))):
         return
     with suppress(DestinationError), only_run(dst):
         _recover(dst, keep_journal=not recorded)
@@ -291,15 +311,16 @@ def only_run(dst: Path) -> Iterator[int]:
         yield descriptor
     finally:
         # Removed before it is released: a run that locks the removed file notices, in _acquire.
-        try:
+        is_there = True
+        with suppress(OSError):
             lock.unlink()
-        except OSError:
-            # Windows removes only files that no process has open.
+            is_there = False
+        with suppress(OSError):
             os.close(descriptor)
-            with suppress(OSError):
+        # Windows removes only files that no process has open.
+        with suppress(OSError):
+            if is_there:
                 lock.unlink()
-        else:
-            os.close(descriptor)
 
 
 def _acquire(lock: Path) -> int:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import UsageError
+from pc2scan.files.urls import path_or_url
 from pc2scan.tf.options import FrameOptions
 
 from .scan_spec import ScanSpec
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from pc2scan.options.moment import TimeBound
 
 
@@ -27,8 +29,8 @@ def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
     separators = tuple(filter(None, (os.sep, os.altsep)))
     # Not Path.name, which ignores the slash.
     if text.endswith(separators) or os.path.basename(text) in {".", ".."}:  # noqa: PTH119
-        return None, Path(text)
-    return Path(text), None
+        return None, path_or_url(text)
+    return path_or_url(text), None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

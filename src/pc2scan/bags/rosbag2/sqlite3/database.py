@@ -12,11 +12,14 @@ import sqlite3
 import sys
 from contextlib import contextmanager
 from pathlib import Path
+from shutil import copyfileobj
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.places import TEMPORARY_HINT, copy_errors, private_folder
+from pc2scan.files.source import open_bytes
+from pc2scan.files.urls import UrlPath
 
 from .logs import missing_bytes, side_logs, write_merged
 from .pages import PageFile, declared_size, rebuild_database
@@ -28,6 +31,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import DamageLog
 
     from .logs import PageLog
+
+#: Bytes that are copied at a time.
+_PIECE_BYTES = 8 << 20
 
 ERROR = 1
 CORRUPT = 11
@@ -123,6 +129,8 @@ class Database:
         if any(log.page_count is not None for log in self._logs):
             path = self._merged_copy()
         # Other threads use the reader, one at a time.
+        elif isinstance(path, UrlPath):
+            path = self._local_copy()
         database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False)
         self._connection = database
         # A topic's name may have bytes that are not UTF-8.
@@ -258,6 +266,14 @@ class Database:
             # Appended bytes are harmless; inserted ones shift the pages after them.
             error = self.damage(f"has {self.size} bytes, {self.size - declared} more than its header declares")
             self._noted.note(error, key="size", messages_lost=0)
+
+    def _local_copy(self) -> Path:
+        """Copy a database at a URL: SQLite reads only local files."""
+        self._copy = private_folder(self.path)
+        target = Path(self._copy.name, "copy.db3")
+        with copy_errors(self.path, target.parent), open_bytes(self.path) as file, target.open("wb") as copy:
+            copyfileobj(file, copy, _PIECE_BYTES)
+        return target
 
     def _merged_copy(self) -> Path:
         """Copy the database with the pages of its logs; the copy is at most as large as both."""
