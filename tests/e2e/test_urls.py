@@ -70,6 +70,63 @@ def test_what_is_at_a_url_is_as_the_file(name: str, bucket: Any, scratch: Path, 
     assert made == {f"/out/{file.relative_to(tmp_path)}": file.read_bytes() for file in files}
 
 
+#: What is typed, with SRC and OUT; OUT is the beginning of the names of what is written.
+EVERYWHERE = [
+    "check OUTscans.mcap",
+    "diff SRC OUTscans.mcap",
+    "view SRC -o OUTpage.html --min-height 0.1",
+    "view SRC -o OUTpage.html --overwrite",
+    "map SRC -o OUTmap.yaml --min-height 0.1",
+    "export SRC -o OUTscans.csv --min-height 0.1",
+    "export SRC -o OUTscans.csv --min-height 0.1",
+    "export SRC -o OUTclouds --format pcd",
+    "repair SRC -o OUTrepaired.bag",
+    "convert SRC -o OUTparts.bag --split 0.2s --report OUTreport.json",
+    "convert SRC -o OUTx.bag --report OUTscans.csv",
+    "convert SRC -o OUTy.bag --dry-run",
+    "convert SRC -o OUTcut.bag --start 0.1s --end 0.3s",
+    "convert SRC SRC -o OUTz.bag",
+    "info SRC OUTnone.bag",
+]
+
+
+def test_every_command_does_at_urls_what_it_does_with_files(bucket: Any, tmp_path: Path) -> None:
+    local, url = f"{tmp_path}/out/", "memory://out/"
+    (tmp_path / "out").mkdir()
+    for typed in ("convert SRC -o OUTscans.mcap --min-height 0.1", *EVERYWHERE):
+        here = run(*typed.replace("SRC", str(FIXTURES / "hall.bag")).replace("OUT", local).split())
+        there = run(*typed.replace("SRC", HALL).replace("OUT", url).split())
+        assert there.status == here.status, (typed, there)
+        shown = here.stdout.replace(str(FIXTURES / "hall.bag"), HALL).replace(local, url)
+        # The columns of tables are as wide as the paths.
+        assert words_of(there.stdout) == words_of(shown), typed
+    made = {key.removeprefix("/out/"): data for key, data in contents(bucket).items() if key.startswith("/out/")}
+    files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    expected = {path.relative_to(tmp_path / "out").as_posix(): path.read_bytes() for path in files}
+    assert made.keys() == expected.keys()
+    # Pages, reports and records of folders have names and times in them.
+    exact = (".bag", ".mcap", ".csv", ".pgm", ".pcd")
+    assert [name for name in made if name.endswith(exact) and made[name] != expected[name]] == []
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a text, without lines and numbers, such as times."""
+    return [word for word in text.split() if word.strip("-0123456789.")]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_loops_read_urls(name: str) -> None:
+    times = [[scan.stamp_ns for scan in pc2scan.scans(place, **HEIGHTS)] for place in places(name)]
+    assert times[0] == times[1]
+    assert len(times[0]) == 5
+    points = [[cloud.points().shape for cloud in pc2scan.clouds(place)] for place in places(name)]
+    assert points[0] == points[1]
+
+
+def places(name: str) -> tuple[str, Path]:
+    return f"memory://bucket/{name}", FIXTURES / name
+
+
 def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
     assert pc2scan.convert(HALL, **HEIGHTS).destination == "memory://bucket/hall_scan.bag"
     assert bucket.exists("/bucket/hall_scan.bag")
@@ -173,12 +230,16 @@ def test_a_web_server_is_read_only(tmp_path: Path) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp reads https")
 
     class Handler(SimpleHTTPRequestHandler):
+        """Knows no ranges, like `python -m http.server`."""
+
         def log_message(self, *_: object) -> None:
             pass
 
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(FIXTURES))) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         source = f"http://me:secret@127.0.0.1:{server.server_port}/hall.bag?token=geheim"
+        for command in (("info",), ("tf",), ("export", "-o", tmp_path / "x.csv", "--min-height", "0.1")):
+            assert run(command[0], source, *command[1:]).status == 0
         done = run("convert", source, "-o", tmp_path / "x.bag", "--report", tmp_path / "r.json")
         refused = run("convert", source)
         server.shutdown()

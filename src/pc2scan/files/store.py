@@ -493,6 +493,7 @@ class RangeFile:
         self._changed = Condition()
         self._download_lock = Lock()
         self._is_downloaded = False
+        self._failure: Pc2ScanError | None = None
         #: Blocks in the next request.
         self._most = _MOST_BLOCKS
         try:
@@ -505,18 +506,24 @@ class RangeFile:
     def _download(self) -> None:
         """Fetch the file as a whole, once."""
         with self._download_lock:
-            if self._is_downloaded:
-                return
-            self._file.seek(0)
-            self._place.download(self._file)
-            self._file.flush()
-            if (arrived := self._file.tell()) != self.size:
-                raise RecordingError(
-                    f"the download was cut off: {arrived:,} of {self.size:,} bytes arrived",
-                    path=self._place.shown,
-                    hint=_AGAIN,
-                )
-            self._is_downloaded = True
+            if self._failure is not None:
+                # Another thread has just tried it.
+                raise self._failure
+            if not self._is_downloaded:
+                try:
+                    self._file.seek(0)
+                    self._place.download(self._file)
+                    self._file.flush()
+                    if (arrived := self._file.tell()) != self.size:
+                        raise RecordingError(
+                            f"the download was cut off: {arrived:,} of {self.size:,} bytes arrived",
+                            path=self._place.shown,
+                            hint=_AGAIN,
+                        )
+                except Pc2ScanError as err:
+                    self._failure = err
+                    raise
+                self._is_downloaded = True
         with self._changed:
             self._state[:] = bytes([_THERE]) * len(self._state)
             self._changed.notify_all()
@@ -557,7 +564,8 @@ class RangeFile:
                     return first, stop
                 if self._state.find(_COMING, block, last) < 0:
                     return None
-                self._changed.wait()
+                # Without a timeout, Ctrl-C would wait on Windows.
+                self._changed.wait(1)
 
     def _request(self, first: int, stop: int) -> None:
         began = monotonic()

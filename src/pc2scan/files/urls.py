@@ -318,19 +318,21 @@ class UrlPath(_LocalPath):
 
     def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether anything is there."""
+        return self._found() is not None
+
+    def _found(self) -> StoredObject | None:
         try:
-            self.known()
+            return self.known()
         except MissingError:
-            return False
-        return True
+            return None
 
     def is_dir(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a folder."""
-        return self.exists() and self.known().is_folder
+        return (found := self._found()) is not None and found.is_folder
 
     def is_file(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
         """Return whether it is a file."""
-        return self.exists() and not self.known().is_folder
+        return (found := self._found()) is not None and not found.is_folder
 
     def is_symlink(self) -> bool:
         """Return False."""
