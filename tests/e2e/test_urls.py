@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
+import sqlite3
 import sys
 import threading
+from contextlib import closing
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import zstandard
 
 import pc2scan
 from pc2scan.errors import MissingError, Pc2ScanError, RecordingError
 from pc2scan.files.store import RemotePath
 from support import RECORDINGS, ROOT, needs_shared
+from support.builders import CONTENT, write_db3, write_rosbag1
 from support.command import run
 from support.stores import memory_store, s3_server
 from support.tables import rows
@@ -112,6 +117,38 @@ def test_every_command_does_at_urls_what_it_does_with_files(bucket: Any, tmp_pat
 def words_of(text: str) -> list[str]:
     """The words of a text, without lines and numbers, such as times."""
     return [word for word in text.split() if word.strip("-0123456789.")]
+
+
+def test_all_kinds_of_recordings_are_read(bucket: Any, tmp_path: Path) -> None:
+    """Also those that a library reads by itself, is compressed as a whole, damaged, or has a log beside it."""
+    write_db3(tmp_path / "a.db3", CONTENT)
+    write_rosbag1(tmp_path / "b.bag", CONTENT)
+    data = (tmp_path / "b.bag").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(data[: len(data) * 2 // 3])
+    (tmp_path / "cut.db3").write_bytes((tmp_path / "a.db3").read_bytes()[:-5000])
+    (tmp_path / "two.bag").write_bytes(data + data)
+    (tmp_path / "b.bag.zst").write_bytes(zstandard.compress(data))
+    shutil.copy(tmp_path / "a.db3", tmp_path / "hot.db3")
+    with closing(sqlite3.connect(tmp_path / "hot.db3", isolation_level=None)) as live:
+        live.execute("PRAGMA journal_mode = WAL")
+        live.execute("PRAGMA wal_autocheckpoint = 0")
+        live.execute("DELETE FROM messages WHERE id = 1")
+        for end in ("", "-wal"):
+            shutil.copy(tmp_path / f"hot.db3{end}", tmp_path / f"logged.db3{end}")
+    (tmp_path / "hot.db3").unlink()
+    bucket.put(f"{tmp_path}/", "/kinds/", recursive=True)
+    names = {path.name for path in tmp_path.iterdir() if path.is_file() and not path.name.endswith("-wal")}
+    assert len(names) == 7
+    for name in names:
+        found = [pc2scan.info(place).as_dict() for place in (f"memory://kinds/{name}", tmp_path / name)]
+        shown = [str(each).replace(str(tmp_path), "memory://kinds") for each in found]
+        assert shown[0] == shown[1]
+        report, expected = (
+            pc2scan.convert(source, tmp_path / "x.mcap", overwrite=True, min_height=-2.0, max_height=2.0)
+            for source in (f"memory://kinds/{name}", tmp_path / name)
+        )
+        assert report.bytes_written == expected.bytes_written
+        assert [each.what for each in report.damage] == [each.what for each in expected.damage]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 #: too much memory beside the results.
 _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
+#: Bytes of a file at a URL that are copied at a time.
+_COPIED_BYTES = 8 << 20
+
 #: Endings of the files that SQLite keeps beside a database while it is written.
 _LOGS = ("-wal", "-journal")
 
@@ -74,6 +77,17 @@ def open_bytes(path: Path) -> BinaryIO:
         If it does not exist, may not be read, or is neither a file nor a directory.
     """
     return path.open("rb") if isinstance(path, UrlPath) else open(path, "rb", opener=_open_regular)
+
+
+def copy_file(path: Path, target: Path) -> None:
+    """Copy a file to a local one."""
+    import shutil  # noqa: PLC0415  # it loads the compression modules
+
+    if isinstance(path, UrlPath):
+        with path.open("rb") as file, target.open("wb") as copy:
+            shutil.copyfileobj(file, copy, _COPIED_BYTES)
+    else:
+        shutil.copyfile(path, target)
 
 
 def open_text(path: Path) -> TextIOWrapper:

@@ -482,6 +482,9 @@ class RangeFile:
     ----------
     size
         Bytes of the file.
+    step
+        The number of bytes of which multiples are fetched: a multiple of the block. It is large while the file is read
+        ahead, so that the thread that needs bytes does not run before the threads that read ahead, in small steps.
     """
 
     def __init__(self, place: RemotePath, found: StoredObject) -> None:
@@ -489,6 +492,7 @@ class RangeFile:
             raise RecordingError("is a folder, not a file", path=place.shown)
         self._place = place
         self.size = found.size
+        self.step = _BLOCK
         self._state = bytearray(-(-found.size // _BLOCK))
         self._changed = Condition()
         self._download_lock = Lock()
@@ -542,8 +546,9 @@ class RangeFile:
 
     def fetch(self, offset: int, length: int) -> None:
         """Fetch those of these bytes that are missing, and wait for those that another thread fetches."""
-        last = min(-(-(offset + length) // _BLOCK), len(self._state))
-        while (run := self._claim(offset // _BLOCK, last)) is not None:
+        first = offset // self.step * self.step // _BLOCK
+        last = min(-(-(offset + length) // self.step) * self.step // _BLOCK, len(self._state))
+        while (run := self._claim(first, last)) is not None:
             try:
                 self._request(*run)
             finally:

@@ -65,6 +65,7 @@ def _parts_of(paths: Iterable[UrlPath]) -> SimpleQueue[tuple[RangeFile, int]]:
         for file in path.iterdir() if path.is_dir() else (path,):
             if file.is_file():
                 ranges = file.remote.ranges()
+                ranges.step = _AHEAD_BYTES
                 for start in range(0, ranges.size, _AHEAD_BYTES):
                     parts.put((ranges, start))
     return parts

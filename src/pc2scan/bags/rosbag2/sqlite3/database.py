@@ -12,13 +12,12 @@ import sqlite3
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from shutil import copyfileobj
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.places import TEMPORARY_HINT, copy_errors, private_folder
-from pc2scan.files.source import open_bytes
+from pc2scan.files.source import copy_file
 from pc2scan.files.urls import UrlPath
 
 from .logs import missing_bytes, side_logs, write_merged
@@ -31,9 +30,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import DamageLog
 
     from .logs import PageLog
-
-#: Bytes that are copied at a time.
-_PIECE_BYTES = 8 << 20
 
 ERROR = 1
 CORRUPT = 11
@@ -271,8 +267,8 @@ class Database:
         """Copy a database at a URL: SQLite reads only local files."""
         self._copy = private_folder(self.path)
         target = Path(self._copy.name, "copy.db3")
-        with copy_errors(self.path, target.parent), open_bytes(self.path) as file, target.open("wb") as copy:
-            copyfileobj(file, copy, _PIECE_BYTES)
+        with copy_errors(self.path, target.parent):
+            copy_file(self.path, target)
         return target
 
     def _merged_copy(self) -> Path:
