@@ -469,8 +469,8 @@ def _with_article(role: str) -> str:
     return f"an {role}" if role[0] in "aeiou" else f"a {role}"
 
 
-#: Device and inode.
-FileId = tuple[int, int]
+#: Device and inode; or a URL.
+FileId = tuple[int, int] | UrlPath
 
 #: Links that lead to links: the system follows at most this many.
 _MAX_LINKS = 40
@@ -493,8 +493,11 @@ def path_identities(path: Path) -> Iterator[Path]:
 
 def file_ids(*paths: Path) -> list[FileId]:
     """Return device and inode of those paths that exist; for a symbolic link its own and its target's."""
-    found = []
+    found: list[FileId] = []
     for path in paths:
+        if isinstance(path, UrlPath):
+            found.append(path.identity)
+            continue
         for look in (os.lstat, os.stat):
             with suppress(OSError):
                 status = look(path)

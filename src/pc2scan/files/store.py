@@ -143,9 +143,6 @@ _GRADUAL = ("memory",)
 #: Timeouts in seconds: for a connection, and for the next bytes.
 _CONNECT_SECONDS, _READ_SECONDS = 10, 20
 
-#: Stores whose libraries show blocks of up to 32 MB only, so that the pace of a whole file cannot be judged.
-_IN_BLOCKS = ("az", "abfs", "abfss")
-
 _DENIED = (401, 403)
 _NOT_FOUND = 404
 _SERVER_ERROR = 500
@@ -338,13 +335,9 @@ class RemotePath:
         with self.translate_errors():
             try:
                 if self.scheme in {"http", "https"}:
-                    # Unlike `cat_file`, it does not read the whole file from a server that knows no ranges.
-                    file = self._fs.open(self.key, size=stop)
-                    data = bytes(wait_in_time(file.async_fetch_range(start, stop), self._fs.loop, Pace()))
+                    data = self._web_bytes_at(start, stop)
                 else:
                     data = bytes(call_in_time(self._fs, "cat_file", self.key, start=start, end=stop, pace=Pace()))
-            except ValueError as err:
-                raise NoRangesError from err
             except TooSlowError:
                 if stop - start > LEAST_BYTES:
                     return None
@@ -358,14 +351,19 @@ class RemotePath:
             )
         return data
 
+    def _web_bytes_at(self, start: int, stop: int) -> bytes:
+        # Unlike `cat_file`, it does not read the whole file from a server that knows no ranges.
+        file = self._fs.open(self.key, size=stop)
+        try:
+            return bytes(wait_in_time(file.async_fetch_range(start, stop), self._fs.loop, Pace()))
+        except ValueError as err:
+            raise NoRangesError from err
+
     def download(self, target: BinaryIO) -> None:
-        """Write the whole file into another one, also if the server sends no parts of it."""
+        """Write the whole file of a web server into another file."""
         pace = Pace()
         with self.translate_errors():
-            if self.scheme in _IN_BLOCKS:
-                self._fs.get_file(self.key, target)
-            else:
-                call_in_time(self._fs, "get_file", self.key, target, pace=pace, callback=_callback(pace.note_arrival))
+            call_in_time(self._fs, "get_file", self.key, target, pace=pace, callback=_callback(pace.note_arrival))
 
     @contextmanager
     def translate_errors(self, *, writes: bool = False) -> Iterator[None]:
