@@ -29,6 +29,8 @@ def test_secrets_are_not_shown() -> None:
     path = path_or_url("https://me:secret@h:8/in/x.bag?token=1#f")
     assert (str(path), path.name, path.suffix) == ("https://h:8/in/x.bag", "x.bag", ".bag")
     assert "secret" not in f"{path} {path!r}"
+    assert path.relative_to(path.parent.parent) == Path("in/x.bag")
+    assert path.parent.relative_to(path.parent) == Path()
     # A new name has no signature; the folder still has the password.
     assert os.fspath(path.with_name("y.bag")) == "https://me:secret@h:8/in/y.bag"
 

@@ -288,7 +288,9 @@ class UrlPath(_LocalPath):
 
     def relative_to(self, *other: Any) -> Path:  # type: ignore[override]  # what is relative is no URL
         """Return the path below a folder."""
-        return Path(*super().relative_to(*other).parts)
+        *folders, last = super().relative_to(*other).parts or ("",)
+        # Over HTTP, the last part may have a secret query.
+        return Path(*folders, self.name if last else "")
 
     def known(self) -> StoredObject:
         """Return what is there: from a listing, or else from the store.
