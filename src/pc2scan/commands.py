@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from .arguments import PathText
     from .batch.options import BatchCallbacks
     from .batch.summary import BatchReport
     from .compare.result import Difference
     from .export.report import ExportReport
+    from .files.urls import PathText
     from .golden.check import Command
     from .golden.init import NewCase
     from .golden.result import CaseResult, GoldenReport
@@ -59,12 +59,9 @@ def convert(
         conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
         from .pipeline.run import report_failure  # noqa: PLC0415
-        from .remote.urls import shown_path  # noqa: PLC0415
         from .result import Failure  # noqa: PLC0415
 
-        failure = Failure(
-            [err], [shown_path(source) for source in sources], None if destination is None else str(destination)
-        )
+        failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)
         report_failure(failure, sources, output, named_files(options))
         raise
     from .pipeline.run import run  # noqa: PLC0415

@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from .arguments import path_of, path_text, paths_in, refuse_unknown
+from .arguments import refuse_unknown
 from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
+from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
 from .options.table import PARAMETERS
 from .pipeline.options import ConvertOptions, ScanSpec, TopicRequest
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
     from typing import Any, TypeAlias
 
-    from .arguments import PathText
     from .core.unproject import UnprojectParams
+    from .files.urls import PathText
     from .pipeline.run_files import OutputOptions
     from .streams.stream import Selection
     from .tf.static import StaticTransform
@@ -268,8 +269,8 @@ def destination_of(destination: PathText | None) -> tuple[Path | None, Path | No
     # As text, because a Path object has lost the slash at the end.
     text = path_text("destination", destination)
     if text.endswith(tuple(filter(None, (os.sep, os.altsep)))) or os.path.basename(text) in {".", ".."}:  # noqa: PTH119
-        return None, Path(text)
-    return Path(text), None
+        return None, path_or_url(text)
+    return path_or_url(text), None
 
 
 def _channels(channels: tuple[str, ...] | UnprojectParams, range_cutoff: float | None) -> UnprojectParams:

@@ -75,7 +75,7 @@ def decompress_file(path: Path, folder: Path, log: DamageLog) -> Path:
     RecordingError
         If there is not enough space for the result.
     """
-    from pc2scan.files.copies import copy_errors  # noqa: PLC0415  # few recordings are packed
+    from pc2scan.files.places import copy_errors  # noqa: PLC0415  # few recordings are packed
 
     target = folder / without_suffix(path.name)
     with copy_errors(path, folder):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pc2scan.files.copies import private_folder
+from pc2scan.files.places import private_folder
 
 from . import zstd
 from .damage import DamageLog

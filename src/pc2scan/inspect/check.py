@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
@@ -13,6 +12,7 @@ from pc2scan.bags.topics import find_topics
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
+from pc2scan.files.urls import path_or_url
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.result import Part, Result
 from pc2scan.text import counted, did_you_mean
@@ -302,7 +302,7 @@ def check(
         raise UsageError("no source given")
     options = frames or FrameOptions()
     with ExitStack() as stack:
-        readers = open_recordings(map(Path, paths), stack)
+        readers = open_recordings(map(path_or_url, paths), stack)
         reader = as_one(readers)
         chosen = _scan_connections(reader.connections, tuple(topics))
         others = open_recordings(options.tf_from, stack)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
@@ -14,7 +14,6 @@ from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.remote.urls import is_url
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
@@ -289,16 +288,6 @@ def info(
         If there is no such topic.
     """
     asked = frames or FrameOptions()
-    if any(map(is_url, (*sources, *asked.tf_from))):
-        from pc2scan.remote.ranges import stand_ins  # noqa: PLC0415  # loads fsspec
-
-        with stand_ins([*sources, *asked.tf_from]) as near:
-            here = near.paths[: len(sources)]
-            read = replace(asked, tf_from=tuple(near.paths[len(sources) :]))
-            found: Info = near.names.of(
-                info(here, samples=samples, described=described, target_frame=target_frame, frames=read, given=given)
-            )
-        return found
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
         reader = as_one(readers)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from pc2scan.arguments import path_of
 from pc2scan.errors import UsageError, leading
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import text_output
+from pc2scan.files.urls import path_of
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Part, Result

@@ -6,7 +6,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 from typing import Annotated, TypedDict
 
 from .option import Option, Path, Progress
-from .values import Count, Flag, Function, OpenText, PathName, Size, Text
+from .values import Count, Flag, Function, OpenText, PathName, Text
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
 MAX_JOBS = 1024
@@ -93,9 +93,6 @@ class Scratch(TypedDict, total=False):
             "Folder for local copies of files at URLs.",
             default_text="the system's folder for temporary files",
         ),
-    ]
-    scratch_size: Annotated[
-        str | None, Option(Size("SIZE"), "Maximum size of the local copies (20GB).", default_text="the free space")
     ]
 
 

@@ -11,9 +11,10 @@ from numbers import Integral, Real
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from pc2scan.arguments import names_in, path_of, paths_in, value_and_type
+from pc2scan.arguments import names_in, value_and_type
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
+from pc2scan.files.urls import path_of, paths_in
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
@@ -451,21 +452,6 @@ class Moments(Moment):
         if several and getattr(value, "shape", True) != ():
             return tuple(super(Moments, self).read(name, time) for time in value)
         return (super().read(name, value),)
-
-
-class Size(Value):
-    """A number of bytes: ``500MB``, ``20GB``."""
-
-    is_text = True
-
-    def read(self, name: str, value: Any) -> int:
-        """Return the number of bytes."""
-        from pc2scan.core.quantities import byte_size  # noqa: PLC0415  # few conversions have one
-
-        size = byte_size(value) if isinstance(value, str) else None
-        if not size:
-            raise UsageError(f"`{name}` is {value!r}, it must be a size above 0", hint="with its unit: 500MB, 20GB")
-        return size
 
 
 class Tolerances(Value):

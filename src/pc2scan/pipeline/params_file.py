@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, get_args
 
 from pc2scan.errors import ParameterError, SeveralNodesError
-from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_bytes
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean

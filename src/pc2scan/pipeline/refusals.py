@@ -5,13 +5,13 @@ They are found before the first message, when none of many messages can be conve
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from contextlib import closing
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
 from pc2scan.errors import DamageError, MissingError, ResultError, TopicError, UsageError, name_list
+from pc2scan.files.urls import exists
 from pc2scan.text import agreeing, counted, did_you_mean, stamp
 
 from .checks.request import in_another_unit
@@ -38,8 +38,8 @@ def refuse_unusable(options: ConvertOptions) -> None:
         If ``ros_distro`` is not a known distribution.
     """
     for path in options.frames.tf_from:
-        if not os.path.lexists(path):
-            from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415  # only for errors
+        if not exists(path):
+            from pc2scan.files.places import missing_hint  # noqa: PLC0415  # only for errors
 
             raise MissingError("does not exist (from `tf_from`)", path=path, hint=missing_hint(path))
     if options.ros_distro:

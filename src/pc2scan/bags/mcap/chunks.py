@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.chunked.segments import Segment
 from pc2scan.bags.formats import and_list
-from pc2scan.files.compression import CompressionError, decompress
-from pc2scan.files.crc32 import crc32
+from pc2scan.files.compression import CompressionError, crc32, decompress
 from pc2scan.files.limits import allowed_bytes
 from pc2scan.model import own_data
 
 from .records import CHUNK, COMPRESSIONS, OP_CHUNK, RECORD, UINT64
 
 if TYPE_CHECKING:
-    from pc2scan.files.buffers import BorrowedBytes
+    from pc2scan.files.source import BorrowedBytes
     from pc2scan.model import Buffer
 
     from .records import RecordFile

@@ -6,8 +6,7 @@ import struct
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.lazy_items import MAX_LISTED_ITEMS
-from pc2scan.files.compression import ZSTD_MAGIC
-from pc2scan.files.crc32 import crc32
+from pc2scan.files.compression import ZSTD_MAGIC, crc32
 from pc2scan.model import StoredChunk
 
 from .chunks import decompress_chunk, stored_chunk

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.chunked.segments import Segment
 from pc2scan.bags.damage import MAX_PLACES
 from pc2scan.errors import DamageError
-from pc2scan.files.crc32 import crc32
+from pc2scan.files.compression import crc32
 from pc2scan.files.limits import ConnectionLimit
 
 from . import records

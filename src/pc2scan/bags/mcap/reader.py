@@ -16,9 +16,9 @@ from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.lazy_items import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
-from pc2scan.files.buffers import BorrowedBytes
-from pc2scan.files.crc32 import combine_crc32, crc32
+from pc2scan.files.compression import combine_crc32, crc32
 from pc2scan.files.limits import MAX_CONNECTIONS
+from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import StoredChunk
 
 from .chunks import ChunkSegment, borrow_payload, chunk_at, payload

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.qos import latches
 from pc2scan.errors import DamageError, stamp_text
-from pc2scan.files.crc32 import crc32
+from pc2scan.files.compression import crc32
 from pc2scan.model import Attachment, Connection, Definition, Metadata, Summary
 
 from . import records

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.chunked.segments import Segment
-    from pc2scan.files.buffers import BorrowedBytes
+    from pc2scan.files.source import BorrowedBytes
     from pc2scan.model import Buffer, Connection
 
     from .records import BagFile
