@@ -18,7 +18,7 @@ from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 
-from .world_frames import BODIES, WORLDS
+from .summary import BODIES, WORLDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -249,7 +249,7 @@ def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
     frame = clouds.source.removeprefix("/")
     if clouds.spec.params.target_frame or frame not in _FIXED or len(clouds.samples) > 1:
         return
-    from pc2scan.tf.world_frames import BODIES  # noqa: PLC0415  # few clouds are in such a frame
+    from pc2scan.tf.summary import BODIES  # noqa: PLC0415  # few clouds are in such a frame
 
     buffer = clouds.transforms.read()
     bodies = [body for body in BODIES if buffer is not None and body in buffer.frames]
