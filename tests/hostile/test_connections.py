@@ -12,7 +12,7 @@ import zstandard
 from mcap.records import Schema
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.rosbag2.reader import Rosbag2Reader
+from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.errors import RecordingError
 from support import mcap_files, rosbag1_files
 from support.bounded import run_bounded

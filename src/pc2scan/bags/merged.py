@@ -1,6 +1,6 @@
 """Reads several sources as one recording: connections are unified, messages merged by log time.
 
-The reader of split rosbag2 recordings (`pc2scan.bags.rosbag2.reader`) is a subclass.
+The reader of split rosbag2 recordings (`pc2scan.bags.rosbag2.read`) is a subclass.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
 
-    from .damage import Damage, DamageLog
+    from .damage import Damage
     from .units import Item, Load, Loaded, Unit
 
 
@@ -51,7 +51,8 @@ class MergedReader(Reader):
     def __init__(self, readers: Sequence[Reader]) -> None:
         if not readers:
             raise UsageError("no recording was given")
-        self._refuse(readers)
+        _refuse_repeated(readers)
+        _refuse_mixed_ros_versions(readers)
         self._readers = tuple(readers)
         connections: Sequence[Connection]
         maps: list[dict[int, Connection]]
@@ -66,12 +67,6 @@ class MergedReader(Reader):
         self._connections = tuple(connections)
         self._maps = maps
         self._unchanged = len(readers) == 1
-
-    @staticmethod
-    def _refuse(readers: Sequence[Reader]) -> None:
-        """Raise for readers that cannot be merged."""
-        _refuse_repeated(readers)
-        _refuse_mixed_ros_versions(readers)
 
     def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
         """Replace connections by ones with more information and the same ids, and add some without messages."""
@@ -351,20 +346,3 @@ def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
             f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot be merged",
             hint="convert them one by one, or with pc2scan batch",
         )
-
-
-class ConcatenatedReader(MergedReader):
-    """Reads all recordings of a file as one."""
-
-    def __init__(self, readers: Sequence[Reader], log: DamageLog) -> None:
-        super().__init__(readers)
-        self._log = log
-
-    @staticmethod
-    def _refuse(readers: Sequence[Reader]) -> None:
-        """Accept several readers of one file, also with different ROS versions."""
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """The damage in the parts, and between them."""
-        return (*super().damage, *self._log.found)

@@ -10,7 +10,7 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
-from pc2scan.bags.latching import NewestItems, is_static
+from pc2scan.bags.topics import NewestItems, is_static
 from pc2scan.bags.units import Unit
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms

@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.latching import is_latched
+from pc2scan.bags.topics import is_latched
 from pc2scan.errors import MessageError
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from collections import deque
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from pc2scan.bags.lazy_items import LazyItems
-from pc2scan.bags.units import Handle, load_when_due, merge_by_time
+from pc2scan.bags.units import Handle, LazyItems, load_when_due, merge_by_time
 from pc2scan.model import StoredChunk, own_message
 from pc2scan.threads import InOrder
 

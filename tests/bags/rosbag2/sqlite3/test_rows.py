@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
 from pc2scan.cli.in_process import run_command
 from pc2scan.errors import DamageError
 from support.builders import CONTENT, write_db3, write_rosbag2

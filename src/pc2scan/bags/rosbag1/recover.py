@@ -2,51 +2,201 @@
 
 Records are read in the order of the file. If no record begins where one should, the file is searched for the next
 certain beginning of one. A bag that was never closed (``.bag.active``) has no index either, and is read in the same
-way.
+way. The beginning of another bag (``cat a.bag b.bag``) ends the first.
 """
 
 from __future__ import annotations
 
+import re
 import struct
+from array import array
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunked.salvage import SalvagedMessages, clamp_times
-from pc2scan.bags.chunked.segments import Segment, times_around
+from pc2scan.bags.chunks import Segment, times_around
+from pc2scan.bags.damage import AnotherRecordingError
+from pc2scan.bags.salvage import SalvagedMessages, clamp_times
+from pc2scan.bags.units import LazyItems
 from pc2scan.files.salvage import decompressed_prefix
 
-from .chunks import MessagePlaces, payload
 from .index import BagIndex, Connections, chunk_segment
 from .records import (
     BAG_HEADER,
     CHUNK,
+    CHUNK_INFO,
     CONNECTION,
     FIRST_LINE,
     INDEX_DATA,
     MESSAGE,
     SECOND_NS,
+    UINT32,
     FormatError,
-    kind_of,
+    borrow_payload,
+    message_at,
+    parse_fields,
     time_field,
     uint32_field,
 )
-from .search import ANYWHERE, OUTSIDE_CHUNKS, BagRecord, next_record, record_at, refuse_another
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from pc2scan.bags.damage import DamageLog
     from pc2scan.errors import DamageError
     from pc2scan.model import Connection
 
     from .records import BagFile
-    from .search import Fields
+
+# --- Search ---
+
+#: Bytes that are searched at a time.
+_WINDOW = 1 << 20
+
+#: Limit of a record's header, except for connections with longer topics.
+_MAX_HEADER = 4096
+
+# The field with the kind of a record; the fields before it are few and short.
+_OP = re.compile(rb"\x04\0\0\0op=[\x02-\x07]")
+_REACH = 72
+
+ANYWHERE = frozenset({MESSAGE, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION})
+#: Records that cannot be in a chunk.
+OUTSIDE_CHUNKS = frozenset({INDEX_DATA, CHUNK, CHUNK_INFO})
+
+#: The required fields of each kind of record, so that other text is not detected as a record.
+_NEEDED = {
+    MESSAGE: {b"conn", b"time"},
+    INDEX_DATA: {b"ver", b"conn", b"count"},
+    CHUNK: {b"compression", b"size"},
+    CHUNK_INFO: {b"ver", b"chunk_pos", b"start_time", b"end_time", b"count"},
+    CONNECTION: {b"conn", b"topic"},
+    BAG_HEADER: {b"index_pos"},
+}
+
+Fields = dict[bytes, bytes]
+
+
+class BagRecord(NamedTuple):
+    """A record: its fields, and start and stop of its body."""
+
+    fields: Fields
+    start: int
+    stop: int
+
+    @property
+    def kind(self) -> int:
+        """The kind of the record."""
+        return self.fields[b"op"][0]
+
+
+def _are_complete(fields: Fields) -> bool:
+    kind = fields.get(b"op", b"")
+    if len(kind) != 1 or not _NEEDED.get(kind[0], {b""}) <= fields.keys():
+        return False
+    return all(len(fields[name]) == size for name, size in ((b"conn", 4), (b"time", 8), (b"size", 4)) if name in fields)
+
+
+def record_at(read: Callable[[int, int], bytes], position: int, size: int) -> BagRecord | None:
+    """Return the record that begins here, if one does; its body may reach beyond ``size``."""
+    if position + 8 > size:
+        return None
+    (length,) = UINT32.unpack(read(position, 4))
+    if not 8 <= length <= _MAX_HEADER or position + 8 + length > size:
+        return None
+    try:
+        fields = parse_fields(read(position + 4, length))
+    except FormatError:
+        return None
+    if not _are_complete(fields):
+        return None
+    (body,) = UINT32.unpack(read(position + 4 + length, 4))
+    start = position + 8 + length
+    return BagRecord(fields, start, start + body)
+
+
+def _record_in(window: bytes, op_at: int) -> int | None:
+    """Return the beginning of the record whose ``op`` field is here."""
+    # The usual places first: ``op`` is the header's first field, or after ``conn``, ``compression``...
+    for start in range(op_at - 4, max(-1, op_at - _REACH), -1):
+        (length,) = struct.unpack_from("<I", window, start)
+        if op_at - start + 5 <= length + 4 <= _MAX_HEADER and start + 8 + length <= len(window):
+            try:
+                fields = parse_fields(window[start + 4 : start + 4 + length])
+            except FormatError:
+                continue
+            if _are_complete(fields):
+                return start
+    return None
+
+
+def next_record(
+    read: Callable[[int, int], bytes], start: int, size: int, kinds: frozenset[int], limit: int | None = None
+) -> int:
+    """Search, before ``limit``, for the beginning of a record; ``size`` if there is none."""
+    stop = size if limit is None else min(size, limit + _REACH)
+    begin = start
+    while begin < stop:
+        window = read(begin, min(_WINDOW, size - begin))
+        for match in _OP.finditer(window):
+            if match[0][-1] not in kinds:
+                continue
+            found = _record_in(window, match.start())
+            if found is not None and begin + found >= start:
+                position = begin + found
+                if limit is not None and position >= limit:
+                    return size
+                record = record_at(read, position, size)
+                # A chunk may be cut off by the end of the file; all other records must be whole.
+                if record is not None and (record.stop <= size or record.kind == CHUNK):
+                    return position
+        if begin + len(window) >= size:
+            break
+        begin += len(window) - _MAX_HEADER - _REACH
+    return size
+
+
+def another_bag(file: BagFile, start: int, stop: int) -> int | None:
+    """Search a part of the file for the beginning of another bag: its first line, and its header."""
+    overlap = len(FIRST_LINE) - 1
+    for begin in range(start, stop, _WINDOW):
+        window = file.read(begin, min(_WINDOW + overlap, file.size - begin))
+        at = window.find(FIRST_LINE)
+        while at >= 0:
+            record = record_at(file.nearby, begin + at + len(FIRST_LINE), file.size)
+            if begin + at > 0 and record is not None and record.kind == BAG_HEADER:
+                return begin + at
+            at = window.find(FIRST_LINE, at + 1)
+    return None
+
+
+def refuse_another(file: BagFile, start: int, stop: int) -> None:
+    """Raise if another bag begins in this part of the file."""
+    if (found := another_bag(file, start, stop)) is not None:
+        raise AnotherRecordingError(found)
+
+
+def refuse_more(file: BagFile, start: int) -> None:
+    """Raise if another bag, or more records, follow the index; a sound bag has none.
+
+    Raises
+    ------
+    AnotherRecordingError
+        If another bag begins there.
+    FormatError
+        If a record does.
+    """
+    refuse_another(file, start, file.size)
+    found = next_record(file.nearby, start, file.size, ANYWHERE)
+    if found < file.size:
+        raise FormatError(f"it continues at byte {found}, after the records that the bag header counts")
+
+
+# --- The file ---
 
 #: Messages outside chunks, which only damaged bags have, are read in segments of about this size, bytes.
 _RUN_SIZE = 4 << 20
-
-# --- The file ---
 
 
 @dataclass(slots=True)
@@ -91,7 +241,7 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
 
     Raises
     ------
-    NextRecordingError
+    AnotherRecordingError
         If another bag begins where something is damaged.
     """
     if log.strict:
@@ -212,7 +362,7 @@ def _add_chunk(file: BagFile, found: _RecoveredRecords, position: int, stop: int
     record = record_at(file.nearby, position, file.size)
     assert record is not None
     try:
-        found.segments.append(chunk_segment(record.fields, position, record.start, stop))
+        found.segments.append(chunk_segment(position, record.fields, record.start, stop))
     except FormatError as err:
         found.gaps.append((position, stop, str(err)))
 
@@ -223,7 +373,7 @@ def _is_sound(file: BagFile, found: _RecoveredRecords, record: BagRecord) -> boo
     if segment is None or segment.offset != record.start:
         return True
     try:
-        return bool(payload(file, segment))
+        return bool(len(borrow_payload(file, segment).data))
     except FormatError:
         return False
 
@@ -243,18 +393,18 @@ def _find_times(file: BagFile, found: _RecoveredRecords, log: DamageLog) -> None
             segments.append(segment)
             continue
         try:
-            data = payload(file, segment)
+            data = bytes(borrow_payload(file, segment).data)
         except FormatError:
             data = payload_prefix(file, segment)
         stamps = _MessageRun()
-        for fields, start, stop, sound in find_records(data):
-            if not sound:
+        for _, record in find_records(data):
+            if not record.fields:
                 continue
-            if kind_of(fields) == MESSAGE:
-                stamps.add(uint32_field(fields, "conn"), time_field(fields, "time"))
-            elif kind_of(fields) == CONNECTION:
+            if record.kind == MESSAGE:
+                stamps.add(uint32_field(record.fields, "conn"), time_field(record.fields, "time"))
+            elif record.kind == CONNECTION:
                 with suppress(FormatError):
-                    found.connections.add(fields, data[start:stop])
+                    found.connections.add(record.fields, data[record.start : record.stop])
         if stamps.counts:
             segments.append(
                 replace(
@@ -303,28 +453,23 @@ def salvage_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple[
     span
         The first and the last log time of the chunk in the index; see `clamp_times`.
     """
-    data = memoryview(chunk)
-    found = MessagePlaces()
+    times, places = array("Q"), array("Q")
     lost = unknown_channel = 0
-    for fields, start, stop, sound in find_records(chunk):
-        if not sound:
-            lost += stop - start
-        elif kind_of(fields) == MESSAGE:
-            identity = uint32_field(fields, "conn")
-            if identity not in known:
+    for place, record in find_records(chunk):
+        if not record.fields:
+            lost += record.stop - record.start
+        elif record.kind == MESSAGE:
+            if uint32_field(record.fields, "conn") not in known:
                 unknown_channel += 1
                 continue
-            seconds, nanoseconds = divmod(time_field(fields, "time"), SECOND_NS)
-            stamp = seconds * SECOND_NS + nanoseconds
-            found.add(identity, stamp, start, stop)
-    return SalvagedMessages(clamp_times(found.lazy_messages(data, known).as_list(), span), lost, unknown_channel)
+            times.append(time_field(record.fields, "time"))
+            places.append(place)
+    messages = LazyItems(times, places, partial(message_at, memoryview(chunk), known), len(chunk)).as_list()
+    return SalvagedMessages(clamp_times(messages, span), lost, unknown_channel)
 
 
-def find_records(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
-    """Yield the records of a chunk (fields, and start and stop of the body) and the gaps between them.
-
-    The last value is true for a record.
-    """
+def find_records(chunk: bytes) -> Iterator[tuple[int, BagRecord]]:
+    """Yield the records of a chunk with their places, and the gaps between them as records without fields."""
     inside = frozenset({MESSAGE, CONNECTION})
 
     def read(offset: int, length: int) -> bytes:
@@ -338,7 +483,7 @@ def find_records(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
         record = record_at(read, position, size)
         if record is not None and record.stop <= size and record.kind in inside:
             if held is not None:
-                yield *held[1], True
+                yield held
             held = (position, record)
             position = record.stop
             continue
@@ -348,10 +493,10 @@ def find_records(chunk: bytes) -> Iterator[tuple[Fields, int, int, bool]]:
             if following < position:
                 begin = held[0]
             else:
-                yield *held[1], True
+                yield held
                 following = size
         held = None
         position = following if begin < position else next_record(read, position + 1, size, inside)
-        yield {}, begin, position, False
+        yield begin, BagRecord({}, begin, position)
     if held is not None:
-        yield *held[1], True
+        yield held
