@@ -72,7 +72,8 @@ def test_a_wrong_number_of_messages_in_a_chunk_is_damage(
     counts: dict[int, int], cut: tuple[int | None, int | None], tmp_path: Path
 ) -> None:
     path = bag_of(tmp_path / "a.bag", {0: [(2, 50)], 1: [(1, 0), (3, 100)]}, counts=counts)
-    words = f"it has 3 messages, the index counts {sum(counts.values())}"
+    fewer = sum(counts.values()) < 3
+    words = "has 3 messages, counted are 2" if fewer else "it has 3 messages, the index counts 4"
     with closing(open_recording(path)) as reader:
         assert [m.log_time_ns for m in reader.messages(None, *cut)] == [1, 2, 3][(cut[0] or 1) - 1 :]
         assert [words in place.what for place in reader.damage] == [True]

@@ -161,12 +161,12 @@ class Counts:
 
 
 def test_copying_is_seen_in_the_work_and_not_in_the_messages(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    chunks = len(stored_chunks(source))
-    assert chunks == 2 * ROUNDS
+    there = len(stored_chunks(source))
+    assert there == 2 * ROUNDS
     counts = Counts(monkeypatch)
     copied = opened(convert(source, jobs=2))
     # Each is decompressed once, to be verified; only the mixed ones are compressed again.
-    assert counts.done.count("decompressed") == chunks
+    assert counts.done.count("decompressed") == there
     assert counts.done.count("compressed") == ROUNDS
     monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1 << 40)
     taken_apart = opened(convert(source, jobs=2))

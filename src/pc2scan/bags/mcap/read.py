@@ -541,13 +541,15 @@ def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
     if statistics is None or log.found:
         return
     chunks = sum(isinstance(segment, ChunkSegment) for segment in index.segments)
-    for kind, declared, found in (
-        ("attachments", statistics.attachment_count, len(index.attachments)),
-        ("metadata records", statistics.metadata_count, len(index.metadata)),
-        ("chunks", statistics.chunk_count, chunks),
+    # Messages are counted, too.
+    for kind, declared, found, lost in (
+        ("attachments", statistics.attachment_count, len(index.attachments), None),
+        ("metadata records", statistics.metadata_count, len(index.metadata), None),
+        ("chunks", statistics.chunk_count, chunks, 0),
     ):
         if found < declared:
-            log.note(file.damage(f"the statistics count {declared} {kind}, {found} were found"), key=kind)
+            error = file.damage(f"the statistics count {declared} {kind}, {found} were found")
+            log.note(error, key=kind, messages_lost=lost)
 
 
 def attachments_of(file: RecordFile, index: McapIndex, log: DamageLog, *, verify: bool) -> Iterator[Attachment]:

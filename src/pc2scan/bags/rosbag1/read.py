@@ -226,16 +226,24 @@ class Rosbag1Reader(Reader):
         places: list[int] | None = None,
     ) -> list[RawMessage] | LazyItems[RawMessage]:
         """Find the wanted messages of a chunk; ``described`` and ``places`` are filled for `_load_whole`."""
-        return scan_messages(
+        messages, found = scan_messages(
             chunk,
             selection.wanted,
             selection.start_ns,
             selection.stop_ns,
             partial(self._compare_connection, segment, described),
             span=(segment.start_ns, segment.end_ns),
-            count=segment.message_count,
             places=places,
         )
+        declared = segment.message_count
+        if declared is not None and found < declared:
+            raise FormatError(f"it has {counted(found, 'message')}, the index counts {declared}")
+        if declared is not None and found > declared:
+            what = (
+                f"the chunk with data at byte {segment.offset} has {counted(found, 'message')}, counted are {declared}"
+            )
+            self._log.note_index(self._file, segment.offset, what)
+        return messages
 
     def _load_whole(
         self, selection: _Selection, rule: ChunkRule, segment: Segment
@@ -255,7 +263,7 @@ class Rosbag1Reader(Reader):
     def _compare_connection(
         self, segment: Segment, described: dict[int, bool], fields: Mapping[bytes, bytes], body: Buffer
     ) -> None:
-        """Compare a chunk's description of a connection with the index, and note another topic or type.
+        """Compare a chunk's description of a connection with the index, and note a difference.
 
         Parameters
         ----------
@@ -278,9 +286,11 @@ class Rosbag1Reader(Reader):
         if known is None:
             return
         self._compared[identity] = topic, header, described[identity]
-        if (known.topic, known.msgtype) != (copy.topic, copy.msgtype):
+        if not described[identity]:
             index, content = (f"{item.topic!r:.80} ({item.msgtype:.80})" for item in (known, copy))
             what = f"connection {identity} is {index} in the one, and {content} in the other"
+            if index == content:
+                what = f"connection {identity}, {index}, has another definition or header in a chunk"
             self._log.note_index(self._file, segment.offset, what)
 
     def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
@@ -399,10 +409,9 @@ def scan_messages(
     describe: Describe,
     *,
     span: tuple[int, int] | None = None,
-    count: int | None = None,
     places: list[int] | None = None,
-) -> list[RawMessage] | LazyItems[RawMessage]:
-    """Find the messages of a decompressed chunk.
+) -> tuple[list[RawMessage] | LazyItems[RawMessage], int]:
+    """Return the wanted messages of a decompressed chunk, and how many it has of all connections and times.
 
     Parameters
     ----------
@@ -416,16 +425,14 @@ def scan_messages(
         Called with the fields and the body of each connection that the chunk describes.
     span
         The first and the last log time in the index.
-    count
-        How many messages the index counts, of all connections and times; None: that is not compared.
     places
         Gets the offset of every message, if given.
 
     Raises
     ------
     FormatError
-        If a record does not fit, is not a message or connection, or has a connection not in ``wanted``, if a wanted
-        message is outside of ``span``, or if there are not ``count`` messages.
+        If a record does not fit, is not a message or connection, or has a connection not in ``wanted``, or if a wanted
+        message is outside of ``span``.
     """
     data = memoryview(chunk)
     end = len(data)
@@ -443,9 +450,7 @@ def scan_messages(
             dropped += len(messages)
             messages = []
     found = len(messages) + dropped + others
-    if count not in (None, found):
-        raise FormatError(f"it has {counted(found, 'message')}, the index counts {count}")
-    return _lazy_messages(data, wanted, low, high) if dropped else messages
+    return (_lazy_messages(data, wanted, low, high) if dropped else messages), found
 
 
 def _scan_stretch(
