@@ -113,6 +113,9 @@ def test_a_wrong_argument_leaves_what_is_there(tmp_path: Path) -> None:
     wrong: Any = "no"
     with pytest.raises(TypeError, match="overwrite is 'no'"):
         pc2scan.convert(HALL, tmp_path / "out.mcap", overwrite=wrong)
+    channels: Any = [5]
+    with pytest.raises(TypeError, match="channels has 5"):
+        pc2scan.convert(HALL, tmp_path / "out.mcap", reverse=True, channels=channels, overwrite=True)
     assert (tmp_path / "out.mcap").read_bytes() == b"kept"
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -33,7 +32,6 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are not under docs."""
     generated = {page: (ROOT / file).read_text("utf-8") for file, page in PAGES.items()}
     generated |= {
-        "reference/commands.md": commands(),
         "reference/python.md": functions(),
         "reference/schemas.md": schemas(),
     }
@@ -50,34 +48,16 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, **_: objec
         link, _, anchor = found[1].partition("#")
         if not link or "://" in link or link.startswith("mailto:"):
             return found[0]
-        path = link if of_root else str(Path("docs", page.file.src_uri).parent / link)
-        path = Path(path).as_posix() if ".." not in path else (ROOT / path).resolve().relative_to(ROOT).as_posix()
-        if path in PAGES:
-            link = PAGES[path]
-        elif path.startswith("docs/"):
-            link = path.removeprefix("docs/")
-        else:
+        folder = posixpath.dirname(page.file.src_uri)
+        path = posixpath.normpath(link if of_root else posixpath.join("docs", folder, link))
+        if path not in PAGES and not path.startswith("docs/"):
             return f"]({config.repo_url}/blob/main/{path})"
+        link = posixpath.relpath(PAGES.get(path, path.removeprefix("docs/")), folder or ".")
         return f"]({link}{'#' if anchor else ''}{anchor})"
 
     # Pictures of the README, which have a width.
     markdown = markdown.replace('src="docs/', 'src="')
     return re.sub(r"\]\(([^)\s]+)\)", target, markdown)
-
-
-def commands() -> str:
-    """Return the help of every command."""
-    overview = _help()
-    names = re.findall(r"^  ([a-z]+)  ", overview[overview.index("Commands:") :], re.MULTILINE)
-    parts = ["# Commands\n", f"```text\n{overview}```\n"]
-    parts += [f"## pc2scan {name}\n\n```text\n{_help(name)}```\n" for name in names]
-    return "\n".join(parts)
-
-
-def _help(*words: str) -> str:
-    command = [sys.executable, "-m", "pc2scan", *words, "--help"]
-    environment = {"COLUMNS": "100", "NO_COLOR": "1", "PYTHONPATH": str(ROOT / "src")}
-    return subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout
 
 
 def functions() -> str:

@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from . import commands
-from .arguments import names_in, path_of, paths_in
+from .arguments import names_in
 from .errors import UsageError
+from .files.urls import path_of, paths_in
 from .options.call import Options
 from .options.keywords import takes_options
 from .options.table import options_of
@@ -20,10 +21,10 @@ if TYPE_CHECKING:
 
     from typing_extensions import Unpack
 
-    from .arguments import PathText
     from .batch.summary import BatchReport
     from .compare.result import Difference
     from .export.report import ExportReport
+    from .files.urls import PathText
     from .golden.result import GoldenReport
     from .inspect.check import Check
     from .inspect.info import Info
@@ -542,7 +543,7 @@ def scans(
 
     names, asked = names_in("topics", topics), Options("scans", options)
     conversion = None
-    if asked.makes_scans or asked.given.keys() & {"lead", "window", "accumulate", "every", "rebin"}:
+    if asked.makes_scans:
         given = {**asked.given, "topics": names, "only_scans": True}
         conversion = conversion_of(Options("convert", given)).options
         if conversion.scan.reverse:

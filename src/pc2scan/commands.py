@@ -10,18 +10,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .errors import Pc2ScanError
-from .options.frames import frames_of
-from .requests import conversion_of, destination_of, first_output, named_files, output_of
+from .requests import conversion_of, destination_of, first_output, frames_of, named_files, output_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from .arguments import PathText
     from .batch.options import BatchCallbacks
     from .batch.summary import BatchReport
     from .compare.result import Difference
     from .export.report import ExportReport
+    from .files.urls import PathText
     from .golden.check import Command
     from .golden.init import NewCase
     from .golden.result import CaseResult, GoldenReport
@@ -34,26 +33,13 @@ if TYPE_CHECKING:
     from .options.call import Options
     from .pipeline.engine import Progress
     from .pipeline.report import Report
+    from .requests import Warn
 
-    Warn = Callable[[str], None]
 
 _Shown = TypeVar("_Shown", "Page", "Plotted", "Map")
 
 #: The options about frames that a conversion which `info` proposes needs, too.
 _OF_FRAMES = ("tf_topics", "tf_from", "static_tf", "source_frame")
-
-
-class _Warnings(list[str]):
-    """The warnings about options, which are also passed on."""
-
-    def __init__(self, warn: Warn | None) -> None:
-        super().__init__()
-        self._warn = warn
-
-    def __call__(self, text: str) -> None:
-        self.append(text)
-        if self._warn is not None:
-            self._warn(text)
 
 
 def convert(
@@ -65,26 +51,23 @@ def convert(
     progress: Progress | None = None,
 ) -> Report:
     """Convert a recording; see `pc2scan.convert`. A wrong option is in the report's file, too."""
-    warnings = _Warnings(warn)
     path, folder = destination_of(destination)
     output = output_of(options, folder=folder)
     try:
-        options.check()
-        conversion = conversion_of(options, warnings)
+        if options.wrong is not None:
+            raise options.wrong
+        conversion = conversion_of(options, warn)
     except Pc2ScanError as err:
         from .pipeline.run import report_failure  # noqa: PLC0415
-        from .remote.urls import shown_path  # noqa: PLC0415
         from .result import Failure  # noqa: PLC0415
 
-        failure = Failure(
-            [err], [shown_path(source) for source in sources], None if destination is None else str(destination)
-        )
+        failure = Failure([err], [str(source) for source in sources], str(path or folder or "") or None)
         report_failure(failure, sources, output, named_files(options))
         raise
     from .pipeline.run import run  # noqa: PLC0415
 
     done = run(sources, path, conversion.options, output, also_read=conversion.files, progress=progress, warn=warn)
-    done.warnings += warnings
+    done.warnings += conversion.notes
     return done
 
 
@@ -116,8 +99,7 @@ def export(
     progress: Progress | None = None,
 ) -> ExportReport:
     """Write scans, trajectories or clouds as files; see `pc2scan.export`."""
-    warnings = _Warnings(warn)
-    conversion = conversion_of(options, warnings)
+    conversion = conversion_of(options, warn)
     from .export.run import ExportOptions, run  # noqa: PLC0415
 
     path, folder = destination_of(destination)
@@ -132,47 +114,39 @@ def export(
         also_read=conversion.files,
         progress=progress,
     )
-    done.warnings += warnings
+    done.warnings += conversion.notes
     return done
 
 
 def view(sources: Sequence[Path], destination: Path | None, options: Options, *, warn: Warn | None = None) -> Page:
     """Show a recording as a page, which is written if there is a destination; see `pc2scan.view`."""
-    warnings = _Warnings(warn)
-    conversion = conversion_of(options, warnings)
-    first = first_output(conversion.options, "shown", warnings)
-    from .look.command_line import convert_words  # noqa: PLC0415
+    conversion = first_output(conversion_of(options, warn), "shown", warn)
     from .look.view import page_of, write_page  # noqa: PLC0415
 
-    asked: dict[str, Any] = {
-        "clouds": options.clouds,
-        "at": options.at,
-        "preset": options.preset or "",
-        "command": convert_words(sources, first, "scans.mcap"),
-    }
+    asked: dict[str, Any] = {"clouds": options.clouds, "at": options.at, "preset": options.preset or ""}
     if destination is None:
-        return _with(page_of(sources, first, **asked), warnings)
-    page = write_page(sources, destination, first, overwrite=options.overwrite, also_read=conversion.files, **asked)
-    return _with(page, warnings)
+        return _with(page_of(sources, conversion.options, **asked), conversion.notes)
+    page = write_page(
+        sources, destination, conversion.options, overwrite=options.overwrite, also_read=conversion.files, **asked
+    )
+    return _with(page, conversion.notes)
 
 
 def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: Warn | None = None) -> Plotted:
     """Draw clouds; see `pc2scan.plot`."""
-    warnings = _Warnings(warn)
-    conversion = conversion_of(options, warnings)
-    first = first_output(conversion.options, "shown", warnings)
+    conversion = first_output(conversion_of(options, warn), "shown", warn)
     from .look.plot import plot as draw  # noqa: PLC0415
 
     drawn = draw(
         sources,
         destination,
-        first,
+        conversion.options,
         clouds=options.clouds,
         at=options.at,
         overwrite=options.overwrite,
         also_read=conversion.files,
     )
-    return _with(drawn, warnings)
+    return _with(drawn, conversion.notes)
 
 
 def map(  # noqa: A001  # the command's name
@@ -185,29 +159,27 @@ def map(  # noqa: A001  # the command's name
     progress: Progress | None = None,
 ) -> Map:
     """Draw scans into a map, which is written unless ``write`` is false; see `pc2scan.map`."""
-    warnings = _Warnings(warn)
-    conversion = conversion_of(options, warnings)
-    first = first_output(conversion.options, "drawn", warnings)
+    conversion = first_output(conversion_of(options, warn), "drawn", warn)
     from .look.map import map_of, write_map  # noqa: PLC0415
     from .look.map_drawing import MapOptions  # noqa: PLC0415
 
     asked = MapOptions.of(options)
     if not write:
-        return _with(map_of(sources, first, asked, progress=progress), warnings)
+        return _with(map_of(sources, conversion.options, asked, progress=progress), conversion.notes)
     drawn = write_map(
         sources,
         destination,
         options.png,
-        first,
+        conversion.options,
         asked,
         overwrite=options.overwrite,
         also_read=conversion.files,
         progress=progress,
     )
-    return _with(drawn, warnings)
+    return _with(drawn, conversion.notes)
 
 
-def _with(result: _Shown, warnings: list[str]) -> _Shown:
+def _with(result: _Shown, warnings: Sequence[str]) -> _Shown:
     return replace(result, warnings=(*warnings, *result.warnings))
 
 
@@ -221,7 +193,7 @@ def info(sources: Sequence[Path], options: Options) -> Info:
         described=options.topics,
         target_frame=options.target_frame,
         frames=frames_of(options),
-        given={name: options.given[name] for name in _OF_FRAMES if name in options.given},
+        given=options.among(_OF_FRAMES),
     )
 
 

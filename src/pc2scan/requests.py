@@ -2,39 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple
 
-from .arguments import path_of, path_text, paths_in, refuse_unknown, value_and_type
+from .arguments import refuse_unknown
 from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
+from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
-from .options.frames import frames_of
-from .options.option import POINTS
-from .options.table import PARAMETERS, options_of
-from .pipeline.combine.options import Combining
-from .pipeline.options import ConvertOptions, destination_and_folder
-from .pipeline.param_sources import ResolvedSources, resolve_sources
-from .pipeline.parameters import Setting, refuse_degrees
-from .pipeline.scan_spec import ScanSpec, TopicRequest
+from .options.table import PARAMETERS
+from .pipeline.options import ConvertOptions, ScanSpec, TopicRequest
+from .pipeline.param_sources import resolve_sources
+from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
+from .tf.options import FrameOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from typing import Any
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from typing import Any, TypeAlias
 
-    from .arguments import PathText
     from .core.unproject import UnprojectParams
+    from .files.urls import PathText
     from .pipeline.run_files import OutputOptions
-    from .pipeline.stages.beams import BeamFilter
-    from .pipeline.stages.filters import Filter
     from .streams.stream import Selection
-    from .tf.options import FrameOptions
+    from .tf.static import StaticTransform
 
-#: Options that are attributes of an output or of a conversion, as they are.
-_OF_A_SCAN = ScanSpec.__dataclass_fields__.keys() - {"topics", "params", "channels", "filters", "remove", "reverse"}
+    Warn: TypeAlias = Callable[[str], None]
+
+#: Options that are attributes of a conversion, as they are.
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}
+
+#: The options that are attributes of `FrameOptions`.
+_OF_FRAMES = ("static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
 
 
 class ConversionRequest(NamedTuple):
@@ -46,64 +46,100 @@ class ConversionRequest(NamedTuple):
         The options of the pipeline.
     files
         The files that were read for them, by option.
+    notes
+        Warnings about files.
     """
 
     options: ConvertOptions
     files: Mapping[str, Path]
+    notes: tuple[str, ...] = ()
 
 
-def _among(options: Options, names: Iterable[str]) -> dict[str, Any]:
-    """Return those of some options that were given."""
-    return {name: options.given[name] for name in names if name in options.given}
+def frames_of(options: Options) -> FrameOptions:
+    """Return the options about transforms and frames.
+
+    Raises
+    ------
+    UsageError
+        If a transform cannot be read, or if there are options besides ``frames``, which has all of them.
+    """
+    if options.frames is not None:
+        if options.given.keys() & set(_OF_FRAMES):
+            raise UsageError("give frames, or the arguments about frames one by one, not both")
+        if not isinstance(options.frames, FrameOptions):
+            raise TypeError(f"frames is {type(options.frames).__name__}, it must be FrameOptions")
+        return options.frames
+    static: tuple[StaticTransform, ...] = ()
+    if options.static_tf_file or options.static_tf:
+        from .tf.static import added_transforms  # noqa: PLC0415  # few conversions add any
+
+        static = added_transforms(options.static_tf_file, options.static_tf)
+    return FrameOptions(
+        tf_topics=options.tf_topics,
+        tf_from=options.tf_from,
+        static=static,
+        source_frame=options.source_frame,
+        write_static=options.write_static_tf,
+    )
 
 
-def first_output(options: ConvertOptions, verb: str, note: Callable[[str], None]) -> ConvertOptions:
-    """Return a conversion with the first of its outputs only; ``verb`` says in the note what it is used for."""
+def first_output(request: ConversionRequest, verb: str, warn: Warn | None) -> ConversionRequest:
+    """Return a conversion with the first of its outputs only; ``verb`` says in a note what it is used for."""
+    options = request.options
     if options.scans[1:]:
-        note(f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}")
-    return options.with_scan()
+        only = f"only the first of {len(options.scans)} outputs is {verb}: {options.scan.name}"
+        _pass_on([only], warn)
+        request = request._replace(notes=(*request.notes, only))
+    return request._replace(options=options.with_scan())
 
 
-def conversion_of(options: Options, note: Callable[[str], None] = lambda _: None) -> ConversionRequest:
+def conversion_of(options: Options, warn: Warn | None = None) -> ConversionRequest:
     """Read the options of a conversion.
 
     Parameters
     ----------
     options
         Missing ones have the defaults of `pc2scan.convert`.
-    note
-        Called with warnings about files, once for each, also if an error follows.
+    warn
+        Called with each of the notes as soon as it is known, also if an error follows.
 
     Raises
     ------
     UsageError
         If an option has a wrong value, or contradicts another one.
     """
-    filters = _filters_in(options.filters)
-    settings = [Setting(name, value, options.origin(name)) for name, value in options.parameters.items()]
+    settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in options.parameters.items()]
     if options.scans is not None:
-        return _several_scans(options, settings, note)
-    noted: dict[str, None] = {}
-
-    def note_once(text: str) -> None:
-        if text not in noted:
-            noted[text] = None
-            note(text)
-
+        return _several_scans(options, settings, warn)
     try:
-        return _of_node(options, settings, options.node, filters, note_once)
+        return _of_node(options, settings, options.node, warn)
     except SeveralNodesError as err:
         if options.reverse or options.params_file is None:
             raise
-        from .pipeline.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
-
-        file = options.params_file
-        refuse_topics(options.topics, err.nodes, file)
-        each = [_of_node(options, settings, node, filters, note_once, one_of_several=True) for node in err.nodes]
-        return ConversionRequest(options_of_nodes(err.nodes, [found.options for found in each], file), each[0].files)
+        return _of_nodes(options, settings, err.nodes, options.params_file, warn)
 
 
-def _several_scans(options: Options, settings: list[Setting], note: Callable[[str], None]) -> ConversionRequest:
+def _of_nodes(
+    options: Options, settings: list[Setting], nodes: Sequence[str], file: Path, warn: Warn | None
+) -> ConversionRequest:
+    """Read the options of a conversion with an output for each node of a parameter file."""
+    from .pipeline.nodes import options_of_nodes, refuse_topics  # noqa: PLC0415  # few files have several
+
+    refuse_topics(options.topics, nodes, file)
+    each: list[ConversionRequest] = []
+    for node in nodes:
+        each.append(_of_node(options, settings, node, warn, beside=tuple(each)))
+    conversion = options_of_nodes(nodes, [request.options for request in each], file)
+    return ConversionRequest(conversion, each[0].files, tuple(note for request in each for note in request.notes))
+
+
+def _pass_on(notes: Iterable[str], warn: Warn | None) -> None:
+    if warn is not None:
+        for note in notes:
+            warn(note)
+
+
+def _several_scans(options: Options, settings: list[Setting], warn: Warn | None) -> ConversionRequest:
     """Read the options of a conversion with several outputs; parameters besides ``scans`` apply to all of them."""
     from .pipeline.scans_file import load_scans, refuse_beside  # noqa: PLC0415
     from .pipeline.yaml_nodes import parse_param  # noqa: PLC0415  # few conversions have several outputs
@@ -111,23 +147,44 @@ def _several_scans(options: Options, settings: list[Setting], note: Callable[[st
     refuse_beside(options.of_one_output)
     settings = [*settings, *(parse_param(text) for text in reversed(options.param))]
     found = load_scans(options.scans, settings)
-    _note_ignored(found.ignored, note)
+    notes = tuple(_IGNORED + place for place in found.ignored)
+    _pass_on(notes, warn)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
-    return ConversionRequest(_options(options, found.specs, frames_of(options)), named_files(options) | files)
+    conversion = ConvertOptions(scans=found.specs, frames=frames_of(options), **options.among(_OF_ALL))
+    return ConversionRequest(conversion, named_files(options) | files, notes)
 
 
 def _of_node(
     options: Options,
     settings: list[Setting],
     node: str | None,
-    filters: tuple[Filter, ...],
-    note: Callable[[str], None],
+    warn: Warn | None,
     *,
-    one_of_several: bool = False,
+    beside: Sequence[ConversionRequest] | None = None,
 ) -> ConversionRequest:
-    """Read the options of a conversion with one output; a parameter file is read for one of its nodes."""
-    resolved = _resolved(options, settings, node)
-    _note_ignored(resolved.ignored, note)
+    """Read the options of a conversion with one output; a parameter file is read for one of its nodes.
+
+    Parameters
+    ----------
+    beside
+        The conversions of other nodes in the same file, whose notes are not repeated; None if there is only one node.
+    """
+    if options.params is not None:
+        resolved = _changed_params(options)
+    else:
+        resolved = resolve_sources(
+            settings,
+            assignments=options.param,
+            file=options.params_file,
+            node=node,
+            launch_args=options.launch_args,
+            preset=options.preset,
+            reverse=options.reverse,
+        )
+    known = {note for other in beside or () for note in other.notes}
+    notes = tuple(dict.fromkeys(_IGNORED + place for place in resolved.ignored if _IGNORED + place not in known))
+    if notes:
+        _pass_on(notes, warn)
     frames = frames_of(options)
     topics, typed = options.topics, list(options.remap)
     if typed and topics:
@@ -137,35 +194,23 @@ def _of_node(
     if typed or resolved.remaps:
         from .pipeline.nodes import read_remaps, remaps_of_node  # noqa: PLC0415  # few are given any
 
-        if one_of_several and node is not None:
+        if beside is not None and node is not None:
             typed = remaps_of_node(typed, node)
         typed = [text for text in typed if not text.startswith("__")]
         moved = read_remaps((*resolved.remaps, *typed), reverse=resolved.reverse)
         topics = topics or moved.topics
         if moved.tf_topics and not frames.tf_topics:
             frames = replace(frames, tf_topics=moved.tf_topics)
-    scan = ScanSpec(
-        topics=tuple(map(TopicRequest.parse, topics)),
-        origins=resolved.origin,
-        params=resolved.params,
-        reverse=resolved.reverse,
-        channels=_channels(options.channels, options.range_cutoff),
-        combining=Combining.of(**options.given),
-        filters=(*_point_filters(options, resolved), *filters),
-        remove=_beam_filters(options.remove),
-        **_among(options, _OF_A_SCAN),
-    )
+    more = {}
+    if options.given.keys() & {"channels", "range_cutoff"}:
+        more["channels"] = _channels(options.channels, options.range_cutoff)
+    scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    return ConversionRequest(_options(options, (scan,), frames), files)
+    return ConversionRequest(ConvertOptions(scans=(scan,), frames=frames, **options.among(_OF_ALL)), files, notes)
 
 
-def _note_ignored(places: Iterable[str], note: Callable[[str], None]) -> None:
-    for place in places:
-        note(f"ignored, because it is not a parameter of the projection: {place}")
-
-
-def _options(options: Options, scans: tuple[ScanSpec, ...], frames: FrameOptions) -> ConvertOptions:
-    return ConvertOptions(scans=scans, frames=frames, **_among(options, _OF_ALL))
+#: The beginning of the note about an entry of a file.
+_IGNORED = "ignored, because it is not a parameter of the projection: "
 
 
 def named_files(options: Options) -> dict[str, Path]:
@@ -174,19 +219,9 @@ def named_files(options: Options) -> dict[str, Path]:
     return {f"`{name}`": path for name, path in named.items() if isinstance(path, Path)}
 
 
-def _resolved(options: Options, settings: list[Setting], node: str | None) -> ResolvedSources:
-    """Find the parameters of the projection, and where each comes from."""
-    params, reverse = options.params, options.reverse
-    if params is None:
-        return resolve_sources(
-            settings,
-            assignments=options.param,
-            file=options.params_file,
-            node=node,
-            launch_args=options.launch_args,
-            preset=options.preset,
-            reverse=reverse,
-        )
+def _changed_params(options: Options) -> ResolvedParams:
+    """Return the argument ``params``, with the parameters that are given by name."""
+    params = options.params
     if not isinstance(params, ProjectionParams):
         raise TypeError(f"params is {type(params).__name__}, it must be ProjectionParams")
     if given := [f"`{name}`" for name in ("preset", "params_file", "node") if name in options.given]:
@@ -198,7 +233,7 @@ def _resolved(options: Options, settings: list[Setting], node: str | None) -> Re
     angles = {name: getattr(params, name) for name in ("angle_min", "angle_max", "geometry")}
     refuse_degrees(angles | changes, dict.fromkeys(PARAMETERS, CALL))
     origins = {name: CALL if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
-    return ResolvedSources(replace(params, **changes), origins | dict.fromkeys(changes, CALL), reverse)
+    return ResolvedParams(replace(params, **changes), origins | dict.fromkeys(changes, CALL), options.reverse)
 
 
 def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:
@@ -220,19 +255,26 @@ def output_of(options: Options, *, folder: Path | None = None, like_source: bool
         from .pipeline.split import cut_of  # noqa: PLC0415  # most recordings are one file
 
         cut = cut_of(options.split, repeat_latched=options.repeat_latched)
-    return OutputOptions(cut=cut, folder=folder, like_source=like_source, **_among(options, OutputOptions._fields))
+    return OutputOptions(cut=cut, folder=folder, like_source=like_source, **options.among(OutputOptions._fields))
 
 
 def destination_of(destination: PathText | None) -> tuple[Path | None, Path | None]:
-    """Return the path of the destination, or the folder for it; at least one of them is None."""
-    # Read as text, because a Path object has lost a slash at the end, which means a folder.
-    return destination_and_folder(None if destination is None else path_text("destination", destination))
+    """Return the path of the destination, or the folder to write into if it ends with a slash or is a dot.
+
+    >>> destination_of("scans/"), destination_of("scans")
+    ((None, PosixPath('scans')), (PosixPath('scans'), None))
+    """
+    if destination is None:
+        return None, None
+    # As text, because a Path object has lost the slash at the end.
+    text = path_text("destination", destination)
+    if text.endswith(tuple(filter(None, (os.sep, os.altsep)))) or os.path.basename(text) in {".", ".."}:  # noqa: PTH119
+        return None, path_or_url(text)
+    return path_or_url(text), None
 
 
-def _channels(channels: tuple[str, ...] | UnprojectParams, range_cutoff: float | None) -> UnprojectParams | None:
+def _channels(channels: tuple[str, ...] | UnprojectParams, range_cutoff: float | None) -> UnprojectParams:
     """Combine the options about the fields of clouds into one object."""
-    if channels == () and range_cutoff is None:
-        return None
     from .core.unproject import UnprojectParams  # noqa: PLC0415
 
     if isinstance(channels, UnprojectParams):
@@ -254,37 +296,3 @@ def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...]
         verify=options.verify,
         strict=options.strict,
     )
-
-
-def _point_filters(options: Options, resolved: ResolvedSources) -> Iterable[Filter]:
-    """Return the filters that options ask for."""
-    known = options_of("convert")
-    if not any(known[name].panel is POINTS for name in options.given if name in known):
-        return ()
-    from .pipeline.stages.filter_options import filters_from  # noqa: PLC0415  # few conversions have filters
-
-    return filters_from(options.given, resolved.params.min_height)
-
-
-def _filters_in(values: object) -> tuple[Filter, ...]:
-    """Return the filters of an argument that takes one or several."""
-    if values is None:
-        return ()
-    several = isinstance(values, Iterable) and not isinstance(values, str | bytes)
-    found = tuple(cast("Iterable[Any]", values if several else (values,)))
-    for value in found:
-        if isinstance(value, type) or not hasattr(value, "explanation"):
-            text = "; a condition as text is the argument `where`" if isinstance(value, str) else ""
-            raise TypeError(
-                f"filters has {value_and_type(value)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}"
-            )
-    return found
-
-
-def _beam_filters(texts: Sequence[str]) -> tuple[BeamFilter, ...]:
-    """Read the filters of beams."""
-    if not texts:
-        return ()
-    from .pipeline.stages.beams import beam_filter  # noqa: PLC0415  # few scans are filtered
-
-    return tuple(map(beam_filter, texts))

@@ -27,8 +27,8 @@ from .inspect.check import Check
 from .inspect.info import Info
 from .inspect.tf import FrameTree, Lookup
 from .look.map_result import Map
+from .pipeline.options import ScanSpec
 from .pipeline.report import Report
-from .pipeline.scan_spec import ScanSpec
 from .result import Call, Failure, Result
 
 #: The classes whose results have a schema; a document's ``kind`` says which it is.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunks import Segment
     from pc2scan.bags.mcap.records import RecordFile
-    from pc2scan.files.buffers import BorrowedBytes
+    from pc2scan.files.source import BorrowedBytes
 
 
 @pytest.fixture

@@ -332,8 +332,8 @@ def test_a_result_whose_beginning_nobody_heard_of_is_known(tmp_path: Path) -> No
     """The news from a cluster are late: the interruption comes first."""
     drives, out = place(tmp_path / "drives", "a.bag", "b.bag"), tmp_path / "out"
 
-    def execute(queue: Any, **_: object) -> Iterator[Any]:
-        assert convert_one(queue.take()).error is None
+    def execute(jobs: Any, **_: object) -> Iterator[Any]:
+        assert convert_one(jobs[0]).error is None
         raise KeyboardInterrupt
         yield
 

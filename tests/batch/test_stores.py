@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -16,9 +17,12 @@ import pytest
 
 import pc2scan
 from batch.cluster import cluster
-from pc2scan.batch.identity import versions
+from pc2scan.batch import stores
+from pc2scan.batch.options import BatchCallbacks, BatchOptions
+from pc2scan.batch.run import run_batch as run_batch_in_process
 from pc2scan.errors import DestinationError, MissingError, RecordingError, UsageError
-from pc2scan.files.source import on_demand
+from pc2scan.files.store import _open_files
+from pc2scan.files.urls import path_or_url
 from support.batches import HEIGHTS, KEYWORDS, batch, contents, place, run_batch
 from support.builders import CONTENT, write_mcap, write_rosbag1, write_rosbag2
 from support.command import COMMAND, INTERRUPTED
@@ -26,7 +30,7 @@ from support.command import environment as plain_environment
 from support.stores import memory_store, s3_server
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 fsspec = pytest.importorskip("fsspec")
@@ -92,8 +96,8 @@ def store(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_p
         with memory_store(monkeypatch) as fs:
             yield Store(fs, "memory", bucket)
     # A process that runs batch after batch keeps nothing of what was there.
-    assert not on_demand
-    assert not versions
+    gc.collect()
+    assert not _open_files
 
 
 #: Tests that start processes, which have no memory in common.
@@ -129,7 +133,7 @@ def test_a_bucket_becomes_what_a_folder_becomes(store: Store, drives: Path, scra
     assert "failed: empty.bag: is empty" in done.stderr
     assert list(scratch.iterdir()) == []
     assert batch(drives, tmp_path / "local").exit_status == 1
-    # Neither a note nor a lock is left there.
+    # No note is left there.
     assert store.contents("out") == contents(tmp_path / "local")
     said = store.manifest().decode() + (tmp_path / "report.json").read_text() + done.stdout + done.stderr
     assert str(scratch) not in said
@@ -161,7 +165,7 @@ def test_a_bucket_becomes_what_a_folder_becomes(store: Store, drives: Path, scra
 def test_one_end_is_in_a_store(store: Store, drives: Path, scratch: Path, tmp_path: Path) -> None:
     source = store.upload(drives)
     batch(drives, tmp_path / "local")
-    batch(f"{source}/", tmp_path / "here", scratch=scratch, scratch_size="1GB")
+    batch(f"{source}/", tmp_path / "here", scratch=scratch)
     batch(drives, f"{store.url}/out", scratch=scratch)
     assert contents(tmp_path / "here") == store.contents("out") == contents(tmp_path / "local")
     assert list(scratch.iterdir()) == []
@@ -252,33 +256,26 @@ def test_exported_folders_are_replaced_if_all_is_known(store: Store, drives: Pat
     assert store.contents("out").keys() == {"a/scan.csv", "a/.pc2scan-files.json"}
 
 
-def test_the_room_for_copies_is_bounded(store: Store, drives: Path, scratch: Path, tmp_path: Path) -> None:
-    source, size = store.upload(drives), (drives / "a.bag").stat().st_size
-    room: dict[str, Any] = {"scratch": scratch, "scratch_size": f"{size - 1}B"}
-    report = batch([f"{source}/a.bag", f"{source}/b.mcap"], tmp_path / "out", **room)
-    by_key = {outcome.key: outcome for outcome in report.outcomes}
-    assert f" may have {size - 1:,}" in by_key["a.bag"].error
-    assert by_key["b.mcap"].outcome == "converted"
-    # The result, too.
-    room |= {"scratch_size": f"{size + 1}B", "keep_clouds": True}
-    assert "take more than" in batch(f"{source}/a.bag", f"{store.url}/out", **room).outcomes[0].error
-    with pytest.raises(pc2scan.Pc2ScanError, match="take more than"):
-        pc2scan.convert(f"{source}/a.bag", f"{store.url}/out/x.bag", **room, **KEYWORDS)
-    assert store.contents("out") == {}
-    assert list(scratch.iterdir()) == []
+def test_a_manifest_that_changed_meanwhile_is_an_error(
+    store: Store, drives: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, out = store.upload(drives), f"{store.url}/out"
+    monkeypatch.setattr(stores, "_PUSH_SECONDS", 0.0)
+    other: list[bool] = []
+
+    def done(_: object) -> None:
+        if not other:
+            other.append(True)
+            store.put("out/manifest.jsonl", b"")
+
+    with pytest.raises(DestinationError, match="was changed meanwhile: another batch is writing into this folder"):
+        run_with(source, out, done)
+    # It is the other one's.
+    assert store.manifest() == b""
 
 
-def test_two_runs_do_not_write_into_one_folder(store: Store, drives: Path) -> None:
-    lock = {"host": os.uname().nodename, "pid": os.getppid(), "run": "other", "sign": 1}
-    store.put("out/.pc2scan-lock", json.dumps(lock).encode())
-    with pytest.raises(DestinationError, match="another batch is writing into this folder"):
-        batch(drives, f"{store.url}/out")
-    # The process that held it was killed.
-    child = subprocess.Popen([sys.executable, "-c", ""])
-    child.wait()
-    store.put("out/.pc2scan-lock", json.dumps(lock | {"pid": child.pid}).encode())
-    assert batch(drives / "a.bag", f"{store.url}/out").exit_status == 0
-    assert store.contents("out").keys() == {"a_scan.bag"}
+def run_with(source: str, out: str, done: Callable[[object], None]) -> None:
+    run_batch_in_process([source], path_or_url(out), KEYWORDS, BatchOptions(), watch=BatchCallbacks(done=done))
 
 
 def test_a_web_server_has_single_files(tmp_path: Path, drives: Path) -> None:

@@ -1,6 +1,6 @@
 """Print how much longer hostile recordings take than sound ones of the same size, as Markdown.
 
-Run it with ``python tests/benchmarks/factors.py``, or with ``--write`` to put the table into ``docs/faults.md``.
+Run it with ``python tests/benchmarks/factors.py``, or with ``--write`` to put the table into ``docs/benchmarks.md``.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--mb", type=float, nargs=2, default=(2, 8), help="sizes of the recordings (default: 2 8)")
     parser.add_argument("--repeat", type=int, default=3, help="runs, of which the median is taken (default: 3)")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/faults.md")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/benchmarks.md")
     asked = parser.parse_args()
     small, large = (int(size * MEGABYTE) for size in asked.mb)
     lines = [
@@ -132,7 +132,7 @@ def main() -> None:
     table = "\n".join(lines)
     sys.stdout.write(f"{table}\n")
     if asked.write:
-        page = ROOT / "docs" / "faults.md"
+        page = ROOT / "docs" / "benchmarks.md"
         text = page.read_text("utf-8")
         before, rest = text.split(BEGIN)
         page.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{rest.split(END)[1]}", "utf-8")

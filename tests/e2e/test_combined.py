@@ -223,7 +223,7 @@ def test_points_that_wait_are_those_that_were_read(
     source = world(*lidars, seconds=0.5, compression="none")
     found = set()
     for held in (64 << 20, 0):
-        monkeypatch.setattr("pc2scan.files.buffers._MAX_KEPT", held)
+        monkeypatch.setattr("pc2scan.files.source._MAX_KEPT", held)
         for jobs in (1, 3):
             done = pc2scan.convert(source, tmp_path / "out.mcap", jobs=jobs, overwrite=True, **BOTH, **options)
             found.add((tmp_path / "out.mcap").read_bytes())

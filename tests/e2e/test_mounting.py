@@ -16,10 +16,9 @@ import pytest
 import pc2scan
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rigid import Rigid
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.options import ConvertOptions, ScanSpec
 from pc2scan.pipeline.run import run as convert
 from pc2scan.pipeline.run_files import OutputOptions
-from pc2scan.pipeline.scan_spec import ScanSpec
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.command import run
 from support.outputs import opened

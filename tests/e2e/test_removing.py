@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pc2scan.cli.in_process import run_command
-from pc2scan.cli.spelling import as_typed
+from pc2scan.cli.render import as_typed
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.project import project
 from support import conversions, sampled
@@ -122,7 +122,9 @@ def test_scans_whose_every_beam_is_sparse_are_explained(tmp_path: Path) -> None:
     output = str(tmp_path / "out.mcap")
     ended = run_command(["convert", str(recording), "-o", output, "--beams", "720", "--min-points", "3"])
     assert ended.status == 4
-    assert "1 of 1 scan on /scan has no return at all: all of their beams were removed" in ended.messages
+    assert (
+        "1 of 1 scan on /scan has no return at all: all of the 720 beams with a return were removed" in ended.messages
+    )
     assert "720 of 720 beams (100%) were removed as sparse; they have fewer returns than --min-points" in ended.messages
 
 

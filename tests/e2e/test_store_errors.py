@@ -15,7 +15,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError
-from pc2scan.remote import store
+from pc2scan.files import store
 from support import ROOT, sampled
 from support.batches import batch
 from support.command import run

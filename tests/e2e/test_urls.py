@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import shutil
+import sqlite3
 import sys
 import threading
+from contextlib import closing
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+import zstandard
 
 import pc2scan
-from pc2scan.errors import MissingError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.remote.store import RemotePath
+from pc2scan.errors import MissingError, Pc2ScanError, RecordingError
+from pc2scan.files.store import RemotePath
 from support import RECORDINGS, ROOT, needs_shared
+from support.builders import CONTENT, write_db3, write_rosbag1
 from support.command import run
 from support.stores import memory_store, s3_server
 from support.tables import rows
@@ -70,6 +75,95 @@ def test_what_is_at_a_url_is_as_the_file(name: str, bucket: Any, scratch: Path, 
     assert made == {f"/out/{file.relative_to(tmp_path)}": file.read_bytes() for file in files}
 
 
+#: What is typed, with SRC and OUT; OUT is the beginning of the names of what is written.
+EVERYWHERE = [
+    "check OUTscans.mcap",
+    "diff SRC OUTscans.mcap",
+    "view SRC -o OUTpage.html --min-height 0.1",
+    "view SRC -o OUTpage.html --overwrite",
+    "map SRC -o OUTmap.yaml --min-height 0.1",
+    "export SRC -o OUTscans.csv --min-height 0.1",
+    "export SRC -o OUTscans.csv --min-height 0.1",
+    "export SRC -o OUTclouds --format pcd",
+    "repair SRC -o OUTrepaired.bag",
+    "convert SRC -o OUTparts.bag --split 0.2s --report OUTreport.json",
+    "convert SRC -o OUTx.bag --report OUTscans.csv",
+    "convert SRC -o OUTy.bag --dry-run",
+    "convert SRC -o OUTcut.bag --start 0.1s --end 0.3s",
+    "convert SRC SRC -o OUTz.bag",
+    "info SRC OUTnone.bag",
+]
+
+
+def test_every_command_does_at_urls_what_it_does_with_files(bucket: Any, tmp_path: Path) -> None:
+    local, url = f"{tmp_path}/out/", "memory://out/"
+    (tmp_path / "out").mkdir()
+    for typed in ("convert SRC -o OUTscans.mcap --min-height 0.1", *EVERYWHERE):
+        here = run(*typed.replace("SRC", str(FIXTURES / "hall.bag")).replace("OUT", local).split())
+        there = run(*typed.replace("SRC", HALL).replace("OUT", url).split())
+        assert there.status == here.status, (typed, there)
+        shown = here.stdout.replace(str(FIXTURES / "hall.bag"), HALL).replace(local, url)
+        # The columns of tables are as wide as the paths.
+        assert words_of(there.stdout) == words_of(shown), typed
+    made = {key.removeprefix("/out/"): data for key, data in contents(bucket).items() if key.startswith("/out/")}
+    files = [path for path in (tmp_path / "out").rglob("*") if path.is_file()]
+    expected = {path.relative_to(tmp_path / "out").as_posix(): path.read_bytes() for path in files}
+    assert made.keys() == expected.keys()
+    # Pages, reports and records of folders have names and times in them.
+    exact = (".bag", ".mcap", ".csv", ".pgm", ".pcd")
+    assert [name for name in made if name.endswith(exact) and made[name] != expected[name]] == []
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a text, without lines and numbers, such as times."""
+    return [word for word in text.split() if word.strip("-0123456789.")]
+
+
+def test_all_kinds_of_recordings_are_read(bucket: Any, tmp_path: Path) -> None:
+    """Also those that a library reads by itself, is compressed as a whole, damaged, or has a log beside it."""
+    write_db3(tmp_path / "a.db3", CONTENT)
+    write_rosbag1(tmp_path / "b.bag", CONTENT)
+    data = (tmp_path / "b.bag").read_bytes()
+    (tmp_path / "cut.bag").write_bytes(data[: len(data) * 2 // 3])
+    (tmp_path / "cut.db3").write_bytes((tmp_path / "a.db3").read_bytes()[:-5000])
+    (tmp_path / "two.bag").write_bytes(data + data)
+    (tmp_path / "b.bag.zst").write_bytes(zstandard.compress(data))
+    shutil.copy(tmp_path / "a.db3", tmp_path / "hot.db3")
+    with closing(sqlite3.connect(tmp_path / "hot.db3", isolation_level=None)) as live:
+        live.execute("PRAGMA journal_mode = WAL")
+        live.execute("PRAGMA wal_autocheckpoint = 0")
+        live.execute("DELETE FROM messages WHERE id = 1")
+        for end in ("", "-wal"):
+            shutil.copy(tmp_path / f"hot.db3{end}", tmp_path / f"logged.db3{end}")
+    (tmp_path / "hot.db3").unlink()
+    bucket.put(f"{tmp_path}/", "/kinds/", recursive=True)
+    names = {path.name for path in tmp_path.iterdir() if path.is_file() and not path.name.endswith("-wal")}
+    assert len(names) == 7
+    for name in names:
+        found = [pc2scan.info(place).as_dict() for place in (f"memory://kinds/{name}", tmp_path / name)]
+        shown = [str(each).replace(str(tmp_path), "memory://kinds") for each in found]
+        assert shown[0] == shown[1]
+        report, expected = (
+            pc2scan.convert(source, tmp_path / "x.mcap", overwrite=True, min_height=-2.0, max_height=2.0)
+            for source in (f"memory://kinds/{name}", tmp_path / name)
+        )
+        assert report.bytes_written == expected.bytes_written
+        assert [each.what for each in report.damage] == [each.what for each in expected.damage]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_loops_read_urls(name: str) -> None:
+    times = [[scan.stamp_ns for scan in pc2scan.scans(place, **HEIGHTS)] for place in places(name)]
+    assert times[0] == times[1]
+    assert len(times[0]) == 5
+    points = [[cloud.points().shape for cloud in pc2scan.clouds(place)] for place in places(name)]
+    assert points[0] == points[1]
+
+
+def places(name: str) -> tuple[str, Path]:
+    return f"memory://bucket/{name}", FIXTURES / name
+
+
 def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
     assert pc2scan.convert(HALL, **HEIGHTS).destination == "memory://bucket/hall_scan.bag"
     assert bucket.exists("/bucket/hall_scan.bag")
@@ -78,15 +172,12 @@ def test_results_go_next_to_the_source_or_into_a_folder(bucket: Any) -> None:
 
 
 @pytest.mark.parametrize(("words", "why"), rows(Path(__file__).with_name("urls.txt"), "refused"))
-def test_what_is_refused_changes_nothing(words: str, why: str, bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_refused_changes_nothing(words: str, why: str, bucket: Any) -> None:
     hall = bucket.cat_file("/bucket/hall.bag")
     for name, data in {"x.bag": hall, "x_scan.bag": b"", "mine/thesis.tex": b"", "drive_1.bag": b"old"}.items():
         bucket.pipe_file(f"/out/{name}", data)
     bucket.pipe_file("/out/drive_7.bag", hall)
     before = contents(bucket)
-    if "--scratch-size" in words:
-        # Before anything is read.
-        monkeypatch.setattr(RemotePath, "download", lambda *_: pytest.fail("downloaded"))
     typed = words.replace("HALL", HALL).replace("FIXTURES", str(FIXTURES))
     done = run("convert", *typed.split(), "--min-height", "0.1")
     assert (done.status, why.replace("HALL", HALL) in done.stderr) == (2, True), done.stderr
@@ -105,21 +196,21 @@ def test_overwriting_replaces_what_it_writes(bucket: Any) -> None:
     assert bucket.find("/out") == [*(f"/out/drive_{number}.bag" for number in (0, 1, 2, 7)), "/out/x.bag"]
 
 
-def test_only_some_commands_read_urls() -> None:
-    with pytest.raises(MissingError, match=r"memory://bucket/none\.bag: does not exist"):
-        pc2scan.info("memory://bucket/none.bag")
-    with pytest.raises(UsageError, match="only convert, info and tf read URLs"):
-        pc2scan.check("https://me:secret@example.org/a.bag?token=1")
+def test_what_is_missing_is_named() -> None:
+    for call in (pc2scan.info, pc2scan.tf, pc2scan.check):
+        with pytest.raises(MissingError, match=r"memory://bucket/none\.bag: does not exist"):
+            call("memory://bucket/none.bag")
 
 
 def test_a_source_that_changes_meanwhile_is_an_error(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    get_file = bucket.get_file
+    cat_file = bucket.cat_file
 
-    def changing(key: str, target: str, **options: Any) -> None:
-        get_file(key, target, **options)
-        bucket.pipe_file(key, Path(target).read_bytes() + b"more")
+    def changing(key: str, **options: Any) -> bytes:
+        data: bytes = cat_file(key, **options)
+        bucket.pipe_file(key, cat_file(key) + b"more")
+        return data
 
-    monkeypatch.setattr(type(bucket), "get_file", staticmethod(changing))
+    monkeypatch.setattr(type(bucket), "cat_file", staticmethod(changing))
     with pytest.raises(RecordingError, match="was changed while it was read"):
         pc2scan.convert(HALL, "memory://out/x.bag", **HEIGHTS)
     assert not bucket.exists("/out/x.bag")
@@ -176,12 +267,16 @@ def test_a_web_server_is_read_only(tmp_path: Path) -> None:
     pytest.importorskip("aiohttp", reason="aiohttp reads https")
 
     class Handler(SimpleHTTPRequestHandler):
+        """Knows no ranges, like `python -m http.server`."""
+
         def log_message(self, *_: object) -> None:
             pass
 
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(FIXTURES))) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         source = f"http://me:secret@127.0.0.1:{server.server_port}/hall.bag?token=geheim"
+        for command in (("info",), ("tf",), ("export", "-o", tmp_path / "x.csv", "--min-height", "0.1")):
+            assert run(command[0], source, *command[1:]).status == 0
         done = run("convert", source, "-o", tmp_path / "x.bag", "--report", tmp_path / "r.json")
         refused = run("convert", source)
         server.shutdown()
@@ -206,7 +301,7 @@ def test_an_s3_server(monkeypatch: pytest.MonkeyPatch) -> None:
             ("convert s3://drives/in/hall.bag -o s3://drives/out/x.bag", 2, "exists already"),
             ("info s3://drives/out/x", 0, "s3://drives/out/x: rosbag2 mcap"),
             ("info s3://drives/none.bag", 2, "does not exist"),
-            ("batch s3://no-such-bucket/in -o s3://no-such-bucket/out", 1, "no such bucket"),
+            ("batch s3://no-such-bucket/in -o s3://no-such-bucket/out", 2, "no such bucket"),
         ]
         for words, status, said in expected:
             done = run(*words.split())

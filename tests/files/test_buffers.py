@@ -5,8 +5,8 @@ from __future__ import annotations
 import gc
 from typing import TYPE_CHECKING
 
-from pc2scan.files import buffers as buffers_module
-from pc2scan.files.buffers import BorrowedBuffer, BufferPool, ReadBuffer, RetainedMemory, retain
+from pc2scan.files import source
+from pc2scan.files.source import BorrowedBuffer, BufferPool, ReadBuffer, RetainedMemory, retain
 
 if TYPE_CHECKING:
     import pytest
@@ -44,7 +44,7 @@ def test_what_is_kept_is_not_lent_before_the_last_keeper_ends() -> None:
 
 
 def test_bytes_can_be_kept_and_there_is_a_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(buffers_module, "_MAX_KEPT", RetainedMemory._bytes + 6)
+    monkeypatch.setattr(source, "_MAX_KEPT", RetainedMemory._bytes + 6)
     first = retain(b"123456")
     assert first is not None
     assert retain(b"1") is None

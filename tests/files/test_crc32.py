@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.files import crc32 as module
-from pc2scan.files.crc32 import combine_crc32, crc32
+from pc2scan.files import compression as module
+from pc2scan.files.compression import combine_crc32, crc32
 
 NOISE = np.random.default_rng(1).bytes(1 << 20)
 
@@ -50,8 +50,8 @@ def test_where_there_is_no_library_zlib_does_it(monkeypatch: pytest.MonkeyPatch)
 def test_the_library_is_loaded_for_large_chunks_only() -> None:
     script = """
 import sys
-from pc2scan.files import crc32 as module
-from pc2scan.files.crc32 import crc32, combine_crc32
+from pc2scan.files import compression as module
+from pc2scan.files.compression import crc32, combine_crc32
 crc32(bytes(1000))
 assert "isal" not in sys.modules
 assert crc32(bytes(1 << 20)) == __import__("zlib").crc32(bytes(1 << 20))

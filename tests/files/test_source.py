@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.errors import RecordingError
-from pc2scan.files import buffers
 from pc2scan.files import source as files
-from pc2scan.files.source import FreeIds, NewFile, SourceFile
+from pc2scan.files.new_file import FreeIds, NewFile
+from pc2scan.files.source import SourceFile
 from pc2scan.model import own_data
 
 if TYPE_CHECKING:
@@ -116,10 +116,11 @@ def test_open_files_share_buffers_and_the_last_one_frees_them(large: Path) -> No
 
 @pytest.mark.skipif(not hasattr(os, "preadv"), reason="this system cannot read into a buffer")
 def test_a_buffer_that_does_not_fit_into_memory_is_an_error(large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> bytearray:
-        raise MemoryError
+    class Refusal:
+        def __init__(self, *_: object) -> None:
+            raise MemoryError
 
-    monkeypatch.setattr(buffers.BufferPool, "take", refuse)
+    monkeypatch.setattr(files, "ReadBuffer", Refusal)
     with closing(SourceFile(large)) as file, pytest.raises(RecordingError, match="do not fit into memory"):
         file.borrow(0, 1 << 20)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NoReturn
 import pytest
 
 from pc2scan.errors import DestinationError, OutputError
-from pc2scan.files import run_lock, system
+from pc2scan.files import staging, system
 from pc2scan.files.staging import staged_output
 from support import ROOT, sampled
 from support.batches import contents
@@ -119,7 +119,7 @@ def test_a_second_run_is_refused(tmp_path: Path) -> None:
         [sys.executable, "-c", program, str(tmp_path / "out")],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(Path(run_lock.__file__).parents[2])},
+        env={**os.environ, "PYTHONPATH": str(Path(staging.__file__).parents[2])},
     ) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == b"ready\n"
@@ -146,7 +146,7 @@ def test_a_run_goes_on_where_files_cannot_be_locked(tmp_path: Path, monkeypatch:
     monkeypatch.setitem(sys.modules, "fcntl", None)
     write(tmp_path / "windows")
     assert sorted(contents(tmp_path)) == ["file system", "windows"]
-    monkeypatch.setattr(run_lock, "_acquire", refuse(errno.EROFS))
+    monkeypatch.setattr(staging, "_acquire", refuse(errno.EROFS))
     with pytest.raises(OutputError, match="Read-only file system"):
         write(tmp_path / "out")
 
@@ -187,7 +187,7 @@ def test_an_open_lock_cannot_be_removed_on_windows(tmp_path: Path, monkeypatch: 
                 raise PermissionError(errno.EACCES, "in use")
         unlink(path, missing_ok)
 
-    monkeypatch.setattr(run_lock, "_open_lock", opened)
+    monkeypatch.setattr(staging, "_open_lock", opened)
     monkeypatch.setattr(os, "close", closed)
     monkeypatch.setattr(Path, "unlink", unlinked)
     write(tmp_path / "out")

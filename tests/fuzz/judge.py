@@ -20,11 +20,10 @@ from fuzz.mutants.seeds import Seed, place
 from pc2scan import ProjectionParams
 from pc2scan.bags.opening import open_recording
 from pc2scan.options.moment import TimeBound
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.options import ConvertOptions, ScanSpec
 from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.run import run
 from pc2scan.pipeline.run_files import OutputOptions
-from pc2scan.pipeline.scan_spec import ScanSpec
 from pc2scan.text import TextEnum
 from support.bounded import size_of, watched
 from support.command import COMMAND, environment

@@ -14,11 +14,10 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.golden.case import case_folders, load_case
 from pc2scan.look.view import write_page as view
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.options import ConvertOptions, ScanSpec, TopicRequest
 from pc2scan.pipeline.param_sources import resolve_sources
 from pc2scan.pipeline.run import run
 from pc2scan.pipeline.run_files import OutputOptions
-from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from support import GOLDEN, GOLDEN_EXACT, RECORDINGS, needs_shared, sampled
 
 if TYPE_CHECKING:

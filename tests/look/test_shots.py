@@ -9,10 +9,9 @@ import pytest
 
 import pc2scan
 from pc2scan.core.project import Projector
-from pc2scan.look.recording import open_with_transforms
+from pc2scan.look.recording import open_recording
 from pc2scan.look.shots import take_shots
-from pc2scan.pipeline.options import ConvertOptions
-from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.options import ConvertOptions, ScanSpec
 from pc2scan.pipeline.stages.where import Where
 from support import ROOT
 
@@ -25,8 +24,8 @@ PARAMS = pc2scan.ProjectionParams(min_height=-0.3, max_height=1.0, target_frame=
 
 def ranges_of_shots(**asked: Any) -> list[NDArray[np.float32]]:
     options = ConvertOptions(scans=(ScanSpec(params=PARAMS, **asked),))
-    with open_with_transforms([HALL], options) as recording:
-        taken = take_shots(recording.reader, recording.buffer, options, count=100, at_ns=[], others=recording.others)
+    with open_recording([HALL], options) as recording:
+        taken = take_shots(recording, options, count=100, at_ns=[], level=True)
     found = []
     for shot in taken.shots:
         points = np.stack([shot.columns[axis] for axis in "xyz"], axis=1)

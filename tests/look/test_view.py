@@ -107,7 +107,7 @@ def test_beams_are_measured_as_in_a_conversion(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     done = run("view", HALL, "-o", page, "--beams", "auto", "--geometry", "centered")
     assert done.status == 0, done.stderr
-    assert "note: Beams, measured on /points" in done.stdout
+    assert "note: /points: beams is 240, angle_increment" in done.stdout
     assert run("convert", HALL, "-o", tmp_path / "s.mcap", "--beams", "auto", "--geometry", "centered").status == 0
     params = description(page)["params"]
     (scan, *_) = read_scans(tmp_path / "s.mcap")

@@ -123,7 +123,6 @@ def test_what_only_python_has_is_no_option_of_a_command() -> None:
         ("convert", {"jobs": -1}, "`jobs` is -1, it must be from 0 to 1,024"),
         ("convert", {"range_cutoff": "far"}, "`range_cutoff`: 'far' is not a number"),
         ("convert", {"min_used": "half"}, "`min_used`: 'half' is not a share"),
-        ("convert", {"scratch_size": "20"}, "`scratch_size` is '20', it must be a size above 0"),
         (
             "convert",
             {"channels": ["stamp"]},
@@ -147,7 +146,6 @@ def test_a_wrong_value_is_an_error_that_names_the_option(command: str, values: d
         ({"range_cutoff": "50cm"}, 0.5),
         ({"range_cutoff": 2}, 2.0),
         ({"min_used": "5%"}, 0.05),
-        ({"scratch_size": "20GB"}, 20 * 10**9),
         ({"topics": "/points"}, ("/points",)),
         ({"topics": ["/a", "/b:=/c"]}, ("/a", "/b:=/c")),
         ({"start": 1.5}, TimeBound(1_500_000_000)),

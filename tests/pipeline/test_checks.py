@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 from pc2scan.core.counts import PointCounts
@@ -12,16 +13,17 @@ from pc2scan.core.floor import CloudSample
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
+from pc2scan.model import Summary
 from pc2scan.options.call import Options
 from pc2scan.pipeline import checks
 from pc2scan.pipeline.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.pipeline.checks.request import OutputRequest
 from pc2scan.pipeline.checks.result import TopicResult
 from pc2scan.pipeline.combine.counts import Jump, Run, SourceCounts
-from pc2scan.pipeline.report import Report
-from pc2scan.pipeline.scan_spec import ScanSpec
-from pc2scan.pipeline.topic_report import TopicReport
+from pc2scan.pipeline.options import ScanSpec
+from pc2scan.pipeline.report import Report, TopicReport
 from pc2scan.requests import conversion_of
+from pc2scan.tf.builder import TransformBuilder
 from support.tables import rows
 from support.worlds.mounted import PLACES, cloud, mounted
 
@@ -33,7 +35,14 @@ TABLE = Path(__file__).with_name("checks.txt")
 #: Checks with cases elsewhere: of cuts and of clouds that move, in `tests/transcripts`; of rebinned scans, in
 #: `tests/e2e/test_combined.py`; of whole results, in `test_report.py` and `tests/e2e`.
 ELSEWHERE = {
-    *("cut_without_effect", "target_that_moves", "returns_at_sensor", "fixed_frame_of_rebinned", "rebinned_beams"),
+    *(
+        "cut_without_effect",
+        "target_that_moves",
+        "clouds_in_fixed_frame",
+        "returns_at_sensor",
+        "fixed_frame_of_rebinned",
+        "rebinned_beams",
+    ),
     *("refused_scans", "lost_topics", "evenly_divided_circle", "range_of_preset", "filters_without_effect"),
 }
 
@@ -43,13 +52,17 @@ def named(group: Iterable[Any], facts: Any) -> dict[str, list[str]]:
     return {check.__name__: texts for check in group if (texts := checks.found_by((check,), facts))}
 
 
+#: A recording without messages.
+RECORDED = Summary("mcap", "", (), 0, 0, None, None)
+
+
 @pytest.mark.parametrize(("options", "name", "text"), rows(TABLE, "request"))
 def test_a_check_of_the_request(options: dict[str, Any], name: str, text: str) -> None:
     request = conversion_of(Options("convert", options)).options
     found = named(checks.REQUEST, OutputRequest(request, request.scan))
     assert list(found) == [name]
     assert found[name][0].startswith(text)
-    assert checks.request_warnings(request) == found[name]
+    assert checks.request_warnings(request, RECORDED) == found[name]
 
 
 @pytest.mark.parametrize(("roll", "options", "used", "name", "text"), rows(TABLE, "clouds"))
@@ -58,13 +71,38 @@ def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used:
     static, target = request.frames.static, request.scan.params.target_frame
     moved = Rigid.from_pose((0, 0, -0.6, 0, 0, 0, 1)) if target else None
     points = cloud(PLACES["hall"], "32 rings", mounted(roll, 0), 0.6)
-    sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True))), target, moved)
+    sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True)))).placed_in(
+        target or "lidar", moved
+    )
     counts = PointCounts(len(points), used, height=len(points) - used)
     known = KnownTransforms("", lambda: None, static=static)
     facts = CloudFacts("/points", request.scan, known, [sample], [counts])
     found = named((*checks.FRAME, *checks.FIRST_CLOUDS, *checks.FIRST_CLOUDS_NOTES), facts)
     assert list(found) == [name]
     assert found[name][0].startswith(text)
+
+
+@pytest.mark.parametrize(
+    ("frame", "moving", "cure"),
+    [
+        ("odom", True, "`target_frame=base_link` moves them to the robot"),
+        ("/odom", True, "`target_frame=base_link` moves them to the robot"),
+        ("camera_init", None, "convert the topic with the lidar's own clouds"),
+        # A lidar at a junction, and one on a robot.
+        ("odom", False, ""),
+        ("lidar", True, ""),
+    ],
+)
+def test_clouds_in_a_frame_that_does_not_move_with_the_robot(frame: str, moving: bool | None, cure: str) -> None:
+    builder = TransformBuilder()
+    rows_of_tf = [("odom", "base_link", stamp, float(stamp), 0.0, 0.0, 0.0, 0.0, 0.0, 1.0) for stamp in (1, 2)]
+    builder.add(rows_of_tf[: 2 if moving else 1], static=not moving)
+    known = KnownTransforms("", lambda: None if moving is None else builder.build())
+    sample = CloudSample.of(Points(0, 0, frame, dict.fromkeys("xyz", np.ones(3, np.float32))))
+    facts = CloudFacts("/points", ScanSpec(), known, [sample], [PointCounts()])
+    found = named(checks.EACH_CLOUD, facts).get("clouds_in_fixed_frame", [""])
+    assert cure in found[0]
+    assert found[0].startswith("/points: the clouds are in '") is bool(cure)
 
 
 def topic_report(**attributes: Any) -> TopicReport:

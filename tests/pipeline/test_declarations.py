@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from pc2scan.model import Connection, Definition
-from pc2scan.pipeline.declarations import Declarations
+from pc2scan.pipeline.declarations import declare
 from support.tables import rows
 
 
@@ -36,9 +36,8 @@ def publisher(topic: str = "/tf", text: str = "string data\n", **changes: Any) -
 
 
 def declared(*connections: Connection, one_a_topic: bool = True) -> tuple[list[int], list[Connection]]:
-    declarations, writer = Declarations(), Recorded()
-    assert [declarations.add(connection) for connection in connections] == list(range(len(connections)))
-    handles = declarations.declare(writer, one_a_topic=one_a_topic)  # type: ignore[arg-type]
+    writer = Recorded()
+    handles = declare(writer, connections, one_a_topic=one_a_topic)  # type: ignore[arg-type]
     return handles, writer.connections
 
 

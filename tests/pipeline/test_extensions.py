@@ -22,7 +22,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
-from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.stages.filters import Frame
 from support import builders
 from support.builders import T0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import permutations
 
 from pc2scan.pipeline.first_clouds import FirstClouds
-from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.options import ScanSpec
 
 
 def test_the_first_clouds_pass_in_any_order_of_threads() -> None:

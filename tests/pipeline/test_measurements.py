@@ -14,7 +14,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline import measurements as measure_module
 from pc2scan.pipeline.measurements import cloud_observers, measure
-from pc2scan.pipeline.scan_spec import ScanSpec
+from pc2scan.pipeline.options import ScanSpec
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer
 from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap

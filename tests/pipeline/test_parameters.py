@@ -41,7 +41,7 @@ def test_the_table_has_every_parameter_in_order() -> None:
     assert "rejects z <= 0" in PARAMETERS["min_height"].help
     reverse = {name for name, p in PARAMETERS.items() if p.is_shared}
     assert reverse == {"target_frame", "transform_tolerance", "queue_size"}
-    units = {name: parameter.unit for name, parameter in PARAMETERS.items()}
+    units = {name: parameter.value.unit for name, parameter in PARAMETERS.items()}
     assert {name for name in units if units[name] == "rad"} == {"angle_min", "angle_max", "angle_increment"}
     assert {name for name in units if units[name] == "s"} == {"transform_tolerance", "scan_time", "time_increment"}
     assert all(units[name] == "m" for name in units if "range_" in name or "height" in name)

@@ -10,10 +10,8 @@ import pytest
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import TopicError
 from pc2scan.model import Connection
-from pc2scan.pipeline.combine.options import Combining
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.options import Combining, ConvertOptions, ScanSpec, TopicRequest
 from pc2scan.pipeline.plan import Plan, make_plan
-from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("plans.txt")

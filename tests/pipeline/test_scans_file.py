@@ -15,9 +15,8 @@ from pc2scan.errors import UsageError
 from pc2scan.options.call import Options
 from pc2scan.options.schemas import scans_schema, schema_text
 from pc2scan.options.table import PARAMETERS, output_options
-from pc2scan.pipeline.combine.options import Combining
+from pc2scan.pipeline.options import Combining, ScanSpec, TopicRequest
 from pc2scan.pipeline.parameters import Setting
-from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
 from pc2scan.pipeline.scans_file import load_scans, refuse_beside
 from pc2scan.pipeline.stages.ground import MinHeightSlope
 from pc2scan.pipeline.stages.where import Where
@@ -142,7 +141,7 @@ def test_the_schema_is_the_one_that_is_shipped() -> None:
 def test_the_file_has_whatever_an_output_has() -> None:
     """A choice that `ScanSpec` gets is an entry in the table."""
     elsewhere = {"name", "place", "topics", "origins", "params", "filters", "reverse", "channels"}
-    elsewhere |= {"combining"}
+    elsewhere |= {"combining", "imu_request"}
     assert set(Combining._fields) - {"window_ns", "span_ns", "count", "every_ns"} <= KEYS
     assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= KEYS
 
@@ -160,6 +159,6 @@ def test_the_schema_and_the_code_agree_about_every_key(name: str) -> None:
             wrong = re.search(kind, err.message) is not None and "`where`" not in err.message
         else:
             wrong = False
-        as_text = isinstance(value, str) and name in PARAMETERS and PARAMETERS[name].unit
+        as_text = isinstance(value, str) and name in PARAMETERS and PARAMETERS[name].value.unit
         if not as_text:
             assert bool(violations({"scans": {"/scan": {name: value}}}, root, root)) is wrong, value

@@ -14,8 +14,8 @@ from pc2scan.model import Connection, RawMessage, StoredChunk
 from pc2scan.pipeline import engine
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.items import Item, OpenRoute, Output, Span
+from pc2scan.pipeline.report import TopicReport
 from pc2scan.pipeline.scheduler import AHEAD_BYTES, LARGEST_AHEAD, schedule
-from pc2scan.pipeline.topic_report import TopicReport
 from pc2scan.threads import Threads
 
 if TYPE_CHECKING:

@@ -26,7 +26,7 @@ from pc2scan.pipeline import cloud_to_scan, engine, recording
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import DeferredMessage
 from pc2scan.pipeline.items import Item, OpenRoute, Output
-from pc2scan.pipeline.topic_report import TopicReport
+from pc2scan.pipeline.report import TopicReport
 from support import sampled
 from support.builders import cloud, transforms
 

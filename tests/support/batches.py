@@ -9,7 +9,6 @@ import tempfile
 from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
-from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
@@ -20,9 +19,10 @@ from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, writ
 from support.command import Finished, run
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator
+    from collections.abc import Callable, Generator, Iterator, Sequence
 
-    from pc2scan.batch.processes import Event, Queue
+    from pc2scan.batch.jobs import Job
+    from pc2scan.batch.processes import Event
     from pc2scan.batch.summary import BatchReport
 
 __all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
@@ -32,18 +32,12 @@ HEIGHTS = ("--min-height", "-2", "--max-height", "2")
 KEYWORDS: dict[str, Any] = {"min_height": -2, "max_height": 2}
 
 
-def _execute(queue: Queue, jobs: list[str], **_: object) -> Generator[Event]:
-    """Run jobs one after the other; sources at URLs are copied meanwhile, and results uploaded."""
-    inbox: SimpleQueue[Event | None] = SimpleQueue()
-    queue.begin(inbox.put)
-    while queue.is_open or not inbox.empty():
-        if (job := queue.take()) is not None:
-            jobs.append(job.key)
-            yield JobStart(job.key)
-            if (result := queue.done(convert_one(job))) is not None:
-                yield JobEnd(result)
-        elif (event := inbox.get(timeout=60)) is not None:
-            yield event
+def _execute(waiting: Sequence[Job], jobs: list[str], **_: object) -> Generator[Event]:
+    """Run jobs one after the other."""
+    for job in waiting:
+        jobs.append(job.key)
+        yield JobStart(job.key)
+        yield JobEnd(convert_one(job))
 
 
 @contextmanager

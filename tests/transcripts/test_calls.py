@@ -26,7 +26,7 @@ NAMES |= {"HALL": str(ROOT / "fixtures" / "hall.bag"), "CASES": ROOT / "fixtures
 #: Formats and small rules that are not public.
 INNER = {
     "pc2scan.bags.damage": ["Damage"],
-    "pc2scan.cli.spelling": ["as_typed"],
+    "pc2scan.cli.render": ["as_typed"],
     "pc2scan.errors": ["ParameterError", "name_list", "stamp_text", "visible"],
     "pc2scan.options.moment": ["TimeBound"],
     "pc2scan.text": ["count", "did_you_mean", "duration", "nearest", "size", "stamp"],

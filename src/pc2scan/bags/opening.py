@@ -7,11 +7,11 @@ import shlex
 import stat
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import MissingError, RecordingError, UsageError
+from pc2scan.errors import MissingError, RecordingError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
 from pc2scan.files.places import working_names
 from pc2scan.files.source import open_bytes
-from pc2scan.remote.urls import is_url, shown_path
+from pc2scan.files.urls import UrlPath
 
 from .formats import FORMATS, ReadOptions, and_list
 
@@ -70,11 +70,7 @@ def sniff(path: Path) -> str:
         with open_bytes(path) as file:
             head = file.read(64)
     except FileNotFoundError as err:
-        if is_url(path):
-            raise UsageError(
-                "only convert, info and tf read URLs", path=shown_path(path), hint="download it, and convert the copy"
-            ) from err
-        from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415  # only for errors
+        from pc2scan.files.places import missing_hint  # noqa: PLC0415  # only for errors
 
         suffixes = [entry.suffix for entry in FORMATS.values() if entry.suffix]
         hint = _interruption_hint(path) or missing_hint(path, suffixes)
@@ -107,13 +103,17 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     DamageError
         With ``strict``, if it is damaged; without, if nothing of it can be recovered.
     """
+    # What is fetched from a URL to detect the format is read again.
+    held = path.hold() if isinstance(path, UrlPath) else None
     name, _, packed = sniff(path).partition("+")
     options = ReadOptions(verify=verify, strict=strict)
     if packed:
         from .zstd import ZstdReader  # noqa: PLC0415  # few recordings need it
 
         return ZstdReader(path, FORMATS[name], options)
-    return FORMATS[name].open_reader(path, options)
+    reader = FORMATS[name].open_reader(path, options)
+    del held
+    return reader
 
 
 def open_recordings(

@@ -78,7 +78,7 @@ def decompress_file(path: Path, folder: Path, log: DamageLog) -> Path:
     RecordingError
         If there is not enough space for the result.
     """
-    from pc2scan.files.copies import copy_errors  # noqa: PLC0415  # few recordings are packed
+    from pc2scan.files.places import copy_errors  # noqa: PLC0415  # few recordings are packed
 
     target = folder / without_suffix(path.name)
     with copy_errors(path, folder):
@@ -244,7 +244,7 @@ class ZstdReader(Reader):
     def __init__(self, path: Path, inner: Format, options: ReadOptions) -> None:
         self._path = path
         self._log = DamageLog(strict=options.strict)
-        from pc2scan.files.copies import private_folder  # noqa: PLC0415  # few recordings are packed
+        from pc2scan.files.places import private_folder  # noqa: PLC0415  # few recordings are packed
 
         self._temporary = private_folder(path)
         try:

@@ -15,22 +15,21 @@ from collections import Counter, deque
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import count
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 from pc2scan.errors import OutputError, Pc2ScanError, UsageError
 from pc2scan.files.staging import clean_up
-from pc2scan.remote.urls import is_url
+from pc2scan.files.urls import is_url, path_or_url
 from pc2scan.version import __version__
 
 from .jobs import JobResult, death_of
 from .processes import Information, JobEnd, JobProgress, JobStart, run_jobs
-from .staging import staged_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
+    from pathlib import Path
 
     from .jobs import Job
     from .processes import Event
@@ -177,7 +176,7 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                 _wait_for_end(inbox, running)
             for job in left.values():
                 with suppress(Pc2ScanError):
-                    clean_up(Path(job.destination))
+                    clean_up(path_or_url(job.destination))
         if connected:
             client.unsubscribe_topic(topic)
 
@@ -224,8 +223,8 @@ def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
     host = socket.gethostname()
     if version != __version__:
         return _Answer(host, version=__version__)
-    unseen = tuple(path for path in job.sources if not is_url(Path(path)) and not os.path.lexists(path))
-    folder = Path(job.destination).parent
+    unseen = tuple(path for path in job.sources if not is_url(path) and not os.path.lexists(path))
+    folder = path_or_url(job.destination).parent
     if not is_url(folder) and not _is_there(folder):
         return _Answer(host, unseen=(str(folder), *unseen))
     worker = get_worker()
@@ -267,10 +266,7 @@ def _is_there(folder: Path) -> bool:
 
 def _convert_in_process(job: Job, threads: int, check: Callable[[], None]) -> JobResult:
     last = 0.0
-    with (
-        staged_jobs([job], workers=1) as queue,
-        closing(run_jobs(queue, workers=1, cores=threads, retries=0, check=check)) as events,
-    ):
+    with closing(run_jobs([job], workers=1, cores=threads, retries=0, check=check)) as events:
         for event in events:
             if isinstance(event, JobEnd):
                 return event.result
@@ -283,7 +279,7 @@ def _convert_in_process(job: Job, threads: int, check: Callable[[], None]) -> Jo
 def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
     """Raise unless all workers have this version of pc2scan, and see the sources and the destination."""
     named = {path for job in jobs for path in (*job.sources, os.path.dirname(job.destination))}  # noqa: PTH120
-    paths = sorted(path for path in named if not is_url(Path(path)))
+    paths = sorted(path for path in named if not is_url(path))
 
     # Dask sends a nested function by value, so a worker without pc2scan can run it, too.
     def look(paths: list[str]) -> tuple[str, str, list[str]]:

@@ -9,16 +9,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.arguments import local_path
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_bytes
+from pc2scan.files.urls import is_url, local_path
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import Flag, PathName, Texts
-from pc2scan.pipeline.parameters import RIVALS
-from pc2scan.pipeline.ros_scalars import plain_scalar
+from pc2scan.pipeline.parameters import RIVALS, plain_scalar
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
-from pc2scan.remote.urls import is_url
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
@@ -199,7 +197,7 @@ class _FileReader:
     def _located(self, text: str) -> str:
         """Resolve a path that is relative to the dataset file."""
         text = local_path(text)
-        return text if is_url(Path(text)) else str(self._path.parent / Path(text).expanduser())
+        return text if is_url(text) else str(self._path.parent / Path(text).expanduser())
 
     def _unexpected(self, node: Any, name: str, kind: Value) -> UsageError:
         found = {"mapping": "a mapping", "sequence": "a list"}.get(node.id) or repr(str(node.value)[:80])

@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pc2scan.files.urls import is_url
 from pc2scan.threads import cores
 
 from .jobs import convert_one
 from .processes import run_jobs
-from .staging import staged_jobs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
@@ -32,8 +32,7 @@ def local_executor(*, workers: int, retries: int, lock: int | None) -> Executor:
     """Return an executor with processes on this machine; ``lock`` is the lock that they inherit."""
 
     def executor(jobs: Sequence[Job]) -> Generator[Event]:
-        with staged_jobs(jobs, workers) as queue:
-            yield from run_jobs(queue, workers=workers, cores=cores(), retries=retries, lock=lock)
+        yield from run_jobs(jobs, workers=workers, cores=cores(), retries=retries, lock=lock)
 
     return executor
 
@@ -48,12 +47,6 @@ def dask_executor(address: str) -> Callable[..., Executor]:
         del lock  # It is for processes on this machine.
 
         def executor(jobs: Sequence[Job]) -> Generator[Event]:
-            if not address:
-                # The workers are on this machine and share its disk, so each gets a part of the space for copies.
-                jobs = [
-                    job if job.scratch_size is None else replace(job, scratch_size=job.scratch_size // workers)
-                    for job in jobs
-                ]
             return run_jobs_on_dask(jobs, address, workers=workers, cores=cores(), retries=retries)
 
         return executor
@@ -84,8 +77,9 @@ def estimate_seconds(jobs: Sequence[Job], records: Sequence[ManifestRecord], wor
 
 
 def _sample_pace(jobs: Sequence[Job]) -> float:
-    """Return the bytes per second of a small recording, converted into a temporary folder; 0 if none can be."""
-    fitting = sorted((job for job in jobs if job.size_bytes in _SAMPLE_BYTES), key=lambda job: job.size_bytes)
+    """Return the bytes per second of a small recording, converted into a temporary folder; 0 if there is none."""
+    local = (job for job in jobs if not any(map(is_url, job.sources)))
+    fitting = sorted((job for job in local if job.size_bytes in _SAMPLE_BYTES), key=lambda job: job.size_bytes)
     for job in fitting[:3]:
         with tempfile.TemporaryDirectory(prefix="pc2scan-") as folder:
             destination = str(Path(folder) / Path(job.destination).name)

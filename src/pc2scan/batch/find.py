@@ -15,15 +15,12 @@ from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.places import working_names
 from pc2scan.files.source import open_bytes
-from pc2scan.remote.urls import is_url
+from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, is_url, local_path, path_or_url
 
 from .identity import Identity, identity_of
-from .stores import Stores
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from pc2scan.bags.reader import Reader
 
     #: Returns the container of a recording that an earlier run has found, by its first path and its files; else "".
     Known = Callable[[Path, Identity], str]
@@ -80,14 +77,13 @@ class _Candidate(NamedTuple):
 class _Search:
     """The state of one search."""
 
-    out: tuple[int, int] | None
+    out: object
     known: Known
     #: Files that batches have written. They are not sources.
     outputs: frozenset[Path]
-    stores: Stores
     #: Folders that were searched, by device and inode, because links may form loops; files by their resolved paths.
-    folders: set[tuple[int, int]] = field(default_factory=set)
-    files: set[str] = field(default_factory=set)
+    folders: set[object] = field(default_factory=set)
+    files: set[Path] = field(default_factory=set)
 
 
 def find(
@@ -96,7 +92,6 @@ def find(
     *,
     known: Known | None = None,
     outputs: Iterable[Path] = (),
-    stores: Stores | None = None,
 ) -> list[Recording]:
     """Find recordings.
 
@@ -111,8 +106,6 @@ def find(
         Returns the container of a recording that an earlier run has found, so that it need not be opened again.
     outputs
         Files that earlier runs have written. They are skipped.
-    stores
-        Sources at URLs, and their local stand-ins.
 
     Returns
     -------
@@ -126,12 +119,9 @@ def find(
     UsageError
         If a folder to be searched is in ``out``, a glob matches nothing, or two recordings would have one key.
     """
-    stores = Stores(None) if stores is None else stores
-    search = _Search(
-        _device_and_inode(out), known or (lambda _path, _identity: ""), frozenset(map(_absolute, outputs)), stores
-    )
+    search = _Search(_device_and_inode(out), known or (lambda _path, _identity: ""), frozenset(map(absolute, outputs)))
     found: list[Recording] = []
-    for candidates in _candidates(sources, out, stores):
+    for candidates in _candidates(sources, out):
         named: dict[Path, list[Recording]] = {}
         for candidate in candidates:
             if candidate.named:
@@ -143,12 +133,12 @@ def find(
     return sorted(_make_keys_unique(found), key=lambda each: _natural_key(each.key))
 
 
-def _candidates(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[Iterable[_Candidate]]:
+def _candidates(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Candidate]]:
     """Yield the candidates of the sources by root; that of single files is the folder that contains them all."""
     files: list[Path] = []
     for source in sources:
-        text = stores.located(source)
-        path = Path(text)
+        text = local_path(source)
+        path = path_or_url(text)
         if path.is_dir():
             _refuse_inside(path, out)
             yield (
@@ -157,40 +147,43 @@ def _candidates(sources: Sequence[str], out: Path, stores: Stores) -> Iterator[I
                 else [_Candidate(path, path.parent, named=True)]
             )
         elif path.exists():
-            if (listed := _paths_in_list(path, stores)) is None:
+            if (listed := _paths_in_list(path)) is None:
                 files.append(path)
             else:
-                yield from _candidates_at(listed, out, stores, searching=f"{path}: ")
+                yield from _candidates_at(listed, out, searching=f"{path}: ")
         elif _GLOB & set(text):
-            matches = sorted(glob.glob(text, recursive=True))  # noqa: PTH207  # the text may be absolute
-            if not matches:
+            root = _literal_part(path)
+            found = _matches(path, root)
+            if not found:
                 raise UsageError(f"{source!r} matches nothing")
             yield [
-                _Candidate(Path(match), _literal_part(text), named=not os.path.isdir(match))  # noqa: PTH112
-                for match in matches
-                if not os.path.isdir(match) or _is_rosbag2(Path(match))  # noqa: PTH112
+                _Candidate(match, root, named=not is_dir(match))
+                for match in found
+                if not is_dir(match) or _is_rosbag2(match)
             ]
         else:
             # The path does not exist: raises an error with a suggestion.
             sniff(path)
-    yield from _candidates_at(files, out, stores)
+    yield from _candidates_at(files, out)
 
 
-def _candidates_at(paths: Sequence[Path], out: Path, stores: Stores, searching: str = "") -> Iterator[list[_Candidate]]:
+def _candidates_at(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[list[_Candidate]]:
     """Yield candidates for paths that were named one by one: local ones first, then those at URLs."""
     for remote in (False, True):
-        yield from _candidates_below([path for path in paths if stores.is_remote(path) == remote], out, searching)
+        yield from _candidates_below([path for path in paths if isinstance(path, UrlPath) == remote], out, searching)
 
 
 def _candidates_below(paths: Sequence[Path], out: Path, searching: str) -> Iterator[list[_Candidate]]:
     """Yield candidates for paths that were named one by one; keys are relative to the folder that contains them all."""
     if not paths:
         return
-    parents = [os.path.abspath(path.parent) for path in paths]  # noqa: PTH100  # links keep their names
+    parents = [str(absolute(path.parent)) for path in paths]
     try:
-        root = Path(os.path.commonpath(parents))
+        root = path_or_url(os.path.commonpath(parents))
     except ValueError:
-        # On different drives (Windows): there is no common folder.
+        root = Path()
+    if not root.name and len(paths) > 1 and (not root.parts or isinstance(paths[0], UrlPath)):
+        # On different drives (Windows), or in different stores: there is no common folder.
         yield from ([candidates] for path in paths for (candidates,) in _candidates_below([path], out, searching))
         return
     candidates = []
@@ -204,17 +197,22 @@ def _candidates_below(paths: Sequence[Path], out: Path, searching: str) -> Itera
     yield candidates
 
 
-def _literal_part(pattern: str) -> Path:
+def _matches(pattern: Path, root: Path) -> list[Path]:
+    """Return what a glob matches."""
+    if isinstance(pattern, UrlPath):
+        return sorted(pattern.matches(root))
+    return sorted(map(Path, glob.glob(str(pattern), recursive=True)))  # noqa: PTH207  # the text may be absolute
+
+
+def _literal_part(pattern: Path) -> Path:
     """Return the folders of a glob before the first wildcard: keys are relative to them."""
-    parts: list[str] = []
-    for part in Path(pattern).parts[:-1]:
-        if _GLOB & set(part):
-            break
-        parts.append(part)
-    return Path(*parts)
+    folder = pattern.parent
+    while _GLOB & set(str(folder)):
+        folder = folder.parent
+    return folder
 
 
-def _paths_in_list(path: Path, stores: Stores) -> list[Path] | None:
+def _paths_in_list(path: Path) -> list[Path] | None:
     """Return the paths in a text file; None if it is not a list of paths."""
     if is_named_as_recording(path.name):
         return None
@@ -228,12 +226,10 @@ def _paths_in_list(path: Path, stores: Stores) -> list[Path] | None:
         return None
     lines = [line.strip() for line in text.splitlines()]
     named = [line for line in lines if line and not line.startswith("#")]
-    if any(is_url(Path(line)) for line in named) or stores.is_remote(path):
-        # A line that looks like a URL makes the file a list. In a list at a URL, all lines are URLs or relative to it.
-        return [Path(stores.located(stores.beside(path, line))) for line in named]
-    paths = [Path(stores.beside(path, line)) for line in named]
-    # At least one path of a list must exist. Otherwise the file is another text, named by mistake.
-    return paths if any(map(os.path.lexists, paths)) else None
+    paths = [path_or_url(line) if is_url(line) else path.parent / line for line in map(local_path, named)]
+    # A line that looks like a URL makes the file a list, and so does its being at a URL. Else at least one path must
+    # exist: otherwise the file is another text, named by mistake.
+    return paths if any(isinstance(each, UrlPath) or exists(each) for each in paths) else None
 
 
 def _search_candidate(candidate: _Candidate, search: _Search) -> Iterator[Recording]:
@@ -241,7 +237,7 @@ def _search_candidate(candidate: _Candidate, search: _Search) -> Iterator[Record
     if path.is_dir() and not candidate.named:
         yield from _search_folder(path, candidate.root, search)
         return
-    if _absolute(path) in search.outputs or not _is_new(path, search):
+    if absolute(path) in search.outputs or not _is_new(path, search):
         return
     key = _key_of(path, candidate.root)
     yield from _recognise(path, key, search, named=True)
@@ -254,27 +250,25 @@ def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Record
         return
     search.folders.add(identity)
     try:
-        with os.scandir(folder) as entries:
-            listed = sorted((entry for entry in entries if not entry.name.startswith(".")), key=_entry_order)
+        listed = sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=natural_order)
     except OSError as err:
         error = RecordingError(f"cannot be searched: {err.strerror}", path=folder)
         yield Recording(_key_of(folder, root) or folder.name, (folder,), "", Identity(), error)
         return
     files: list[Recording] = []
-    for entry in listed:
-        path = folder / entry.name
-        if entry.name.endswith(_UNFINISHED) or _absolute(path) in search.outputs:
+    for path in listed:
+        if path.name.endswith(_UNFINISHED) or absolute(path) in search.outputs:
             continue
-        if os.path.isdir(path):  # noqa: PTH112  # unlike the entry's, it does not raise for a link to itself
+        if is_dir(path):
             if _is_rosbag2(path, search):
                 if _is_new(path, search):
                     yield from _recognise(path, _key_of(path, root), search, named=True)
             else:
                 yield from _search_folder(path, root, search)
-        elif os.path.isfile(path):  # noqa: PTH113
+        elif is_file(path):
             if _is_new(path, search):
-                files += _recognise(path, _key_of(path, root), search, named=is_named_as_recording(entry.name))
-        elif entry.is_symlink() and is_named_as_recording(entry.name):
+                files += _recognise(path, _key_of(path, root), search, named=is_named_as_recording(path.name))
+        elif path.is_symlink() and is_named_as_recording(path.name):
             # A broken link.
             files += _recognise(path, _key_of(path, root), search, named=True)
     yield from _join_parts(files, search)
@@ -283,14 +277,14 @@ def _search_folder(folder: Path, root: Path, search: _Search) -> Iterator[Record
 def _recognise(path: Path, key: str, search: _Search, *, named: bool) -> Iterator[Recording]:
     """Yield a file or a rosbag2 directory if it is a recording; if not, yield it with an error if it is ``named``."""
     identity = identity_of([path])
-    if container := search.known(_absolute(path), identity):
+    if container := search.known(absolute(path), identity):
         yield Recording(key, (path,), container, identity)
         return
     try:
         container = sniff(path).partition("+")[0]
         if FORMATS[container].is_magic_shared and not named:
             # Other programs write such files, too: open it to see whether it is a recording.
-            _open_readers(path, search).close()
+            open_recording(path).close()
     except Pc2ScanError as err:
         if named:
             yield Recording(key, (path,), "", identity, err)
@@ -326,7 +320,7 @@ def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Record
         for each in group:
             reader = None
             with suppress(Pc2ScanError):
-                reader = _open_readers(each.paths[0], search)
+                reader = open_recording(each.paths[0])
             if chain and not (last and reader and continues(chain[-1].paths[0], last, each.paths[0], reader)):
                 yield chain
                 chain = []
@@ -340,11 +334,6 @@ def _chains(group: Sequence[Recording], search: _Search) -> Iterator[list[Record
     yield chain
 
 
-def _open_readers(path: Path, search: _Search) -> Reader:
-    search.stores.complete(path)
-    return open_recording(path)
-
-
 def _known_chains(group: Sequence[Recording], search: _Search) -> list[list[Recording]]:
     """Return the parts as an earlier run has joined them; empty if a file has changed since."""
     chains: list[list[Recording]] = []
@@ -353,7 +342,7 @@ def _known_chains(group: Sequence[Recording], search: _Search) -> list[list[Reco
         # The longest first: a file that was a recording of its own may now be the first part of several.
         for count in range(len(rest), 0, -1):
             chain = rest[:count]
-            if search.known(_absolute(chain[0].paths[0]), identity_of(each.paths[0] for each in chain)):
+            if search.known(absolute(chain[0].paths[0]), identity_of(each.paths[0] for each in chain)):
                 chains.append(chain)
                 rest = rest[count:]
                 break
@@ -371,7 +360,7 @@ def _make_keys_unique(found: Sequence[Recording]) -> Iterator[Recording]:
         if len(same) == 1:
             yield same[0]
             continue
-        paths = [Path(_absolute(each.paths[0])).parts for each in same]
+        paths = [Path(str(absolute(each.paths[0]))).parts for each in same]
         count = next(
             (n for n in range(1, max(map(len, paths)) + 1) if len({tuple(p[-n:]) for p in paths}) == len(paths)), 0
         )
@@ -389,7 +378,7 @@ def _make_keys_unique(found: Sequence[Recording]) -> Iterator[Recording]:
 
 def _refuse_inside(folder: Path, out: Path) -> None:
     """Raise if a folder to be searched is the folder of the batch, or below it."""
-    if Path(os.path.realpath(folder)).is_relative_to(os.path.realpath(out)):
+    if _real(folder).is_relative_to(_real(out)):
         raise UsageError(
             f"is a source, and scans are written to {out}: they would be found as sources by the next run",
             path=folder,
@@ -399,9 +388,9 @@ def _refuse_inside(folder: Path, out: Path) -> None:
 
 def _is_rosbag2(folder: Path, search: _Search | None = None) -> bool:
     """Whether a folder is a rosbag2 directory: it has the metadata.yaml of one."""
-    if not os.path.lexists(folder / _METADATA):
+    if not exists(folder / _METADATA):
         return False
-    if search is not None and search.known(_absolute(folder), identity_of([folder])):
+    if search is not None and search.known(absolute(folder), identity_of([folder])):
         return True
     try:
         with open_bytes(folder / _METADATA) as file:
@@ -412,13 +401,21 @@ def _is_rosbag2(folder: Path, search: _Search | None = None) -> bool:
 
 def _is_new(path: Path, search: _Search) -> bool:
     """Whether a file or folder is found for the first time; links to it count as the same."""
-    real = os.path.realpath(path)
+    real = _real(path)
     is_new = real not in search.files
     search.files.add(real)
     return is_new
 
 
-def _device_and_inode(path: Path) -> tuple[int, int] | None:
+def _real(path: Path) -> Path:
+    """Return a path with links resolved."""
+    return path.identity if isinstance(path, UrlPath) else Path(os.path.realpath(path))
+
+
+def _device_and_inode(path: Path) -> object:
+    """Return what is equal for paths of one folder; None if it does not exist."""
+    if isinstance(path, UrlPath):
+        return path.identity
     try:
         status = os.stat(path)  # noqa: PTH116
     except OSError:
@@ -426,16 +423,8 @@ def _device_and_inode(path: Path) -> tuple[int, int] | None:
     return status.st_dev, status.st_ino
 
 
-def _absolute(path: Path) -> Path:
-    return Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
-
-
 def _key_of(path: Path, root: Path) -> str:
-    return os.path.relpath(path, root).replace(os.sep, "/").removeprefix("./")
-
-
-def _entry_order(entry: os.DirEntry[str]) -> list[int | str]:
-    return natural_order(Path(entry.name))
+    return os.path.relpath(str(path), str(root)).replace(os.sep, "/").removeprefix("./")
 
 
 def _natural_key(key: str) -> list[list[int | str]]:

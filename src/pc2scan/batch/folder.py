@@ -18,7 +18,7 @@ from pc2scan.bags.formats import file_suffixes
 from pc2scan.errors import DestinationError, OutputError
 from pc2scan.files.ownership import first_link
 from pc2scan.files.places import check_place, part_name
-from pc2scan.files.run_lock import only_run
+from pc2scan.files.staging import only_run
 from pc2scan.files.text_output import text_output
 from pc2scan.version import __version__
 

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.files.records import RECORD
 from pc2scan.files.source import file_beside, open_bytes
+from pc2scan.files.urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
-
-#: Versions (such as ETags) of files that are copies of objects in a store, or stand-ins for them, by absolute path.
-versions: dict[str, str] = {}
 
 _PIECE_BYTES = 1 << 20
 
@@ -57,6 +55,9 @@ def identity_of(paths: Iterable[Path]) -> Identity:
     """Return the identity of a recording: of a file, of the files in a folder, or of several files."""
     found = []
     for path in paths:
+        if isinstance(path, UrlPath):
+            found += _stored_files(path)
+            continue
         try:
             # os.path is faster than Path, which matters for thousands of recordings.
             found += _files_in(path) if os.path.isdir(path) else _file_and_logs(path)  # noqa: PTH112
@@ -65,20 +66,24 @@ def identity_of(paths: Iterable[Path]) -> Identity:
     return Identity(tuple(found))
 
 
-def _file(name: str, status: os.stat_result, path: str) -> tuple[str, int, int | str]:
-    return name, status.st_size, versions.get(path, status.st_mtime_ns)
-
-
 def _file_and_logs(path: Path) -> list[tuple[str, int, int | str]]:
     """Return the entries of a file and of the logs beside a database: a running recorder may write only to the logs."""
-    found = [_file(path.name, os.stat(path), str(path))]  # noqa: PTH116
     logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
-    return found + [_file(log.name, log.stat(), str(log)) for log in logs if log.stat().st_size]
+    states = [(path.name, os.stat(path)), *((log.name, log.stat()) for log in logs)]  # noqa: PTH116
+    return [(name, state.st_size, state.st_mtime_ns) for name, state in states if state.st_size or name == path.name]
+
+
+def _stored_files(path: UrlPath) -> list[tuple[str, int, int | str]]:
+    """Return the entries of a file at a URL, or of the files in a folder; none if it does not exist."""
+    if not path.is_dir():
+        return [(path.name, *path.known()[:2])] if path.exists() else []
+    files = [(below.relative_to(path).as_posix(), *below.known()[:2]) for below in path.below()]
+    return _summed_up(sorted(files))
 
 
 def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
     """Return the files in a folder and its subfolders; very many (one for each cloud) are summed up in one entry."""
-    found = []
+    found: list[tuple[str, int, int | str]] = []
     for place, folders, names in os.walk(folder):
         folders.sort()
         below = os.path.relpath(place, folder)
@@ -88,7 +93,13 @@ def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
             # Broken links are ignored.
             with suppress(OSError):
                 path = os.path.join(place, name)  # noqa: PTH118
-                found.append(_file(os.path.normpath(os.path.join(below, name)), os.stat(path), path))  # noqa: PTH116, PTH118
+                state = os.stat(path)  # noqa: PTH116
+                found.append((os.path.normpath(os.path.join(below, name)), state.st_size, state.st_mtime_ns))  # noqa: PTH118
+    return _summed_up(found)
+
+
+def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, int | str]]:
+    """Return the files of a folder; very many as one entry."""
     if len(found) <= _MOST:
         return found
     times = [time for _, _, time in found]

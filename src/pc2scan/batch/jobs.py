@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import Pc2ScanError, RecordingError
 from pc2scan.files.records import Record as FileRecord
+from pc2scan.files.urls import path_or_url
 from pc2scan.pipeline.run import run
-from pc2scan.remote.urls import is_url
 
 from .identity import Identity, checksum_of, identity_of
 
@@ -53,10 +53,8 @@ class Job:
         Whether nothing is written; the result is then a forecast.
     shown
         Whether the result includes the report as text.
-    scratch, scratch_size
-        The folder for local copies of recordings at URLs, and how many bytes they may take.
-    room
-        The folder with the copies and a result that is to be uploaded, and how many bytes it may have; None: no limit.
+    scratch
+        The folder for local copies of what is at URLs; None: the system's folder for temporary files.
     """
 
     key: str
@@ -71,8 +69,6 @@ class Job:
     dry_run: bool = False
     shown: bool = False
     scratch: str | None = None
-    scratch_size: int | None = None
-    room: tuple[str, int] | None = None
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
@@ -119,28 +115,19 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     progress
         See `pc2scan.convert`.
     """
-    if any(is_url(Path(path)) for path in (*job.sources, job.destination)):
-        return _at_urls(job, progress)
     began = time.monotonic()
     started = utc_now()
-    sources = [Path(path) for path in job.sources]
-    destination = Path(job.destination)
-    identity = identity_of(sources)
+    sources = [path_or_url(path) for path in job.sources]
+    destination = path_or_url(job.destination)
+    identity = Identity()
     sha256 = None
     report = error = None
     text, status = "", 0
     try:
+        identity = identity_of(sources)
         if job.checksum:
             sha256 = _checksum_of_sources(sources)
-        limit = None
-        if job.room is not None:
-            from pc2scan.remote.scratch import SizeLimit  # noqa: PLC0415  # few jobs have URLs
-
-            limit = SizeLimit(Path(job.room[0]), job.room[1])
-            progress = limit.watching(progress)
         done = _run_job(job, sources, destination, progress)
-        if limit is not None:
-            limit.check()
         report, status = done.as_dict(), done.exit_status
         text = str(done) if job.shown else ""
     except Pc2ScanError as err:
@@ -162,24 +149,6 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
     )
 
 
-def _at_urls(job: Job, progress: Callable[[int, int, int], None] | None) -> JobResult:
-    """Do a dry run of recordings at URLs, of which only ranges are read. Real conversions get local copies instead."""
-    from pc2scan.remote.ranges import stand_ins  # noqa: PLC0415  # loads fsspec
-
-    assert job.dry_run
-    others = job.request.options.frames.tf_from
-    try:
-        with stand_ins([*map(Path, job.sources), *others]) as here:
-            paths = here.paths[: len(job.sources)]
-            frames = replace(job.request.options.frames, tf_from=tuple(here.paths[len(job.sources) :]))
-            request = replace(job.request, options=replace(job.request.options, frames=frames))
-            result = convert_one(replace(job, sources=tuple(map(str, paths)), request=request), progress)
-            shown: JobResult = here.names.of(result)
-            return shown
-    except Pc2ScanError as err:
-        return JobResult(key=job.key, outcome="failed", exit_status=err.exit_status, error=err.as_dict())
-
-
 def _run_job(
     job: Job, sources: list[Path], destination: Path, progress: Callable[[int, int, int], None] | None
 ) -> Report | ExportReport:
@@ -190,7 +159,8 @@ def _run_job(
         return _inspect_export(job, sources)
     if request.export is None or job.dry_run:
         # The forecast of an export that converts clouds is the forecast of the conversion.
-        output = request.output._replace(owned=job.owned, dry_run=job.dry_run)
+        scratch = None if job.scratch is None else Path(job.scratch)
+        output = request.output._replace(owned=job.owned, dry_run=job.dry_run, scratch=scratch)
         return run(
             sources,
             destination,
@@ -220,14 +190,17 @@ def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:
 def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Identity:
     """Return the identity of the output: a file, a directory, or numbered files."""
     files = (report or {}).get("files") or ()
-    return identity_of(map(Path, files) if files and not destination.is_dir() else [destination])
+    return identity_of(map(path_or_url, files) if files and not destination.is_dir() else [destination])
 
 
 def death_of(job: Job, why: str, *, attempts: int, seconds: float) -> JobResult:
     """Return the result of a job whose process died."""
     error = Pc2ScanError(why).as_dict() | {"kind": "ProcessDied"}
     started = utc_now()
-    identity = identity_of(map(Path, job.sources))
+    try:
+        identity = identity_of(map(path_or_url, job.sources))
+    except Pc2ScanError:
+        identity = Identity()
     return JobResult(
         key=job.key,
         outcome="died",

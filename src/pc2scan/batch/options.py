@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.errors import UsageError
-from pc2scan.remote.urls import is_url
 
 from .summary import BEGINNINGS
 
@@ -44,9 +43,8 @@ class BatchOptions:
         The address of a Dask scheduler whose workers convert; True: a Dask cluster is started on this machine.
     report
         A file for the report: ``.json``, ``.csv`` or ``.md``; None for none.
-    scratch, scratch_size
-        The folder for local copies of recordings at URLs, and how many bytes they may take; None: the system's
-        temporary folder, and its free space.
+    scratch
+        The folder for local copies of what is at URLs; None: the system's folder for temporary files.
     """
 
     dataset: Path | None = None
@@ -59,22 +57,17 @@ class BatchOptions:
     dask: bool | str = False
     report: Path | None = None
     scratch: Path | None = None
-    scratch_size: int | None = None
 
     @classmethod
     def of(cls, options: Options) -> BatchOptions:
         """Return how a batch runs, by the options of a call."""
-        return cls(**{name: options.given[name] for name in cls.__dataclass_fields__ if name in options.given})
+        return cls(**options.among(cls.__dataclass_fields__))
 
     def __post_init__(self) -> None:
         if isinstance(self.dask, str) and "://" not in self.dask:
             raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
         if isinstance(self.dask, str) and self.jobs:
             raise UsageError(f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="give only one of them")
-        if is_url(self.report):
-            raise UsageError("`report` must be a local file", hint="such as `report=report.csv`")
-        if is_url(self.dataset):
-            raise UsageError("`dataset` must be a local file", hint="the recordings that it matches may be at URLs")
         if self.report is not None and self.report.suffix.lower() not in BEGINNINGS:
             raise UsageError(
                 f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"

@@ -17,6 +17,7 @@ from pc2scan.files.ownership import name_key
 from pc2scan.files.places import working_names
 from pc2scan.files.records import FileState
 from pc2scan.files.records import Record as FileRecord
+from pc2scan.files.urls import absolute
 from pc2scan.text import size
 from pc2scan.version import __version__
 
@@ -326,14 +327,13 @@ def _change_of(found: Recording, record: ManifestRecord, checksum: Callable[[Rec
     return f"the source was changed: another {'version' if of_store else 'time of modification'}"
 
 
-def refusal_record(step: Step, shown: Callable[[Path], str]) -> ManifestRecord:
-    """Return the line of a recording that is refused; ``shown`` returns a path as users know it."""
+def refusal_record(step: Step) -> ManifestRecord:
+    """Return the line of a recording that is refused."""
     assert step.error is not None
     earlier = step.record.output if step.record is not None else ""
     status = step.error.exit_status
     return _record(
         step,
-        shown,
         identity=step.found.identity,
         outcome="failed",
         exit_status=status,
@@ -342,8 +342,8 @@ def refusal_record(step: Step, shown: Callable[[Path], str]) -> ManifestRecord:
     )
 
 
-def result_record(step: Step, result: JobResult, shown: Callable[[Path], str]) -> ManifestRecord:
-    """Return the line of a recording whose conversion has ended; ``shown`` returns a path as users know it."""
+def result_record(step: Step, result: JobResult) -> ManifestRecord:
+    """Return the line of a recording whose conversion has ended."""
     names = (
         "identity",
         "sha256",
@@ -355,9 +355,7 @@ def result_record(step: Step, result: JobResult, shown: Callable[[Path], str]) -
         "seconds",
         "attempts",
     )
-    return _record(
-        step, shown, **{name: getattr(result, name) for name in names}, output=step.output, report=result.report
-    )
+    return _record(step, **{name: getattr(result, name) for name in names}, output=step.output, report=result.report)
 
 
 def have_same_outcome(record: ManifestRecord, other: ManifestRecord) -> bool:
@@ -366,6 +364,6 @@ def have_same_outcome(record: ManifestRecord, other: ManifestRecord) -> bool:
     return all(getattr(record, name) == getattr(other, name) for name in names)
 
 
-def _record(step: Step, shown: Callable[[Path], str], **known: Any) -> ManifestRecord:
-    found, paths = step.found, tuple(map(shown, step.found.paths))
+def _record(step: Step, **known: Any) -> ManifestRecord:
+    found, paths = step.found, tuple(str(absolute(path)) for path in step.found.paths)
     return ManifestRecord(key=found.key, sources=paths, container=found.container, options=step.choice.digest, **known)

@@ -17,13 +17,13 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.staging import clean_up
+from pc2scan.files.urls import path_or_url
 from pc2scan.version import __version__
 
 from .jobs import Job, JobResult, death_of
@@ -93,45 +93,6 @@ class Executor(Protocol):
         ...
 
 
-class Queue:
-    """Jobs in the order in which they begin.
-
-    Parameters
-    ----------
-    jobs
-        Jobs that workers can begin.
-    """
-
-    def __init__(self, jobs: Sequence[Job]) -> None:
-        self._ready = deque(jobs)
-        self._post: Callable[[Event | None], None] = lambda _event: None
-
-    def __len__(self) -> int:
-        """Return the number of jobs that no worker has."""
-        return len(self._ready)
-
-    @property
-    def is_open(self) -> bool:
-        """Whether anything is left to do besides the jobs that workers have."""
-        return bool(self._ready)
-
-    def begin(self, post: Callable[[Event | None], None]) -> None:
-        """Begin; ``post`` takes events that do not come from workers, and None if another job is ready."""
-        self._post = post
-
-    def take(self) -> Job | None:
-        """Return the next job; None while none is ready."""
-        return self._ready.popleft() if self._ready else None
-
-    def again(self, job: Job, *, first: bool = False) -> None:
-        """Put a job back."""
-        (self._ready.appendleft if first else self._ready.append)(job)
-
-    def done(self, result: JobResult) -> JobResult | None:
-        """Take the result of a worker, and return it; None if something is left to do with it, such as an upload."""
-        return result
-
-
 @dataclass(slots=True)
 class _Worker:
     """A worker process and its current job."""
@@ -179,7 +140,7 @@ class _Pool:
     lock: int | None
     stillborn: int = 0
     workers: list[_Worker] = field(default_factory=list)
-    inbox: SimpleQueue[tuple[_Worker | None, Any]] = field(default_factory=SimpleQueue)
+    inbox: SimpleQueue[tuple[_Worker, Any]] = field(default_factory=SimpleQueue)
 
     def add(self) -> _Worker:
         said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the worker
@@ -228,11 +189,11 @@ class _Pool:
             worker.close()
             if worker.job is not None:
                 with suppress(Pc2ScanError):
-                    clean_up(Path(worker.job.destination))
+                    clean_up(path_or_url(worker.job.destination))
 
 
 def run_jobs(
-    jobs: Sequence[Job] | Queue,
+    jobs: Sequence[Job],
     *,
     workers: int,
     cores: int,
@@ -262,10 +223,9 @@ def run_jobs(
     Event
         `JobEnd` once for every job.
     """
-    pending = jobs if isinstance(jobs, Queue) else Queue(jobs)
+    pending = deque(jobs)
     attempts: dict[str, int] = {}
     pool = _Pool(lock)
-    pending.begin(lambda event: pool.inbox.put((None, event)))
     idle: deque[_Worker] = deque()
 
     def begin() -> Generator[Event]:
@@ -273,7 +233,8 @@ def run_jobs(
         busy = sum(worker.job is not None for worker in pool.workers)
         for _ in range(min(workers, busy + len(pending)) - len(pool.workers)):
             idle.append(pool.add())
-        while idle and (job := pending.take()) is not None:
+        while idle and pending:
+            job = pending.popleft()
             tried = attempts[job.key] = attempts.get(job.key, 0) + 1
             busy = sum(worker.job is not None for worker in pool.workers)
             threads = 1 if tried > 1 else max(1, cores // min(workers, busy + len(pending) + 1))
@@ -281,19 +242,14 @@ def run_jobs(
             yield JobStart(job.key)
 
     try:
-        while pending.is_open or any(worker.job for worker in pool.workers) or not pool.inbox.empty():
+        while pending or any(worker.job for worker in pool.workers) or not pool.inbox.empty():
             yield from begin()
             try:
-                sender, message = pool.inbox.get(timeout=None if check is None else _CHECK_SECONDS)
+                worker, message = pool.inbox.get(timeout=None if check is None else _CHECK_SECONDS)
             except Empty:
                 assert check is not None
                 check()
                 continue
-            if sender is None:
-                if message is not None:
-                    yield message
-                continue
-            worker = sender
             if message is None:
                 pool.workers.remove(worker)
                 if worker in idle:
@@ -310,11 +266,9 @@ def run_jobs(
                 case ("result", result):
                     worker.job = None
                     idle.append(worker)
-                    done = pending.done(replace(result, attempts=attempts[result.key]))
                     # Workers get their next jobs before the manifest is written, which waits for the disk.
                     yield from begin()
-                    if done is not None:
-                        yield JobEnd(done)
+                    yield JobEnd(replace(result, attempts=attempts[result.key]))
                 case ("unreadable", why):
                     raise _unsendable(why)
     finally:
@@ -322,7 +276,7 @@ def run_jobs(
 
 
 def _after_death(
-    worker: _Worker, pool: _Pool, pending: Queue, attempts: dict[str, int], retries: int
+    worker: _Worker, pool: _Pool, pending: deque[Job], attempts: dict[str, int], retries: int
 ) -> Generator[Event]:
     """Put the job of a dead worker back into the queue, or report its recording as died."""
     why = worker.ended()
@@ -333,19 +287,18 @@ def _after_death(
             raise Pc2ScanError(f"no worker process can be started: {why}")
         if job is not None:
             attempts[job.key] -= 1
-            pending.again(job, first=True)
+            pending.appendleft(job)
         return
     if job is None:
         return
     with suppress(Pc2ScanError):
-        clean_up(Path(job.destination))
+        clean_up(path_or_url(job.destination))
     if attempts[job.key] <= retries:
-        pending.again(job.retried())
+        pending.append(job.retried())
         yield ProcessDeath(job.key, why)
     else:
         seconds = round(time.monotonic() - worker.began, 3)
-        if (done := pending.done(death_of(job, why, attempts=attempts[job.key], seconds=seconds))) is not None:
-            yield JobEnd(done)
+        yield JobEnd(death_of(job, why, attempts=attempts[job.key], seconds=seconds))
 
 
 def _unsendable(why: object) -> Pc2ScanError:

@@ -5,7 +5,6 @@ A digest of them shows whether a result is up to date.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, fields, is_dataclass, replace
 from enum import Enum
@@ -14,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError, UsageError
+from pc2scan.files.urls import absolute
 from pc2scan.options.call import Options
 from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
 from pc2scan.pipeline.parameters import RIVALS
 from pc2scan.pipeline.redaction import may_quote, redact_file
-from pc2scan.remote.urls import is_url
 from pc2scan.requests import conversion_of, output_of
 from pc2scan.result import json_value
 
-from .identity import Identity, identity_of
+from .identity import identity_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -74,24 +73,11 @@ class Request:
         }
         if self.output.cut is not None:
             output["cut"] = asdict(self.output.cut)
-        others = [_source_identity(path).as_json() for path in options.frames.tf_from]
+        others = [identity_of([path]).as_json() for path in options.frames.tf_from]
         if self.export is not None:
             output["export"] = _canonical(replace(self.export, overwrite=False))
         whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
         return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def _source_identity(path: Path) -> Identity:
-    """Return the identity of a recording that transforms are taken from."""
-    if not is_url(path):
-        return identity_of([path])
-    from pc2scan.remote.store import RemotePath  # noqa: PLC0415  # loads fsspec
-
-    place = RemotePath(path)
-    files = place.files()
-    return Identity(
-        tuple((name, *each.stat()) for name, each in ({place.name: place} if files is None else files).items())
-    )
 
 
 def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
@@ -113,10 +99,9 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
     if unknown := keywords.keys() - known.keys():
         raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
     options = Options("batch", keywords, origins, known=known)
-    notes: list[str] = []
     _check_export(options)
     output = output_of(options, like_source=True)
-    conversion = conversion_of(options, notes.append)
+    conversion = conversion_of(options)
     export = None
     if options.export is not None:
         from pc2scan.export.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
@@ -124,9 +109,9 @@ def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = 
         export = ExportOptions.of(options, conversion.options, options.export)
     # Absolute: another process may have another current folder.
     frames = conversion.options.frames
-    frames = replace(frames, tf_from=tuple(map(_absolute_path, frames.tf_from)))
-    files = {name: _absolute_path(path) for name, path in conversion.files.items()}
-    return Request(replace(conversion.options, frames=frames), output, files, tuple(notes), export)
+    frames = replace(frames, tf_from=tuple(map(absolute, frames.tf_from)))
+    files = {name: absolute(path) for name, path in conversion.files.items()}
+    return Request(replace(conversion.options, frames=frames), output, files, conversion.notes, export)
 
 
 def _check_export(options: Options) -> None:
@@ -143,10 +128,6 @@ def _check_export(options: Options) -> None:
 
     if FORMATS[name].needs_poses and not poses & {"pose_frame", "odom_topic"}:
         raise UsageError(f"`export={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
-
-
-def _absolute_path(path: Path) -> Path:
-    return path if is_url(path) else Path(os.path.abspath(path))  # noqa: PTH100  # links keep their names
 
 
 def _canonical(value: Any) -> Any:

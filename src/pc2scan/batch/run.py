@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
-from pc2scan.files.places import output_folder, parts_beside
+from pc2scan.files.places import check_place, output_folder, parts_beside
 from pc2scan.files.records import Record as FileRecord
 from pc2scan.files.recovery import completed_parts
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
-from pc2scan.remote.urls import UrlText, is_url, shown_path, url_of
+from pc2scan.files.urls import UrlPath, absolute
 from pc2scan.threads import cores as all_cores
 
 from .dataset_file import DatasetFile, load_dataset_file
@@ -31,7 +31,7 @@ from .options import BatchCallbacks, ProgressSum
 from .plan import History, have_same_outcome, make_plan, refusal_record, result_record
 from .processes import Information, JobEnd, JobProgress, JobStart, ProcessDeath
 from .request import Choices
-from .stores import Stores
+from .stores import StoreFolder
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
 
 if TYPE_CHECKING:
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from .plan import BatchPlan, Step
     from .processes import Executor
     from .request import Choice
-    from .stores import StoreFolder
 
 
 def run_batch(
@@ -85,23 +84,22 @@ def run_batch(
     if options.dask and not options.dry_run:
         executor = executor or dask_executor("" if options.dask is True else str(options.dask))
     with ExitStack() as stack:
-        stores = Stores(options.scratch)
-        stack.callback(stores.close)
-        stack.enter_context(stores.naming())
-        lock, store = None, None
-        if is_url(out):
-            store = stores.output(url_of(out))
-            if not options.dry_run:
-                stack.enter_context(store.locked())
-            store.pull()
+        lock, store, notes = None, None, out
+        if isinstance(out, UrlPath):
+            check_place(out)
+            notes = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-")))
+            store = StoreFolder(out, notes)
         elif options.dry_run:
             check_folder(out)
         else:
             stack.enter_context(output_folder(out))
             lock = stack.enter_context(lock_folder(out))
-        folder = Path(os.path.realpath(out)) if store is None else store.folder
-        batch = _Batch(sources, folder, options, choices, watch, stores, store)
-        batch.report.destination = out if store is None else UrlText(shown_path(out))
+        if store is None:
+            notes = folder = Path(os.path.realpath(out))
+        else:
+            folder = out
+        batch = _Batch(sources, folder, notes, options, choices, watch, store)
+        batch.report.destination = out
         deliver = batch.open_report(stack)
         batch.plan()
         watch.planned(batch.made)
@@ -121,10 +119,10 @@ class _Batch:
         self,
         sources: Sequence[str],
         out: Path,
+        notes: Path,
         options: BatchOptions,
         choices: Choices,
         watch: BatchCallbacks,
-        stores: Stores,
         store: StoreFolder | None,
     ) -> None:
         self._sources = sources
@@ -132,11 +130,12 @@ class _Batch:
         self._options = options
         self._choices = choices
         self._watch = watch
-        self._stores = stores
-        #: The folder in the store if the destination is a URL; then `_out` has the files of it that are uploaded.
+        #: The local folder of the manifest and the note of unfinished outputs.
+        self._notes = notes
+        #: The folder in the store if the destination is a URL.
         self._store = store
-        unfinished = read_unfinished(out)
-        self._history = History.read(read_records(out / MANIFEST), unfinished.outputs)
+        unfinished = read_unfinished(notes)
+        self._history = History.read(read_records(notes / MANIFEST), unfinished.outputs)
         #: What killed runs have noted, without what is in the manifest.
         self._unfinished = unfinished._replace(outputs=self._history.unfinished)
         self._records: dict[str, ManifestRecord] = {}
@@ -169,9 +168,8 @@ class _Batch:
         found = find(
             self._sources,
             self._out,
-            known=_known_recordings(self._history, self._stores),
+            known=_known_recordings(self._history),
             outputs=[path for output in {*self._history.owned, *self._history.left} for path in self._files_of(output)],
-            stores=self._stores,
         )
         if not found:
             raise UsageError(f"no recording found in {', '.join(self._sources)}")
@@ -187,22 +185,18 @@ class _Batch:
             checksum=_source_checksum if self._options.checksum else None,
             force=self._options.force,
         )
-        for step in self.made.steps:
-            if step.error is not None:
-                self._stores.names.error(step.error)
-        self._stores.forget()
-        self._refuse_useless_options()
+        self._refuse_useless_options(found)
         self.report.warnings += [*self._choices.warnings(keys), *self.made.warnings]
 
-    def _refuse_useless_options(self) -> None:
+    def _refuse_useless_options(self, found: Sequence[Recording]) -> None:
         """Raise for options that have no effect with URLs, or without URLs."""
-        if self._stores.are_used:
+        if self._store is not None or any(isinstance(path, UrlPath) for each in found for path in each.paths):
             if self._options.checksum:
                 raise UsageError(
                     "`checksum` works only with local recordings", hint="a store reports itself whether objects changed"
                 )
-        elif self._options.scratch is not None or self._options.scratch_size is not None:
-            raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
+        elif self._options.scratch is not None:
+            raise UsageError("`scratch` has no effect: no source and no destination is a URL")
 
     def _present(self, output: str) -> Identity:
         if self._store is not None:
@@ -246,6 +240,9 @@ class _Batch:
 
     def clean_up(self) -> None:
         """Remove the temporary files that killed runs have left beside the outputs in this folder."""
+        if self._store is not None:
+            # Nothing is beside them: see `pc2scan.files.transfers`.
+            return
         planned = [step.output for action in ("convert", "keep") for step in self.made.of(action)]
         for output in {*self._history.owned, *planned}:
             if first_link(self._out, output) is None:
@@ -266,7 +263,7 @@ class _Batch:
         executor = make(workers=wanted, retries=self._options.retries, lock=lock)
         if self._options.dry_run:
             for step in self.made.of("refuse"):
-                self._note(refusal_record(step, self._stores.shown))
+                self._note(refusal_record(step))
             with TemporaryDirectory(prefix="pc2scan-") as folder:
                 # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
                 self._run(executor, [self._job(step, Path(folder), flat=True) for step in steps], by_key, self._note)
@@ -279,13 +276,13 @@ class _Batch:
             def note(record: ManifestRecord) -> None:
                 nonlocal manifest
                 if manifest is None:
-                    manifest = stack.enter_context(Manifest(self._out / MANIFEST))
+                    manifest = stack.enter_context(Manifest(self._notes / MANIFEST))
                 manifest.append(record)
                 self._push()
                 self._note(record)
 
             for step in self.made.of("refuse"):
-                record = refusal_record(step, self._stores.shown)
+                record = refusal_record(step)
                 if step.record is None or not have_same_outcome(step.record, record):
                     note(record)
                 else:
@@ -293,7 +290,7 @@ class _Batch:
             if self._options.fail_fast and self.made.of("refuse"):
                 jobs = []
             outputs = {step.output for step in steps} if jobs else set()
-            with track_outputs(self._out, outputs, self._unfinished, self._existing) as begin:
+            with track_outputs(self._notes, outputs, self._unfinished, self._existing) as begin:
                 if jobs:
                     self._push(at_once=True)
                     self._run(executor, jobs, by_key, note, begin)
@@ -338,7 +335,7 @@ class _Batch:
                     case Information(text):
                         self._watch.inform(text)
                     case JobEnd(result):
-                        record = result_record(steps[result.key], result, self._stores.shown)
+                        record = result_record(steps[result.key], result)
                         if record.is_written and self._store is None:
                             note_written(self._out / record.output)
                         note(record)
@@ -356,18 +353,20 @@ class _Batch:
 
     def _job(self, step: Step, folder: Path, *, flat: bool = False) -> Job:
         assert step.choice.request is not None
+        destination = folder / unnumbered_name(Path(step.output).name if flat else step.output)
+        at_url = any(isinstance(path, UrlPath) for path in (*step.found.paths, destination))
+        scratch = self._options.scratch if at_url else None
         return Job(
             key=step.found.key,
-            sources=tuple(self._stores.url_of(path) for path in step.found.paths),
-            destination=self._stores.url_of(folder / unnumbered_name(Path(step.output).name if flat else step.output)),
+            sources=tuple(os.fspath(absolute(path)) for path in step.found.paths),
+            destination=os.fspath(absolute(destination)),
             request=step.choice.request,
             size_bytes=step.found.identity.size_bytes,
             owned=step.owned or FileRecord({}),
             checksum=self._options.checksum and not self._options.dry_run,
             dry_run=self._options.dry_run,
             shown=self._watch.shown is not None,
-            scratch=None if self._options.scratch is None else os.path.abspath(self._options.scratch),  # noqa: PTH100
-            scratch_size=self._options.scratch_size,
+            scratch=None if scratch is None else str(absolute(scratch)),
         )
 
     def conclude(self, began: float) -> None:
@@ -387,7 +386,7 @@ def _behind_link(path: Path, link: Path) -> DestinationError:
     )
 
 
-def _known_recordings(history: History, stores: Stores) -> Known:
+def _known_recordings(history: History) -> Known:
     """Return a function that looks up recordings that earlier runs have found, by path and identity."""
     containers: dict[tuple[str, Any], str] = {}
     for record in history.records.values():
@@ -397,7 +396,7 @@ def _known_recordings(history: History, stores: Stores) -> Known:
         if len(record.sources) == len(record.identity.files) > 1:
             for path, file in zip(record.sources, record.identity.files, strict=True):
                 containers[path, (file,)] = record.container
-    return lambda path, identity: containers.get((stores.shown(path), identity.files), "")
+    return lambda path, identity: containers.get((str(path), identity.files), "")
 
 
 def _source_checksum(found: Recording) -> str:

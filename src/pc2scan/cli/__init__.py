@@ -10,38 +10,34 @@ def main() -> None:
     from .interrupts import quiet_interrupts
 
     with quiet_interrupts():
-        _run()
+        import gc
+        import os
+        import sys
 
+        # No garbage collection while modules are loaded: they make many objects and no garbage, and looking for garbage
+        # takes a twentieth of start-up.
+        gc.set_threshold(100_000)
 
-def _run() -> None:
-    import gc
-    import os
-    import sys
+        # No threads for NumPy's linear algebra: nothing here uses them, and to start them takes longer than to convert
+        # a small recording.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        from pc2scan.memory import keep_freed_memory
 
-    # No garbage collection while modules are loaded: they make many objects and no garbage, and looking for garbage
-    # takes a twentieth of start-up.
-    gc.set_threshold(100_000)
+        from .app import application
+        from .screen import Screen, StdoutError
 
-    # No threads for NumPy's linear algebra: nothing here uses them, and to start them takes longer than to convert a
-    # small recording.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from pc2scan.memory import keep_freed_memory
+        keep_freed_memory()
+        # A stream is None if the process was started without it.
+        if sys.stdout is not None:
+            sys.stdout = Screen(sys.stdout, guarded=True)
+        if sys.stderr is not None:
+            sys.stderr = Screen(sys.stderr)
+        try:
+            application(*sys.argv[1:2])(prog_name="pc2scan")
+        except StdoutError as err:
+            from .failures import end_without_output
 
-    from .app import application
-    from .screen import Screen, StdoutError
-
-    keep_freed_memory()
-    # A stream is None if the process was started without it.
-    if sys.stdout is not None:
-        sys.stdout = Screen(sys.stdout, guarded=True)
-    if sys.stderr is not None:
-        sys.stderr = Screen(sys.stderr)
-    try:
-        application(*sys.argv[1:2])(prog_name="pc2scan")
-    except StdoutError as err:
-        from .failures import end_without_output
-
-        sys.exit(end_without_output(err.args[0], sys.argv[1:]))
-    finally:
-        # Skip the interpreter's last garbage collection: it takes a fifth of a short run.
-        gc.freeze()
+            sys.exit(end_without_output(err.args[0], sys.argv[1:]))
+        finally:
+            # Skip the interpreter's last garbage collection: it takes a fifth of a short run.
+            gc.freeze()

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import signal
-from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+# Typer has no public place for these; pyproject.toml allows only versions in which they are here.
+from typer._click.exceptions import NoArgsIsHelpError
+from typer._click.exceptions import UsageError as TyperUsageError
 from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.models import TyperPath
 
 from pc2scan.errors import Pc2ScanError, UsageError, name_list
 from pc2scan.options.table import options_of
 
 from .interrupts import interruptible
-from .options import described, typed_command
+from .options import PathType, call_options, described, hide_options, typed_option
 from .render import say
-from .usage import NoArgsIsHelpError, TyperUsageError, in_our_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
     from types import FrameType
 
 #: The commands in the order of the help; each is a function in the module of its name.
@@ -44,10 +47,23 @@ _ROS_LOGS = tuple(
 
 
 class _Command(TyperCommand):
-    """A command whose help is plain text in sections; Typer's own sections need rich, whose import is slow."""
+    """A command with the options of the table, and help as plain text in sections.
+
+    Typer's own sections need rich, whose import is slow.
+    """
+
+    def __init__(self, name: str, **settings: Any) -> None:
+        super().__init__(name, **settings)
+        for own in self.params:
+            if type(own.type) is TyperPath:
+                own.type = PathType()
+        self._known = options_of(name)
+        self._has_more = len(self._known) > _FEW
+        self.params += [typed_option(option) for option in self._known.values() if option.spelling]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Make ``--dask`` without an address ``--dask=local``, because Typer has no options with optional values."""
+        """Parse the words of a command; what was typed of the table's options becomes the argument ``options``."""
+        # Typer has no options with optional values: `--dask` without an address is `--dask=local`.
         if self.name == "batch" and args:
             following = [*args[1:], ""]
             args = [
@@ -58,7 +74,14 @@ class _Command(TyperCommand):
             args = _without_logging(args)
         if sum(word.startswith(("-o", "--output")) for word in args) > 1:
             self._refuse_second_output(ctx, args)
-        return super().parse_args(ctx, args)
+        rest = super().parse_args(ctx, args)
+        if not ctx.resilient_parsing:
+            typed = {name: ctx.params.pop(name) for name in self._known if name in ctx.params}
+            ctx.params["options"] = options = call_options(str(self.name), typed)
+            # A failed conversion has a report, so `convert` raises it itself.
+            if options.wrong is not None and self.name != "convert":
+                raise options.wrong
+        return rest
 
     def _refuse_second_output(self, ctx: Any, args: list[str]) -> None:
         """Raise if there are two destinations; Typer would silently take the last one."""
@@ -81,9 +104,9 @@ class _Command(TyperCommand):
         super().format_help_text(ctx, formatter)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters, with ``--help-all`` if ``--help`` does not show all of them."""
+        """Return the parameters, with ``--help-all`` if ``--help`` shows only the common options."""
         found = super().get_params(ctx)
-        if not _has_more(str(self.name)):
+        if not self._has_more:
             return found
         text = "Show all options, and exit."
         every = TyperOption(
@@ -94,10 +117,9 @@ class _Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options of each section, in the order in which the sections first occur."""
         sections: dict[str, list[tuple[str, str]]] = {}
-        known = options_of(str(self.name))
-        short = _has_more(str(self.name)) and not ctx.meta.get(_ALL)
+        short = self._has_more and not ctx.meta.get(_ALL)
         for parameter in self.get_params(ctx):
-            option = known.get(parameter.name)
+            option = self._known.get(parameter.name)
             if option is not None:
                 if short and not option.common:
                     continue
@@ -120,12 +142,7 @@ class _Command(TyperCommand):
 _ALL = "pc2scan.all_options"
 
 
-def _has_more(command: str) -> bool:
-    """Whether ``--help`` shows only the common options of a command: those with few have no others."""
-    return len(options_of(command)) > _FEW
-
-
-#: A command with more options than these shows the common ones.
+#: Of a command with more options than these, ``--help`` shows the common ones.
 _FEW = 30
 
 
@@ -154,42 +171,33 @@ class _Group(TyperGroup):
 
     def make_context(self, info_name: Any, args: list[str], *rest: Any, **extra: Any) -> Any:
         """Parse the options that precede the command."""
-        with _usage_errors(args):
+        # A copy, because Typer removes arguments from its list as it reads them.
+        words = tuple(args)
+        try:
             return super().make_context(info_name, args, *rest, **extra)
+        except TyperUsageError as err:
+            raise _as_exit(err, words) from err
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; user errors become a message and an exit status, bugs keep their traceback."""
-        # SIGTERM raises an exception, so that partial output is removed while the stack unwinds.
-        previous = _handle_termination()
-        words = [*ctx._protected_args, *ctx.args]  # noqa: SLF001  # as the base class reads them
+        words = (*ctx._protected_args, *ctx.args)  # noqa: SLF001  # as the base class reads them
         try:
-            with interruptible(), _usage_errors(words):
+            with interruptible(_terminate):
                 return super().invoke(ctx)
-        except Pc2ScanError as err:
-            from .failures import show_failure
-
-            raise typer.Exit(show_failure(err, words)) from err
+        except (Pc2ScanError, TyperUsageError) as err:
+            raise _as_exit(err, words) from err
         except KeyboardInterrupt:
             say(f"interrupted: {_what_was_written()}", err=True)
             raise typer.Exit(_INTERRUPTED) from None
-        finally:
-            if previous is not None:
-                signal.signal(signal.SIGTERM, previous)
 
 
-@contextmanager
-def _usage_errors(typed: Sequence[str]) -> Iterator[None]:
-    """Show Typer's errors like all others."""
-    # A copy, because Typer removes arguments from its list as it reads them.
-    typed = tuple(typed)
-    try:
-        yield
-    except NoArgsIsHelpError:
-        raise
-    except TyperUsageError as err:
-        from .failures import show_failure
+def _as_exit(err: Pc2ScanError | TyperUsageError, words: Sequence[str]) -> Exception:
+    """Show an error, and return what ends the command with its exit status; the group's own help is no error."""
+    if isinstance(err, NoArgsIsHelpError):
+        return err
+    from .failures import show_failure
 
-        raise typer.Exit(show_failure(in_our_words(err, typed), typed)) from err
+    return typer.Exit(show_failure(err, words))
 
 
 def _what_was_written() -> str:
@@ -200,16 +208,10 @@ def _what_was_written() -> str:
     return f"{name_list(names)} {'is' if len(names) == 1 else 'are'} complete" if names else "nothing was written"
 
 
-def _handle_termination() -> Any:
-    def terminate(number: int, _frame: FrameType | None) -> None:
-        say(f"terminated: {_what_was_written()}", err=True)
-        raise SystemExit(128 + number)
-
-    try:
-        return signal.signal(signal.SIGTERM, terminate)
-    except ValueError:
-        # Only the main thread may set handlers. In another thread, the program around this handles signals.
-        return None
+def _terminate(number: int, _frame: FrameType | None) -> None:
+    """End a command at SIGTERM by an exception, so that partial output is removed while the stack unwinds."""
+    say(f"terminated: {_what_was_written()}", err=True)
+    raise SystemExit(128 + number)
 
 
 def _show_version(value: bool) -> None:
@@ -249,5 +251,5 @@ def application(command: str | None = None) -> typer.Typer:
     app.callback()(root)
     for name in (command,) if command in COMMANDS else COMMANDS:
         command_function = getattr(import_module(f".{name}", __package__), name)
-        app.command(name, cls=_Command)(typed_command(name, command_function))
+        app.command(name, cls=_Command)(hide_options(command_function))
     return app

@@ -12,8 +12,7 @@ import typer
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
 
-from .render import say, show, warn
-from .spelling import as_typed
+from .render import as_typed, say, show, warn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

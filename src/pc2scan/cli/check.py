@@ -32,7 +32,7 @@ def check(
     from pc2scan import commands
 
     from .junit import junit_output, of_check
-    from .progress import progress_bar
+    from .render import progress_bar
 
     with junit_output(options, "check", [*sources, *options.tf_from]) as write_junit:
         with progress_bar(enabled=not options.as_json) as progress:

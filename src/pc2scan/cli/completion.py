@@ -1,18 +1,19 @@
 """Shell completion of presets and choices, and of the topics and frames of the recording that was typed.
 
 A shell waits for it at each Tab. So it takes at most a second, and offers nothing if anything goes wrong.
-
-No ``from __future__ import annotations`` here: Typer reads the annotations of these functions at every start, and would
-have to compile text.
 """
+
+from __future__ import annotations
 
 import itertools
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
 
 #: Time limit in seconds; what was found by then is offered.
 _PATIENCE = 1.0
@@ -22,31 +23,28 @@ class _TooLateError(Exception):
     """The time limit is reached."""
 
 
-def choices(words: Iterable[str]) -> Callable[[str], list[str]]:
-    """Offer words."""
-    offered = list(words)
-    return lambda incomplete: [word for word in offered if word.startswith(incomplete)]
+def offered(offers: Sequence[str], incomplete: str) -> list[str]:
+    """Return what the shell offers: see `pc2scan.options.option.Option.offers`; or ``words`` and the words."""
+    kind, *words = offers
+    if kind == "topics":
+        return _topics(words, incomplete)
+    if kind == "frames":
+        return frames(incomplete)
+    if kind == "presets":
+        from pc2scan.core.presets import PRESETS
+
+        words = list(PRESETS)
+    return [word for word in words if word.startswith(incomplete)]
 
 
-def presets(incomplete: str) -> list[str]:
-    """Offer the presets."""
-    from pc2scan.core.presets import PRESETS
-
-    return choices(PRESETS)(incomplete)
-
-
-def topics(*endings: str) -> Callable[[str], list[str]]:
+def _topics(endings: Sequence[str], incomplete: str) -> list[str]:
     """Offer the topics of the typed recordings whose type ends with one of these; without any, all topics."""
+    found: set[str] = set()
+    with _patiently():
+        from pc2scan.inspect.naming import topics_in
 
-    def offered(incomplete: str) -> list[str]:
-        found: set[str] = set()
-        with _patiently():
-            from pc2scan.inspect.naming import topics_in
-
-            found.update(topics_in(_typed(), endings))
-        return _fitting(found, incomplete)
-
-    return offered
+        found.update(topics_in(_typed(), tuple(endings)))
+    return _fitting(found, incomplete)
 
 
 def frames(incomplete: str) -> list[str]:

@@ -32,7 +32,7 @@ def diff(
     from pc2scan import commands
 
     from .junit import junit_output, of_diff
-    from .progress import progress_bar
+    from .render import progress_bar
 
     with junit_output(options, "diff", [path for path in (a, b) if path is not None]) as write_junit:
         with progress_bar(enabled=not (options.as_json or options.quiet)) as progress:

@@ -10,8 +10,7 @@ import typer
 from pc2scan.options.call import Options
 
 from .options import PathType
-from .progress import progress_bar
-from .render import LiveWarnings, show
+from .render import LiveWarnings, progress_bar, show
 
 
 def export(

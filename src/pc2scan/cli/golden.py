@@ -73,7 +73,7 @@ def _init(folder: Path, options: Options) -> None:
     from pc2scan import commands
 
     from .in_process import run_command
-    from .progress import progress_bar
+    from .render import progress_bar
 
     with progress_bar(enabled=not options.quiet) as progress:
         case = commands.new_case(folder, options, run_command, progress=progress)

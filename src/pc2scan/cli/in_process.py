@@ -9,6 +9,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 import typer
+from typer._click.exceptions import UsageError as TyperUsageError
 from typer.core import TyperGroup
 from typer.main import get_command
 
@@ -17,8 +18,8 @@ from pc2scan.golden.check import CommandResult
 from pc2scan.options.option import CALL_ONLY
 from pc2scan.options.table import options_of
 
+from .failures import in_our_words
 from .render import say
-from .usage import TyperUsageError, in_our_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

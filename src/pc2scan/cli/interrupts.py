@@ -1,15 +1,15 @@
-"""Handles Ctrl-C while modules are loaded, and after the command is done."""
+"""Handles Ctrl-C while modules are loaded, and after the command is done; and both signals that end a command."""
 
 from __future__ import annotations
 
 import os
 import signal
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 # Instead of typing.TYPE_CHECKING: to load typing takes too long before interruptions are handled.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import FrameType
 
 
@@ -35,13 +35,19 @@ def quiet_interrupts() -> Iterator[None]:
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
-    """Let an interruption raise KeyboardInterrupt, so that no partial output stays."""
+def interruptible(terminate: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Let an interruption raise KeyboardInterrupt, so that no partial output stays; SIGTERM calls ``terminate``."""
     ours = signal.getsignal(signal.SIGINT) is _end
     if ours:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    previous = None
+    # Only the main thread may set handlers. In another thread, the program around this handles signals.
+    with suppress(ValueError):
+        previous = signal.signal(signal.SIGTERM, terminate)
     try:
         yield
     finally:
         if ours:
             signal.signal(signal.SIGINT, _end)
+        if previous is not None:
+            signal.signal(signal.SIGTERM, previous)

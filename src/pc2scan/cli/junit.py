@@ -10,7 +10,7 @@ from pc2scan.errors import UsageError, visible
 from pc2scan.files.ownership import InputPath, OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 
-from .spelling import as_typed
+from .render import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

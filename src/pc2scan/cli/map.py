@@ -9,8 +9,7 @@ import typer
 
 from pc2scan.options.call import Options
 
-from .progress import progress_bar
-from .render import LiveWarnings, show
+from .render import LiveWarnings, progress_bar, show
 
 
 def map(  # noqa: A001  # the function of a command has its name

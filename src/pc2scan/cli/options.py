@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from functools import wraps
-from inspect import Parameter, Signature, signature
+from functools import partial
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.models import ParameterInfo, TyperPath
 
-from pc2scan.arguments import local_path
+# Typer has no public place for these; pyproject.toml allows only versions in which they are here.
+from typer._click.types import IntRange
+from typer._types import TyperChoice
+from typer.core import TyperOption
+from typer.models import TyperPath
+
+from pc2scan.files.urls import local_path, path_or_url
 from pc2scan.options import values
 from pc2scan.options.call import Options
-from pc2scan.options.option import Parameter as ProjectionParameter
+from pc2scan.options.option import Parameter
 from pc2scan.options.table import options_of
-from pc2scan.pipeline.ros_scalars import plain_scalar
 
-from . import completion
-from .spelling import as_typed
+from .render import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -30,11 +33,12 @@ _NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 
 
 class PathType(TyperPath):
-    """The type of options that are paths: a ``file:`` URL is read before Path joins its slashes."""
+    """The type of options that are paths: a URL is read before Path joins its slashes."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """Convert what was typed."""
-        return super().convert(local_path(value) if isinstance(value, str) else value, param, ctx)
+        path: Any = super().convert(local_path(value) if isinstance(value, str) else value, param, ctx)
+        return path if self.type is str else path_or_url(path)
 
 
 #: DST as typed, because a slash at its end makes it a folder.
@@ -52,92 +56,53 @@ Destination = Annotated[
 ]
 
 
-def typed_command(name: str, command: Callable[..., None]) -> Callable[..., None]:
-    """Return the function that Typer reads: with a parameter for each option of the command ``name``.
-
-    It calls ``command`` with its own arguments, and with the options that were typed as the argument ``options``.
-    """
-    # Not typing.get_type_hints: up to Python 3.10 it makes parameters optional whose default is None.
-    taken = [each for each in signature(command, eval_str=True).parameters.values() if each.name != "options"]
-    for parameter in taken:
-        _read_urls(parameter.annotation)
-    own = {parameter.name for parameter in taken}
-    known = options_of(name)
-
-    @wraps(command)
-    def run(**typed: Any) -> None:
-        options = _options(name, {key: value for key, value in typed.items() if key not in own})
-        # A failed conversion has a report, so `convert` checks them itself.
-        if name != "convert":
-            options.check()
-        command(**{key: value for key, value in typed.items() if key in own}, options=options)
-
-    further = [_parameter(option) for option in known.values() if option.spelling]
-    run.__signature__ = Signature([*taken, *further])  # type: ignore[attr-defined]
-    # Typer reads only the signature.
-    run.__annotations__ = {}
-    return run
+def hide_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command of which Typer reads only its own arguments, not ``options``."""
+    # Evaluated here: up to Python 3.10, typing.get_type_hints makes parameters optional whose default is None.
+    read = signature(command, eval_str=True)
+    own = [each for each in read.parameters.values() if each.name != "options"]
+    command.__signature__ = read.replace(parameters=own)  # type: ignore[attr-defined]
+    command.__annotations__ = {}
+    return command
 
 
-def _read_urls(annotation: Any) -> None:
-    """Let an argument whose values are paths take ``file:`` URLs."""
-    kind, *further = get_args(annotation) or (annotation,)
-    if Path in (kind, *get_args(kind)):
-        for info in further:
-            if isinstance(info, ParameterInfo) and info.click_type is None:
-                info.click_type = PathType()
-
-
-def _parameter(option: Option) -> Parameter:
+def typed_option(option: Option) -> TyperOption:
     """Return Typer's parameter for an option; an option that is not typed is None, or an empty list."""
     value = option.value
-    is_parameter = isinstance(option, ProjectionParameter)
-    kind: Any = str
-    further: dict[str, Any] = {}
-    spellings = [option.spelling]
-    if isinstance(value, values.Flag):
-        kind = bool
-        if isinstance(option, ProjectionParameter):
-            spellings = [f"{option.spelling}/{option.negation}"]
-    elif isinstance(value, values.PathName):
-        kind = list[Path] if value.repeats else Path
-        further["click_type"] = PathType()
-    elif value.repeats:
-        kind = list[str]
-    elif is_parameter:
-        # As text. It is read below, so that wrong numbers are reported like those in a file.
-        further["autocompletion"] = completion.choices(value.words) if value.words else None
+    is_parameter = isinstance(option, Parameter)
+    is_flag = isinstance(value, values.Flag)
+    kind: Any = None if is_flag else str
+    if isinstance(value, values.PathName):
+        kind = PathType(path_type=Path)
+    elif value.repeats or is_parameter:
+        # Parameters are read below, so that wrong numbers are reported like those in a file.
+        pass
     elif isinstance(value, values.Count):
-        kind = int
-        further["min"] = value.low
-        further["max"] = value.high if value.metavar == "8|9" else None
+        kind = IntRange(value.low, value.high if value.metavar == "8|9" else None)
     elif type(value) is values.Number and not value.unit:
         kind = float
     elif value.words and value.metavar is None:
-        kind = Literal[value.words]
-    if option.offers:
-        further["autocompletion"] = _offered(option.offers)
-    if option.short:
-        spellings.append(option.short)
+        kind = TyperChoice(value.words)
+    spelling = f"{option.spelling}/{option.negation}" if is_flag and isinstance(option, Parameter) else option.spelling
     metavar = value.metavar or ("|".join(value.words) if is_parameter and value.words else None)
-    info = typer.Option(
-        [] if value.repeats else None,
-        *spellings,
-        metavar=None if kind is bool else metavar,
-        show_default=False,
+    return TyperOption(
+        param_decls=[option.name, *filter(None, (spelling, option.short))],
+        type=kind,
+        default=[] if value.repeats else None,
+        is_flag=is_flag,
+        multiple=value.repeats,
+        metavar=None if is_flag else metavar,
         rich_help_panel=option.panel or None,
         hidden=option.name == "ros_args",
-        **further,
+        autocompletion=partial(_offered, option) if option.offers or (is_parameter and value.words) else None,
     )
-    return Parameter(option.name, Parameter.KEYWORD_ONLY, default=info, annotation=kind)
 
 
-def _offered(offers: tuple[str, ...]) -> Callable[..., list[str]]:
-    """Return the function that completes a value in the shell."""
-    kind, *ends = offers
-    if kind == "topics":
-        return completion.topics(*ends)
-    return completion.presets if kind == "presets" else completion.frames
+def _offered(option: Option, _context: Any, _words: list[str], incomplete: str) -> list[str]:
+    """Return what the shell offers for an option's value."""
+    from .completion import offered
+
+    return offered(option.offers or ("words", *option.value.words), incomplete)
 
 
 def described(option: Option) -> str:
@@ -146,7 +111,7 @@ def described(option: Option) -> str:
     return text + (f"  [default: {option.default_text}]" if option.default_text else "")
 
 
-def _options(name: str, typed: Mapping[str, Any]) -> Options:
+def call_options(name: str, typed: Mapping[str, Any]) -> Options:
     """Return what was typed as the options of a call."""
     known = options_of(name)
     words: dict[str, Any] = {}
@@ -156,9 +121,15 @@ def _options(name: str, typed: Mapping[str, Any]) -> Options:
         if value is None or value == [] or key == "ros_args":
             continue
         option = known[key]
-        if isinstance(option, ProjectionParameter):
-            number = _NUMBERS.get(option.kind)
-            words[key] = _read_number(number, value) if number else value
+        if isinstance(option, Parameter):
+            number = _NUMBERS.get(option.value.kind)
+            try:
+                words[key] = number(value) if number else value
+            except ValueError:
+                from pc2scan.pipeline.parameters import plain_scalar
+
+                # In the notation of a parameter file.
+                words[key] = plain_scalar(value)
             origins[key] = option.negation if value is False else option.spelling
         elif option.default is True:
             words[key] = not value
@@ -167,11 +138,3 @@ def _options(name: str, typed: Mapping[str, Any]) -> Options:
         else:
             words[key] = value
     return Options(name, words, origins, later=True)
-
-
-def _read_number(number: Callable[[str], float], text: str) -> object:
-    """Read a number in Python's notation, otherwise in that of a parameter file."""
-    try:
-        return number(text)
-    except ValueError:
-        return plain_scalar(text)

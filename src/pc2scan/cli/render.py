@@ -1,25 +1,34 @@
-"""Prints lines, errors, results and JSON. All text of the commands is printed here, so that it is safe to show."""
+"""Prints lines, errors, results and JSON, and shows progress.
+
+All text of the commands is printed here, so that it is safe to show.
+"""
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import typer
 
 from pc2scan.errors import visible
+from pc2scan.options.call import call_words
+from pc2scan.options.table import spelling_of
 from pc2scan.result import Call
 from pc2scan.tables import Table
 
 from .screen import Screen
-from .spelling import as_typed, call_words
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable
+    from collections.abc import Callable, Container, Iterable, Iterator
 
     from pc2scan.errors import Pc2ScanError
     from pc2scan.result import Part, Result
+
+#: An option in a text, as in Python, in backticks.
+_NAMED = re.compile(r"`([a-z_]+)(?:=([^`]*))?`")
 
 
 def say(text: str = "", *, err: bool = False) -> None:
@@ -52,6 +61,25 @@ class LiveWarnings(list[str]):
         """Show a warning."""
         self.append(text)
         warn(text)
+
+
+def as_typed(text: str) -> str:
+    """Return a text with its options as they are typed; other text in backticks is unchanged.
+
+    Messages name an option as in Python: ```overwrite=True` replaces it``.
+
+    >>> as_typed("`overwrite=True` replaces it; `topics=/points:=/b` is free; see `min_height` and `ls`")
+    '--overwrite replaces it; --topic /points:=/b is free; see --min-height and `ls`'
+    """
+    return _NAMED.sub(_spelled, text) if "`" in text else text
+
+
+def _spelled(named: re.Match[str]) -> str:
+    name, value = named.groups()
+    option = spelling_of(name)
+    if option is None:
+        return named[0]
+    return option if value in (None, "True") else f"{option} {value}"
 
 
 def print_json(document: object) -> None:
@@ -112,3 +140,42 @@ def show_parts(parts: Iterable[Part]) -> None:
             say(f"  {shlex.join(call_words(part))}")
         else:
             say(as_typed(str(part)))
+
+
+@contextmanager
+def progress_bar(*, enabled: bool) -> Iterator[Callable[[int, int, int], None] | None]:
+    """Show bytes, messages, rate and the remaining time; yields the function that updates the bar, or None.
+
+    The function takes the bytes read so far, the total bytes, and the messages read so far.
+    """
+    if not enabled or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        DownloadColumn,
+        Progress,
+        TextColumn,
+        TimeRemainingColumn,
+        TransferSpeedColumn,
+    )
+
+    with Progress(
+        BarColumn(),
+        DownloadColumn(),
+        TextColumn("{task.fields[messages]:,} messages"),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+        # `Screen` writes warnings above the bar, fitted to the terminal; rich would write them as they are.
+        redirect_stdout=False,
+        redirect_stderr=False,
+    ) as bar:
+        task = bar.add_task("convert", total=None, messages=0)
+
+        def update(done: int, total: int, messages: int) -> None:
+            bar.update(task, completed=done, total=total, messages=messages)
+
+        yield update

@@ -9,7 +9,7 @@ import typer
 
 from pc2scan.options.call import Options
 
-from .next_command import next_line
+from .convert import next_command
 from .options import Destination
 from .render import say, show
 
@@ -28,12 +28,12 @@ def repair(
     """
     from pc2scan import commands
 
-    from .progress import progress_bar
+    from .render import progress_bar
 
     silent = options.quiet or options.as_json
     with progress_bar(enabled=not silent) as progress:
         result = commands.repair(source, destination, options, progress=progress)
     show(result, as_json=options.as_json, quiet=options.quiet)
     if not silent:
-        say(next_line(result))
+        say(f"next: {next_command(result)}")
     raise typer.Exit(result.exit_status)

@@ -51,7 +51,8 @@ class PointCounts:
     def __init__(self, total: int = 0, used: int = 0, **rejected: int) -> None:
         self.total = total
         self.used = used
-        self._set(_NONE | rejected)
+        known = _NONE | rejected
+        self._reasons, self._values = tuple(known), tuple(known.values())
 
     @classmethod
     def of_filters(cls, rejected: Mapping[str, int]) -> PointCounts:
@@ -77,9 +78,6 @@ class PointCounts:
         """The points that are not used, by reason."""
         return dict(zip(self._reasons, self._values, strict=True))
 
-    def _set(self, rejected: Mapping[str, int]) -> None:
-        self._reasons, self._values = tuple(rejected), tuple(rejected.values())
-
     def __getattr__(self, name: str) -> int:
         # Python calls this only for names that are no attributes. An object that is being unpickled has no counts yet.
         if name in self.__slots__ or name.startswith("__"):
@@ -99,7 +97,7 @@ class PointCounts:
         rejected = self.rejected
         for name, count in other.rejected.items():
             rejected[name] = rejected.get(name, 0) + count
-        added._set(rejected)
+        added._reasons, added._values = tuple(rejected), tuple(rejected.values())
         return added
 
     def __eq__(self, other: object) -> bool:

@@ -6,7 +6,7 @@ It needs neither RANSAC nor linear algebra, and imports nothing; `pc2scan.core.g
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -30,6 +30,11 @@ FEWEST_POINTS = 300
 
 #: A frame with at most this tilt counts as level, radians: roads and yards are not flatter, and robots pitch.
 LEVEL = math.radians(5.0)
+
+#: A transform is wrong if it tilts by more than this, radians, a floor that is level without it, up to this share of
+#: the tilt. Floors of simulated lidars are off by 0.1 degrees (median), and by 0.4 (95 %).
+_LEAST_TILT = math.radians(0.9)
+_LEVEL_BESIDE = 0.3
 
 _GOLDEN = 0.6180339887498949
 
@@ -59,8 +64,8 @@ class CloudSample:
         The frame of its scan.
     points
         The result of `thin_points`, metres.
-    origin
-        The position of the sensor in that frame, metres.
+    transform
+        The transform to that frame; None if it is the cloud's own.
     zeros
         How many points of the whole cloud are at the sensor itself.
     """
@@ -69,30 +74,50 @@ class CloudSample:
     stamp_ns: int
     judged_in: str
     points: _Points
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    transform: Rigid | None = None
     zeros: int = 0
 
     @classmethod
-    def of(cls, cloud: Points, judged_in: str = "", moved: Rigid | None = None) -> CloudSample:
-        """Return a sample of a cloud.
-
-        Parameters
-        ----------
-        judged_in, moved
-            The frame in which it is judged, and the transform to it; without them, its own.
-        """
+    def of(cls, cloud: Points) -> CloudSample:
+        """Return a sample of a cloud, which is judged in its own frame."""
         x, y, z = cloud.xyz()
-        points, origin = thin_points(x, y, z), (0.0, 0.0, 0.0)
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
-        if moved is not None:
-            points, origin = moved.rotation.apply(points), tuple(moved.translation.tolist())
-        return cls(cloud.frame_id, cloud.stamp_ns, judged_in or cloud.frame_id, points, origin, zeros)
+        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, thin_points(x, y, z), zeros=zeros)
+
+    def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
+        """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
+        if transform is None:
+            return replace(self, judged_in=frame)
+        return replace(self, judged_in=frame, points=transform.rotation.apply(self.points), transform=transform)
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """The position of the sensor in the frame in which it is judged, metres."""
+        if self.transform is None:
+            return (0.0, 0.0, 0.0)
+        x, y, z = self.transform.translation.tolist()
+        return x, y, z
 
     @property
     def placed(self) -> _Points:
         """The points in the frame in which it is judged."""
         return np.asarray(self.points + self.origin)
+
+    @property
+    def tilt_by_transform(self) -> float:
+        """By how much the transform tilts a floor that is level in the cloud's own frame, radians.
+
+        0 if it does not, or if the floor does not show it: then the sensor is tilted, or the robot.
+        """
+        floor, transform = self.floor, self.transform
+        if floor is None or transform is None:
+            return 0.0
+        up = np.array(floor.up)
+        matrix = transform.matrix
+        turned, own, here = (math.acos(min(1.0, abs(float(z)))) for z in (matrix[2, 2], up @ matrix[:, 2], up[2]))
+        is_level = own < _LEVEL_BESIDE * turned and abs(here - turned) < _LEVEL_BESIDE * turned
+        return here if turned > _LEAST_TILT and is_level else 0.0
 
     @cached_property
     def floor(self) -> Floor | None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.errors import OutputError, UsageError, stamp_text
-from pc2scan.files.source import NewFile
+from pc2scan.files.new_file import NewFile
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -22,7 +22,7 @@ from pc2scan.files.records import read_record, write_record
 from pc2scan.files.staging import staged_output
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.pipeline.scan_spec import TopicRequest
+from pc2scan.pipeline.options import TopicRequest
 from pc2scan.result import Skipped
 from pc2scan.streams.clouds import Clouds
 from pc2scan.streams.scans import Scans

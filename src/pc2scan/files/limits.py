@@ -50,15 +50,25 @@ class ConnectionLimit:
         self._count = self._bytes = 0
         self._topics: set[str] = set()
 
-    def add(self, described: int = 0, *, count: int = 1) -> None:
+    def add(self, described: int = 0, *, count: int = 1, most: int | None = None) -> None:
         """Count connections that take so many bytes to describe, with their definitions.
 
         Raises
         ------
         RecordingError
-            If there are more than `MAX_CONNECTIONS`, or their descriptions are larger than `allowed_bytes`.
+            If there are more than ``most`` (`MAX_CONNECTIONS`), or their descriptions are larger than `allowed_bytes`.
         """
-        self._add(described, count, MAX_CONNECTIONS)
+        self._count += count
+        self._bytes += described
+        most = MAX_CONNECTIONS if most is None else most
+        if self._count > most:
+            raise self._too_many(most)
+        if self._bytes > (allowed := allowed_bytes(self._size)):
+            raise RecordingError(
+                f"describes its connections in more than {allowed:,} bytes, the largest size for a recording of "
+                f"{self._size:,} bytes",
+                path=self._path,
+            )
 
     def add_file(self, connections: Sequence[Connection], size: int) -> None:
         """Count the connections of a file or a part of ``size`` bytes.
@@ -75,25 +85,13 @@ class ConnectionLimit:
         self._size += size
         definitions = {id(own.definition.data): own.definition.data for own in connections}
         described = sum(map(len, definitions.values())) + sum(len(own.qos) for own in connections)
-        self._add(described, len(connections), MAX_CONNECTIONS + self._size // 1000)
+        self.add(described, count=len(connections), most=MAX_CONNECTIONS + self._size // 1000)
         self._topics.update(own.topic for own in connections)
-        self._refuse_more(len(self._topics), MAX_CONNECTIONS)
+        if len(self._topics) > MAX_CONNECTIONS:
+            raise self._too_many(MAX_CONNECTIONS)
 
-    def _add(self, described: int, count: int, most: int) -> None:
-        self._count += count
-        self._bytes += described
-        self._refuse_more(self._count, most)
-        if self._bytes > (allowed := allowed_bytes(self._size)):
-            raise RecordingError(
-                f"describes its connections in more than {allowed:,} bytes, the largest size for a recording of "
-                f"{self._size:,} bytes",
-                path=self._path,
-            )
-
-    def _refuse_more(self, count: int, most: int) -> None:
-        if count > most:
-            raise RecordingError(
-                f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is "
-                "read",
-                path=self._path,
-            )
+    def _too_many(self, most: int) -> RecordingError:
+        return RecordingError(
+            f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is read",
+            path=self._path,
+        )

@@ -36,6 +36,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .places import working_names
+from .urls import UrlPath, exists
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -126,6 +127,14 @@ def check_existing(
     DestinationError
         If it exists and may not be replaced, or is a folder with anything that no record names.
     """
+    if isinstance(dst, UrlPath):
+        # What a record names is judged file by file, when the new files are known.
+        if (owned is None or dst.name not in owned.files) and dst.exists():
+            if dst.is_dir():
+                raise stored_folder_error(dst)
+            if not overwrite:
+                raise existing_error(dst)
+        return
     if not os.path.lexists(dst):
         return
     if not overwrite and (owned is None or dst.name not in owned.files):
@@ -194,6 +203,15 @@ def existing_error(dst: Path) -> DestinationError:
     return DestinationError("exists already", path=dst, hint="`overwrite=True` replaces it")
 
 
+def stored_folder_error(dst: Path) -> DestinationError:
+    """Return the error of a folder at a URL that would be replaced."""
+    return DestinationError(
+        "is a folder; folders in a store are never replaced",
+        path=dst,
+        hint="choose another name, or remove it with the store's own tools",
+    )
+
+
 def check_kind(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
     """Return whether there is a file that may be replaced by a small file, such as a report, of a known kind.
 
@@ -213,7 +231,7 @@ def check_kind(path: Path, beginning: bytes | None, *, overwrite: bool) -> bool:
     OutputError
         If it cannot be read.
     """
-    if not os.path.lexists(path):
+    if not exists(path):
         return False
     if path.is_dir() and not path.is_symlink():
         raise DestinationError("cannot be written: it is a directory", path=path, hint="choose another name")
@@ -424,9 +442,9 @@ def _subject(output: OutputPath) -> str:
 
 
 def _entries(path: Path) -> list[Path]:
-    """Return the entries of a folder; none for a file, or if the folder cannot be read."""
+    """Return the entries of a local folder; none for a file, or if the folder cannot be read."""
     try:
-        return list(path.iterdir())
+        return [] if isinstance(path, UrlPath) else list(path.iterdir())
     except OSError:
         return []
 
@@ -451,8 +469,8 @@ def _with_article(role: str) -> str:
     return f"an {role}" if role[0] in "aeiou" else f"a {role}"
 
 
-#: Device and inode.
-FileId = tuple[int, int]
+#: Device and inode; or a URL.
+FileId = tuple[int, int] | UrlPath
 
 #: Links that lead to links: the system follows at most this many.
 _MAX_LINKS = 40
@@ -460,6 +478,9 @@ _MAX_LINKS = 40
 
 def path_identities(path: Path) -> Iterator[Path]:
     """Return a path without links in its folders, and if it is a symbolic link each path that it leads to."""
+    if isinstance(path, UrlPath):
+        yield path.identity
+        return
     for _ in range(_MAX_LINKS):
         has_name = path.name not in {"", ".."}
         path = Path(os.path.realpath(path.parent), path.name) if has_name else Path(os.path.realpath(path))
@@ -472,8 +493,11 @@ def path_identities(path: Path) -> Iterator[Path]:
 
 def file_ids(*paths: Path) -> list[FileId]:
     """Return device and inode of those paths that exist; for a symbolic link its own and its target's."""
-    found = []
+    found: list[FileId] = []
     for path in paths:
+        if isinstance(path, UrlPath):
+            found.append(path.identity)
+            continue
         for look in (os.lstat, os.stat):
             with suppress(OSError):
                 status = look(path)

@@ -14,6 +14,7 @@ from .records import Record, file_state, is_unchanged
 from .recovery import Journal, restore_old_parts
 from .staging import note_renaming, rename_file, sync, temporary_path
 from .system import remove, sync_directory
+from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +30,8 @@ def check_parts(dst: Path, *, overwrite: bool, owned: Record | None = None) -> N
         See `staged_parts`.
     """
     check_place(dst)
-    check_length(dst.with_name(f"{dst.stem}_00000{dst.suffix}"))
+    if not isinstance(dst, UrlPath):
+        check_length(dst.with_name(f"{dst.stem}_00000{dst.suffix}"))
     names = {} if owned is None else owned.files
     for part in parts_beside(dst):
         # Beside files of earlier runs there may be others, which this run may not write: only its end shows that.
@@ -81,6 +83,17 @@ def staged_parts(
     OutputError
         If the parts cannot be written.
     """
+    if isinstance(dst, UrlPath):
+        from .transfers import upload  # noqa: PLC0415  # loads fsspec
+
+        check_parts(dst, overwrite=overwrite, owned=owned)
+        with upload(dst, overwrite=overwrite, owned=owned, is_numbered=True) as (partial, commit):
+            partial.mkdir()
+            yield partial
+            kept = commit()
+        for text in unrecorded_warning(dst.name, kept):
+            warn(text)
+        return
     known, done = owned, False
 
     def check(earlier: Record | None) -> bool:

@@ -1,4 +1,4 @@
-"""Where a destination can be written, and the names of the files beside it.
+"""Where a destination and temporary copies can be written, the names of the files beside it, and similar names.
 
 A run has temporary files while it writes. A recording in several parts has numbered files: ``drive.bag``
 becomes ``drive_0.bag``, ``drive_1.bag`` and so on.
@@ -9,15 +9,19 @@ from __future__ import annotations
 import os
 import re
 from contextlib import contextmanager, suppress
+from itertools import islice
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import DestinationError, OutputError
+from pc2scan.errors import DestinationError, MissingError, OutputError, RecordingError
+from pc2scan.text import nearest
 
 from . import system
+from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
+    from tempfile import TemporaryDirectory
 
 PARTIAL = ".pc2scan-partial"
 OLD = ".pc2scan-old"
@@ -40,6 +44,11 @@ def working_names(dst: Path) -> tuple[Path, ...]:
 
 def check_place(dst: Path) -> None:
     """Raise if no file with this name can be written."""
+    if isinstance(dst, UrlPath):
+        if dst.is_read_only:
+            hint = f"give a destination: `destination={dst.name}`"
+            raise DestinationError(f"{dst.scheme}:// can only be read", path=dst, hint=hint)
+        return
     if dst.name in {"", ".."}:
         raise DestinationError("is not a name that a recording can have", path=dst)
     if reason := system.unusable_name(dst.name):
@@ -95,6 +104,11 @@ def output_folder(folder: Path) -> Iterator[None]:
     OutputError
         If it cannot be made.
     """
+    if isinstance(folder, UrlPath):
+        # There, folders are only a part of names.
+        check_place(folder)
+        yield
+        return
     if folder.is_dir():
         yield
         return
@@ -149,5 +163,96 @@ def parts_beside(dst: Path) -> list[Path]:
     """Return what exists beside a destination with the name of a part of it: ``drive_0.bag`` of ``drive.bag``."""
     try:
         return [dst.with_name(name) for name in parts_among((entry.name for entry in dst.parent.iterdir()), dst.name)]
-    except OSError:
+    except (OSError, MissingError):
         return []
+
+
+# --- Temporary copies ---
+
+TEMPORARY_HINT = "free space there, or set the environment variable TMPDIR to another folder"
+
+
+def private_folder(path: Path) -> TemporaryDirectory[str]:
+    """Make a folder for a copy of ``path`` that only this user can enter; ``cleanup`` removes it.
+
+    Raises
+    ------
+    RecordingError
+        If the system has no folder for temporary files.
+    """
+    import tempfile  # noqa: PLC0415  (it loads the compression modules)
+
+    try:
+        return tempfile.TemporaryDirectory(prefix="pc2scan-", dir=system.scratch.get())
+    except OSError as err:
+        raise _no_copy(err, path, None) from err
+
+
+@contextmanager
+def copy_errors(path: Path, folder: Path) -> Iterator[None]:
+    """Wrap errors of copying ``path`` to a private folder; they name the folder.
+
+    Raises
+    ------
+    RecordingError
+        If the body cannot read or write.
+    """
+    try:
+        yield
+    except OSError as err:
+        raise _no_copy(err, path, folder.parent) from err
+
+
+def _no_copy(err: OSError, path: Path, folder: Path | None) -> RecordingError:
+    place = "" if folder is None else f" in {folder}"
+    return RecordingError(
+        f"cannot be copied to a temporary file{place}: {err.strerror}", path=path, hint=TEMPORARY_HINT
+    )
+
+
+# --- Paths that do not exist ---
+
+#: Maximum number of a directory's entries that are compared.
+_MOST = 2_000
+
+
+def missing_hint(path: Path, suffixes: Iterable[str] = ()) -> str | None:
+    """Return a hint for a path that does not exist.
+
+    Parameters
+    ----------
+    path
+        The path.
+    suffixes
+        Suffixes of the files that are listed if no name is similar.
+
+    Returns
+    -------
+    str or None
+        The target of a broken link, a similar name in the directory, the files in it, or the directory that is missing;
+        None if there is no hint.
+    """
+    if str(path) == "-":
+        return "recordings cannot be read from a pipe; save it as a file first"
+    # Not Path.is_symlink: the name may be too long.
+    if os.path.islink(path):  # noqa: PTH114
+        return f"it is a link to {path.readlink()}, which does not exist"
+    above = path.parent
+    while not above.is_dir():
+        if above == above.parent:
+            return None
+        path, above = above, above.parent
+    try:
+        with os.scandir(above) as entries:
+            names = sorted(entry.name for entry in islice(entries, _MOST) if not entry.name.startswith("."))
+    except OSError:
+        return None
+    similar = nearest(path.name, names)
+    if similar is not None:
+        return f"did you mean {above / similar}?"
+    wanted = tuple(suffixes)
+    there = [str(above / name) for name in names if wanted and name.endswith(wanted)]
+    if not there:
+        return None
+    more = f" and {len(there) - 3} more" if len(there) > 3 else ""
+    return f"the folder has {', '.join(there[:3])}{more}"

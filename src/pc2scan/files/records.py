@@ -90,7 +90,7 @@ def file_state(path: Path) -> FileState:
 
 
 def _crc_of(path: Path) -> int:
-    from .crc32 import crc32  # noqa: PLC0415  # few runs need it
+    from .compression import crc32  # noqa: PLC0415  # few runs need it
 
     value = 0
     with path.open("rb") as file:

@@ -1,4 +1,4 @@
-"""Reads the file of a recording at given places, and writes a new file from start to end."""
+"""Reads the file of a recording at given offsets: into new bytes, or into buffers that are used again."""
 
 from __future__ import annotations
 
@@ -6,49 +6,48 @@ import errno
 import os
 import stat
 from contextlib import suppress
-from typing import TYPE_CHECKING
-from weakref import WeakValueDictionary
+from io import TextIOWrapper
+from threading import RLock
+from typing import TYPE_CHECKING, NamedTuple
+from weakref import WeakValueDictionary, ref
 
-from pc2scan.errors import OutputError, RecordingError
+from pc2scan.errors import RecordingError
 
-from .buffers import BorrowedBuffer, BorrowedBytes, BufferPool
 from .system import BINARY, read_at
+from .urls import UrlPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-    from io import TextIOWrapper
+    from collections.abc import Callable
     from pathlib import Path
     from typing import BinaryIO
-
-    from pc2scan.model import Buffer
 
 #: Sizes that are read into a reused buffer. Memory for fewer bytes costs no page faults, and a larger buffer would take
 #: too much memory beside the results.
 _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
+#: Bytes of a file at a URL that are copied at a time.
+_COPIED_BYTES = 8 << 20
+
 #: Endings of the files that SQLite keeps beside a database while it is written.
 _LOGS = ("-wal", "-journal")
-
-#: Functions that fetch the bytes of stand-ins, by path. They are called with the offset and length before each read.
-on_demand: dict[Path, Callable[[int, int], None]] = {}
-
-#: Bytes of a stand-in that are fetched when it is opened: the beginning identifies its format.
-_HEAD_BYTES = 1 << 17
 
 
 def state_of(path: Path) -> tuple[tuple[str, int, int, int, int], ...]:
     """Return the name, inode, size and both times of change of each file of a recording, to detect changes.
 
     The ctime is included because ``cp -p``, ``rsync -t`` and ``touch -r`` set a modification time back. Logs beside a
-    database are included: a recorder that is still running may write only to these.
+    database are included: a recorder that is still running may write only to these. Files at URLs have no times; what
+    stands for them changes with the version.
     """
     try:
+        if isinstance(path, UrlPath):
+            return path.states()
         if path.is_dir():
             files = sorted(path.iterdir())
         else:
             files = [path, *(side for suffix in _LOGS if (side := file_beside(path, suffix)))]
         states = [(file.name, file.stat()) for file in files]
-    except OSError:
+    except (OSError, RecordingError):
         return ()
     return tuple((name, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns) for name, state in states)
 
@@ -63,7 +62,8 @@ def changed_while_read(path: Path | str) -> RecordingError:
 def file_beside(path: Path, suffix: str) -> Path | None:
     """Return the file with another file's name and ``suffix``; None if it does not exist or the name is too long."""
     side = path.with_name(path.name + suffix)
-    with suppress(OSError):
+    # A web server may refuse to say whether it exists.
+    with suppress(OSError, RecordingError):
         return side if side.is_file() else None
     return None
 
@@ -76,13 +76,24 @@ def open_bytes(path: Path) -> BinaryIO:
     OSError
         If it does not exist, may not be read, or is neither a file nor a directory.
     """
-    if on_demand and (fetch := on_demand.get(path)) is not None:
-        fetch(0, _HEAD_BYTES)
-    return open(path, "rb", opener=_open_regular)
+    return path.open("rb") if isinstance(path, UrlPath) else open(path, "rb", opener=_open_regular)
+
+
+def copy_file(path: Path, target: Path) -> None:
+    """Copy a file to a local one."""
+    import shutil  # noqa: PLC0415  # it loads the compression modules
+
+    if isinstance(path, UrlPath):
+        with path.open("rb") as file, target.open("wb") as copy:
+            shutil.copyfileobj(file, copy, _COPIED_BYTES)
+    else:
+        shutil.copyfile(path, target)
 
 
 def open_text(path: Path) -> TextIOWrapper:
     """Open a file of UTF-8 text as `open_bytes` does."""
+    if isinstance(path, UrlPath):
+        return TextIOWrapper(path.open("rb"), encoding="utf-8")
     return open(path, encoding="utf-8", opener=_open_regular)
 
 
@@ -106,6 +117,110 @@ def _refuse_special(found: os.stat_result, path: str) -> None:
             raise OSError(errno.EINVAL, f"it is a {name}, not a file; save it as a file first", path)
 
 
+#: Buffers have multiples of this size, so that one serves chunks of different sizes.
+_ROUNDED_TO = 1 << 20
+
+#: Bytes that may be kept at a time. Above this limit, callers copy the part that they need.
+_MAX_KEPT = 64 << 20
+
+
+class ReadBuffer(bytearray):
+    """A buffer, and the object that borrows it."""
+
+    __slots__ = ("borrower",)
+
+    borrower: ref[BorrowedBuffer]
+
+
+class BufferPool(list[ReadBuffer]):
+    """The free buffers. All open files share them, so one for each reading thread is enough."""
+
+
+class BorrowedBuffer:
+    """A buffer that is borrowed until nothing refers to this object any more.
+
+    Parameters
+    ----------
+    buffers
+        The list from which the buffer is taken, and to which it is returned.
+    length
+        Its minimum size.
+    """
+
+    __slots__ = ("__weakref__", "_buffers", "buffer")
+
+    def __init__(self, buffers: BufferPool, length: int) -> None:
+        try:
+            buffer = buffers.pop()
+        except IndexError:
+            buffer = None
+        if buffer is None or len(buffer) < length:
+            buffer = ReadBuffer(-(-length // _ROUNDED_TO) * _ROUNDED_TO)
+        self.buffer = buffer
+        self._buffers = buffers
+        self.buffer.borrower = ref(self)
+
+    def __del__(self) -> None:
+        with suppress(AttributeError):  # there was no memory for it
+            self._buffers.append(self.buffer)
+
+
+class BorrowedBytes(NamedTuple):
+    """Bytes of a file: ``data`` is valid as long as this object exists, because the ``buffer`` is used again."""
+
+    data: memoryview
+    buffer: BorrowedBuffer | None
+
+
+class RetainedMemory:
+    """Memory that is neither overwritten nor freed while this object exists."""
+
+    __slots__ = ("_owner", "size")
+
+    #: Bytes that are kept. The lock is reentrant, because garbage collection may run `__del__` while it is held.
+    _bytes = 0
+    _lock = RLock()
+
+    def __init__(self, owner: object, size: int) -> None:
+        self._owner = owner
+        self.size = size
+        with RetainedMemory._lock:
+            RetainedMemory._bytes += size
+
+    def __del__(self) -> None:
+        with RetainedMemory._lock:
+            RetainedMemory._bytes -= self.size
+
+    @classmethod
+    def has_room(cls, size: int) -> bool:
+        """Return whether this many more bytes may be kept."""
+        return cls._bytes + size <= _MAX_KEPT
+
+
+def retain(memory: bytes | ReadBuffer) -> RetainedMemory | None:
+    """Keep the memory of which data are a view.
+
+    Parameters
+    ----------
+    memory
+        The whole memory, of which the data may be a part.
+
+    Returns
+    -------
+    RetainedMemory | None
+        An object to refer to as long as the data are used; None if the data must be copied, because they may be
+        overwritten or too much is kept already.
+    """
+    if not RetainedMemory.has_room(len(memory)):
+        return None
+    owner = memory if isinstance(memory, bytes) else memory.borrower()
+    return RetainedMemory(owner, len(memory)) if owner is not None else None
+
+
+#: The buffers. They are freed when no file is open any more.
+_shared: WeakValueDictionary[str, BufferPool] = WeakValueDictionary()
+
+
 class SourceFile:
     """Reads a file's bytes at given places; too few bytes are an error, never a short result.
 
@@ -122,9 +237,14 @@ class SourceFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._fetch = on_demand.get(path)
+        #: Fetches bytes before they are read; None for a local file.
+        self._fetch: Callable[[int, int], None] | None = None
         self._descriptor = -1
         self._buffers = _shared.setdefault("", BufferPool())
+        if isinstance(path, UrlPath):
+            ranges = path.remote.ranges()
+            self._fetch, self._descriptor, self.size = ranges.fetch, ranges.descriptor(), ranges.size
+            return
         try:
             self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
             self.size = os.fstat(self._descriptor).st_size
@@ -148,6 +268,7 @@ class SourceFile:
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
         self._buffers = BufferPool()
+        self._fetch = None
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
@@ -162,7 +283,8 @@ class SourceFile:
 
     def read(self, offset: int, length: int) -> bytes:
         """Read exactly ``length`` bytes."""
-        self._expect_inside(offset, length)
+        if offset + length > self.size:
+            raise self._outside(offset, length)
         if self._fetch is not None:
             self._fetch(offset, length)
         try:
@@ -190,35 +312,31 @@ class SourceFile:
         -------
         BorrowedBytes
             Whoever keeps bytes for longer than this object copies them (`pc2scan.model.own_data`), because the buffer
-            is overwritten afterwards; or keeps the buffer (`pc2scan.files.buffers.retain`).
+            is overwritten afterwards; or keeps the buffer (`retain`).
         """
         if length not in _BORROWED_BYTES or not hasattr(os, "preadv"):
             return BorrowedBytes(memoryview(self.read(offset, length)), None)
-        self._expect_inside(offset, length)
+        if offset + length > self.size:
+            raise self._outside(offset, length)
         try:
             borrowed = BorrowedBuffer(self._buffers, length)
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         view = memoryview(borrowed.buffer)[:length]
-        self._fill(view, offset)
-        return BorrowedBytes(view.toreadonly(), borrowed)
-
-    def _expect_inside(self, offset: int, length: int) -> None:
-        if offset + length > self.size:
-            raise self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")
-
-    def _fill(self, view: memoryview, offset: int) -> None:
-        """Fill ``view`` with the bytes at a place of the file."""
         if self._fetch is not None:
-            self._fetch(offset, len(view))
+            self._fetch(offset, length)
         done = 0
         try:
-            while done < len(view) and (more := os.preadv(self._descriptor, [view[done:]], offset + done)):
+            while done < length and (more := os.preadv(self._descriptor, [view[done:]], offset + done)):
                 done += more
         except OSError as err:
             raise self._unreadable(offset, err) from err
-        if done < len(view):
+        if done < length:
             raise self._truncation_error(offset + done)
+        return BorrowedBytes(view.toreadonly(), borrowed)
+
+    def _outside(self, offset: int, length: int) -> Exception:
+        return self.damage(f"{length} bytes are declared from byte {offset} on, but the file has {self.size} bytes")
 
     def _unreadable(self, offset: int, err: OSError) -> RecordingError:
         return self.error(f"cannot be read at byte {offset}: {err.strerror}")
@@ -231,93 +349,3 @@ class SourceFile:
             f"ended at byte {offset} while it was read; it had {self.size} bytes when opened",
             "wait until the recording is complete",
         )
-
-
-#: The buffers. They are freed when no file is open any more.
-_shared: WeakValueDictionary[str, BufferPool] = WeakValueDictionary()
-
-
-class NewFile:
-    """A file being written; every method that fails raises an `OutputError`.
-
-    Parameters
-    ----------
-    path
-        Must not exist.
-
-    Raises
-    ------
-    OSError
-        If it cannot be created.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        #: The offset at which the next bytes are written.
-        self.position = 0
-        self._file = path.open("xb")
-
-    def put(self, *parts: Buffer) -> int:
-        """Write at the end, and return the offset."""
-        start = self.position
-        try:
-            self._file.writelines(parts)
-        except OSError as err:
-            raise self._write_error(err) from err
-        self.position += sum(map(len, parts))
-        return start
-
-    def replace(self, offset: int, data: Buffer) -> None:
-        """Overwrite bytes; `put` may not be called after that."""
-        try:
-            self._file.seek(offset)
-            self._file.write(data)
-        except OSError as err:
-            raise self._write_error(err) from err
-
-    def finish(self) -> None:
-        """Write everything to the disk."""
-        try:
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
-        except OSError as err:
-            raise self._write_error(err) from err
-
-    def abort(self) -> None:
-        """Close the file; the caller removes it."""
-        # Closing writes the buffered bytes, which may fail for the same reason as the run.
-        with suppress(OSError):
-            self._file.close()
-
-    def _write_error(self, err: OSError) -> OutputError:
-        return OutputError(f"cannot be written: {err.strerror}", path=self._path)
-
-
-class FreeIds:
-    """Assigns ids to the declarations of a file: reserved ones on request, and others counted from the first one on.
-
-    Parameters
-    ----------
-    first
-        The smallest id.
-    """
-
-    def __init__(self, first: int) -> None:
-        self._next = first
-        self._kept: set[int] = set()
-        self._taken: set[int] = set()
-
-    def keep(self, ids: Collection[int]) -> None:
-        """Reserve these ids for callers that ask for them."""
-        self._kept.update(ids)
-
-    def take(self, wanted: int) -> int:
-        """Return ``wanted`` if it is reserved and not taken, else the next id that is neither."""
-        if wanted in self._kept and wanted not in self._taken:
-            self._taken.add(wanted)
-            return wanted
-        while self._next in self._kept:
-            self._next += 1
-        self._next += 1
-        return self._next - 1

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections import deque
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
-from .ownership import check_existing, existing_error, refuse_others
-from .places import LEFTOVERS, OLD, PARTIAL, check_new_folder, check_place, working_names
-from .run_lock import only_run
-from .system import remove, sync_directory, sync_file
+from .ownership import check_existing, existing_error, file_ids, refuse_others
+from .places import LEFTOVERS, LOCK, OLD, PARTIAL, check_new_folder, check_place, working_names
+from .system import REFUSES_LINKS, lock_descriptor, remove, sync_directory
+from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+    from .ownership import FileId
     from .records import FolderRecord, Record
 
 #: The beginning of the names of a run's internal files.
 _PRIVATE = ".pc2scan-"
 
-#: Destinations that were about to be renamed, each with its device and inode. Bounded, for long-lived processes.
-_renamed: deque[tuple[Path, tuple[int, int] | None]] = deque(maxlen=1000)
+#: Destinations that were about to be renamed, each with its device and inode, which a file keeps when it is renamed.
+#: Bounded, for long-lived processes.
+_renamed: deque[tuple[Path, list[FileId]]] = deque(maxlen=1000)
 
 
 def written_paths() -> list[Path]:
@@ -33,26 +36,17 @@ def written_paths() -> list[Path]:
     An interruption may come between renaming and noting it, so device and inode of the existing files are compared.
     """
     named = [(dst, identity) for dst, identity in _renamed if not dst.name.startswith(_PRIVATE)]
-    return list(dict.fromkeys(dst for dst, identity in named if identity and _device_and_inode(dst) == identity))
+    return list(dict.fromkeys(dst for dst, identity in named if identity and identity == file_ids(dst)[:1]))
 
 
 def note_renaming(partial: Path, dst: Path) -> None:
     """Note that a complete file or directory is about to get its name."""
-    _renamed.append((dst, _device_and_inode(partial)))
+    _renamed.append((dst, file_ids(partial)[:1]))
 
 
 def note_written(dst: Path) -> None:
     """Note a destination that another process has written for this one."""
-    _renamed.append((dst, _device_and_inode(dst)))
-
-
-def _device_and_inode(path: Path) -> tuple[int, int] | None:
-    """Return device and inode, which a file keeps when it is renamed; None if it does not exist."""
-    try:
-        status = path.lstat()
-    except OSError:
-        return None
-    return status.st_dev, status.st_ino
+    _renamed.append((dst, file_ids(dst)[:1]))
 
 
 @contextmanager
@@ -87,6 +81,14 @@ def staged_output(
     OutputError
         If its directory or the result cannot be written.
     """
+    if isinstance(dst, UrlPath):
+        from .transfers import upload  # noqa: PLC0415  # loads fsspec
+
+        check_destination(dst, overwrite=overwrite, owned=owned)
+        with upload(dst, overwrite=overwrite, owned=owned) as (local, finish):
+            yield local
+            finish()
+        return
 
     def check(_: Record | None) -> bool:
         check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
@@ -104,13 +106,18 @@ def staged_output(
 
 
 def check_destination(
-    dst: Path, *, overwrite: bool, record_in: FolderRecord | None = None, folder: Path | None = None
+    dst: Path,
+    *,
+    overwrite: bool,
+    owned: Record | None = None,
+    record_in: FolderRecord | None = None,
+    folder: Path | None = None,
 ) -> None:
     """Raise what `staged_output` would raise at its beginning, as far as that is known without writing anything.
 
     Parameters
     ----------
-    dst, overwrite, record_in
+    dst, overwrite, owned, record_in
         See `staged_output`.
     folder
         The folder of `dst`, if it will be made.
@@ -120,14 +127,14 @@ def check_destination(
     DestinationError, OutputError
         See `staged_output` and `output_folder`.
     """
-    if folder is not None and not folder.is_dir():
+    if folder is not None and not isinstance(dst, UrlPath) and not folder.is_dir():
         check_new_folder(folder)
         return
     check_place(dst)
-    if not overwrite and os.path.lexists(dst.with_name(dst.name + OLD)):
+    if not overwrite and not isinstance(dst, UrlPath) and os.path.lexists(dst.with_name(dst.name + OLD)):
         # An interrupted run has set the old output aside. It would be restored first, and then exist.
         raise existing_error(dst)
-    check_existing(dst, overwrite=overwrite, record_in=record_in)
+    check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
 
 
 @contextmanager
@@ -137,7 +144,7 @@ def temporary_path(
     check_again: Callable[[Path], None] | None = None,
     *,
     stays: Callable[[], bool] = lambda: False,
-) -> Iterator[tuple[Path, Callable[[], None]]]:
+) -> Iterator[tuple[Path, Callable[[], object]]]:
     """Yield a path to write to, and a function that renames it to the destination.
 
     Parameters
@@ -164,6 +171,12 @@ def temporary_path(
         See `staged_output`.
     """
     check_place(dst)
+    if isinstance(dst, UrlPath):
+        from .transfers import upload  # noqa: PLC0415  # loads fsspec
+
+        with upload(dst, overwrite=check(None)) as staged:
+            yield staged
+        return
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
@@ -187,7 +200,7 @@ def clean_up(dst: Path, *, recorded: bool = False) -> None:
     OutputError
         If something cannot be removed.
     """
-    if not any(map(os.path.lexists, working_names(dst))):
+    if isinstance(dst, UrlPath) or not any(map(os.path.lexists, working_names(dst))):
         return
     with suppress(DestinationError), only_run(dst):
         _recover(dst, keep_journal=not recorded)
@@ -219,12 +232,14 @@ def _commit(partial: Path, dst: Path, check_again: Callable[[Path], None] | None
 
 def sync(path: Path) -> None:
     """Wait until a file, or a directory with everything in it, is on the disk."""
-    if not path.is_dir():
-        sync_file(path)
-        return
-    for entry in path.iterdir():
-        sync(entry)
-    sync_directory(path)
+    if path.is_dir():
+        for entry in path.iterdir():
+            sync(entry)
+        sync_directory(path)
+    else:
+        # Not read-only: Windows flushes only files that are open for writing.
+        with path.open("rb+") as file:
+            os.fsync(file.fileno())
 
 
 def rename_file(partial: Path, dst: Path) -> None:
@@ -274,3 +289,79 @@ def _replace(partial: Path, dst: Path, check_again: Callable[[Path], None] | Non
     # The new output must be on the disk before the old one is removed.
     sync_directory(dst.parent)
     remove(aside)
+
+
+# --- The lock of a run: a destination is written by one run at a time ---
+
+
+@contextmanager
+def only_run(dst: Path) -> Iterator[int]:
+    """Hold the lock of a running run; yields its descriptor.
+
+    The kernel releases it when this process and all processes that have inherited the descriptor have ended.
+    """
+    lock = dst.with_name(dst.name + LOCK)
+    try:
+        descriptor = _acquire(lock)
+    except BlockingIOError as err:
+        raise DestinationError("is being written by another run of pc2scan", path=dst) from err
+    except OSError as err:
+        raise OutputError(f"cannot be written: {err.strerror}", path=dst) from err
+    try:
+        yield descriptor
+    finally:
+        # Removed before it is released: a run that locks the removed file notices, in _acquire.
+        is_there = True
+        with suppress(OSError):
+            lock.unlink()
+            is_there = False
+        with suppress(OSError):
+            os.close(descriptor)
+        # Windows removes only files that no process has open.
+        with suppress(OSError):
+            if is_there:
+                lock.unlink()
+
+
+def _acquire(lock: Path) -> int:
+    """Open a lock file and lock it; BlockingIOError if another process has locked it."""
+    while True:
+        descriptor = _open_lock(lock)
+        try:
+            try:
+                lock_descriptor(descriptor)
+            except BlockingIOError:
+                raise
+            except OSError:
+                # Some network file systems cannot lock files. Writing goes on without a lock.
+                return descriptor
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(descriptor), lock.lstat()):
+                    return descriptor
+        except BaseException:
+            os.close(descriptor)
+            raise
+        # The run that held the lock has removed the file between opening and locking it here.
+        os.close(descriptor)
+
+
+def _open_lock(lock: Path) -> int:
+    """Open a lock file, or create it; never through a link, and never a file that is not empty."""
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | REFUSES_LINKS
+    if not REFUSES_LINKS and lock.is_symlink():
+        raise _no_lock(lock, "a symbolic link")
+    try:
+        descriptor = os.open(lock, flags, 0o644)
+    except OSError as err:
+        if lock.is_symlink():
+            raise _no_lock(lock, "a symbolic link") from err
+        raise
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_size:
+        os.close(descriptor)
+        raise _no_lock(lock, "not a lock of pc2scan: it is not empty")
+    return descriptor
+
+
+def _no_lock(lock: Path, what: str) -> DestinationError:
+    return DestinationError(f"has the name of the run's lock, but is {what}", path=lock, hint="move it away")

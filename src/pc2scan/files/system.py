@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+from contextvars import ContextVar
 from threading import Lock
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,9 @@ _MOST_AT_ONCE = 1 << 30
 #: Source: https://learn.microsoft.com/windows/win32/fileio/naming-a-file
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(1, 10))}
 
+#: The folder for temporary copies; None: the system's.
+scratch: ContextVar[Path | None] = ContextVar("scratch", default=None)
+
 _turn = Lock()
 
 
@@ -43,7 +47,20 @@ def seek_and_read(descriptor: int, length: int, offset: int) -> bytes:
 read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else seek_and_read
 
 
-def lock(descriptor: int) -> None:
+def write_at(descriptor: int, data: bytes, offset: int) -> None:
+    """Write bytes into an open file, on any thread."""
+    view = memoryview(data)
+    while view:
+        if hasattr(os, "pwrite"):
+            done = os.pwrite(descriptor, view, offset)
+        else:
+            with _turn:
+                os.lseek(descriptor, offset, os.SEEK_SET)
+                done = os.write(descriptor, view)
+        view, offset = view[done:], offset + done
+
+
+def lock_descriptor(descriptor: int) -> None:
     """Lock an open file; the system releases it when the process ends.
 
     Raises
@@ -84,13 +101,6 @@ def unusable_name(name: str) -> str:
         return "ends with a character that Windows drops"
     forbidden = sorted(set(name) & set('<>:"|?*'))
     return f"has {' '.join(forbidden)}, which names on Windows cannot have" if forbidden else ""
-
-
-def sync_file(path: Path) -> None:
-    """Wait until a file's content is on the disk."""
-    # Not read-only: Windows flushes only files that are open for writing.
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
 
 
 def sync_directory(path: Path) -> None:

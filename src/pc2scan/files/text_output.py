@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
 
+from .new_file import NewFile
 from .ownership import check_kind
 from .places import check_place
-from .source import NewFile
 from .staging import temporary_path
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def files_output(paths: Sequence[Path], *, overwrite: bool) -> Iterator[Callable
 @contextmanager
 def _staged_file(
     path: Path, beginning: bytes | None, *, overwrite: bool
-) -> Iterator[tuple[Callable[[bytes], None], Callable[[], None]]]:
+) -> Iterator[tuple[Callable[[bytes], None], Callable[[], object]]]:
     """Yield a function that writes the file under a temporary name, and one that renames it to its final name."""
 
     def check(_: Record | None) -> bool:

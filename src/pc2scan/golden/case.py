@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.compare.rules import Rules
 from pc2scan.errors import UsageError
 from pc2scan.files.ownership import InputPath
-from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_text
 from pc2scan.files.yaml import MAX_CHARACTERS, load_yaml
 from pc2scan.text import did_you_mean, nearest

@@ -15,7 +15,6 @@ from pc2scan.files.places import output_folder
 from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.options.moment import bound_of
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import run
 from pc2scan.pipeline.run_files import OutputOptions
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.options.moment import Time, TimeBound
+    from pc2scan.options.moment import TimeBound
 
     from .check import Command
 
@@ -60,8 +59,8 @@ def make_case(
     source: Path,
     command: Command,
     *,
-    start: Time | TimeBound | None = None,
-    end: Time | TimeBound | None = None,
+    start: TimeBound | None = None,
+    end: TimeBound | None = None,
     topics: Sequence[str] = (),
     params: Path | None = None,
     progress: Callable[[int, int, int], None] | None = None,
@@ -98,9 +97,7 @@ def make_case(
         (reader,) = open_recordings([source], stack)
         kept = _needed_topics(reader, topics)
         name = "input.bag" if any(each.ros_version == 1 for each in reader.connections) else "input.mcap"
-        options = ConvertOptions(
-            repair=True, start=bound_of("start", start), end=bound_of("end", end), keep=tuple(kept)
-        )
+        options = ConvertOptions(repair=True, start=start, end=end, keep=tuple(kept))
         report = run([source], partial / name, options, OutputOptions(), progress=progress)
         if params is not None:
             _copy_topics(params, partial / "params.yaml")

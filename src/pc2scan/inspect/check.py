@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
@@ -13,12 +12,14 @@ from pc2scan.bags.topics import find_topics
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
+from pc2scan.files.urls import path_or_url
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.result import Part, Result
 from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
+from .cloud_info import FirstSamples
 from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
 
@@ -301,13 +302,14 @@ def check(
         raise UsageError("no source given")
     options = frames or FrameOptions()
     with ExitStack() as stack:
-        readers = open_recordings(map(Path, paths), stack)
+        readers = open_recordings(map(path_or_url, paths), stack)
         reader = as_one(readers)
         chosen = _scan_connections(reader.connections, tuple(topics))
         others = open_recordings(options.tf_from, stack)
-        buffer, warnings = read_transforms([*readers, *others], options)
+        first = FirstSamples((each for each in reader.connections if each.ros_version is not None), moved=True)
+        buffer, warnings = read_transforms([reader, *others], options, [*first.observers.values()])
         found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, progress)
-        found = _with_mountings(found, reader, buffer)
+        found = _with_mountings(found, first, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
 
@@ -351,9 +353,9 @@ def _check_topics(
     return [_topic_check(name, scans, places) for name, (scans, places) in topics.items()]
 
 
-def _with_mountings(found: Sequence[TopicCheck], reader: Reader, buffer: TransformBuffer) -> list[TopicCheck]:
+def _with_mountings(found: Sequence[TopicCheck], first: FirstSamples, buffer: TransformBuffer) -> list[TopicCheck]:
     """Add findings about the scans' frames, from the clouds of the recording."""
-    tilted = mounting_findings(reader, buffer, [frame for topic in found for frame in topic.frames])
+    tilted = mounting_findings(first, buffer, [frame for topic in found for frame in topic.frames])
     return [
         replace(topic, findings=(*(tilted[frame] for frame in topic.frames if frame in tilted), *topic.findings))
         for topic in found

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass
-from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pc2scan.bags.observers import Observer
+from pc2scan.bags.topics import by_topic
 from pc2scan.core.floor import MOST_CLOUDS, CloudSample
 from pc2scan.core.percentiles import percentiles
 from pc2scan.errors import DecodeError, TransformError, leading
@@ -20,11 +20,10 @@ from pc2scan.tf.mounting import mounting
 from .spread import Spread, count_range, finite, spread_of, spread_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage
     from pc2scan.result import Part
@@ -132,7 +131,6 @@ class CloudLook:
         self._result = CloudInfo(topic, target_frame=places.target_frame)
         self._most = most
         self._places = places
-        self._first: list[CloudSample] = []
         self._parts: list[NDArray[np.floating[Any]]] = []
         self._frames: dict[str, None] = {}
         self._problems: dict[str, None] = {}
@@ -155,8 +153,6 @@ class CloudLook:
             place = self._places.place(cloud.frame_id, cloud.stamp_ns)
             if place.target_from_source is not None:
                 points = place.target_from_source.apply(points.T).T
-            if self._result.sampled == 1:
-                self._first.append(CloudSample.of(cloud, place.frame_id, place.target_from_source))
         except (DecodeError, TransformError) as err:
             self._problems[f"{err.message} ({err.hint})" if err.hint else err.message] = None
             return
@@ -167,13 +163,13 @@ class CloudLook:
         self._parts.append(points)
         self._zeros += int(zero.sum())
 
-    def described(self, reader: Reader, connections: Sequence[Connection], buffer: TransformBuffer | None) -> CloudInfo:
+    def described(self, first: FirstSamples, buffer: TransformBuffer | None) -> CloudInfo:
         """Return the properties, and release the points.
 
         Parameters
         ----------
-        reader, connections
-            The recording, and the topic's connections in it.
+        first
+            Samples of the first clouds.
         buffer
             The transforms of the robot; None if there are none.
         """
@@ -186,28 +182,57 @@ class CloudLook:
             with np.errstate(invalid="ignore"):
                 points = np.concatenate(parts, axis=1, dtype=np.float64)
             _measure(result, points, self._zeros)
-            clouds, places = self._first, self._places
-            if not (clouds and clouds[0].floor):
-                clouds = first_clouds(reader, connections, places)
-            if clouds:
-                result.mounting = mounting(result.topic, places.source_frame or clouds[0].frame_id, clouds, buffer)
+            if clouds := first.placed(result.topic, self._places):
+                frame = self._places.source_frame or clouds[0].frame_id
+                result.mounting = mounting(result.topic, frame, clouds, buffer)
         return result
 
 
-def first_clouds(reader: Reader, connections: Sequence[Connection], places: Placer) -> list[CloudSample]:
-    """Return samples of the first clouds that can be placed, as a conversion judges them."""
-    clouds: list[CloudSample] = []
-    with closing(reader.messages(connections)) as messages:
-        for message in islice(messages, _LOOKED_AT):
+class FirstSamples:
+    """Samples of the first clouds of topics, as a conversion judges them. They are placed once transforms are known.
+
+    Parameters
+    ----------
+    connections
+        Those with clouds are used.
+    moved
+        Whether the clouds are moved into another frame, which the first ones may lack a transform to.
+
+    Attributes
+    ----------
+    observers
+        By topic.
+    """
+
+    def __init__(self, connections: Iterable[Connection], *, moved: bool) -> None:
+        self.observers = {
+            topic: _sample_observer(sources, moved=moved)
+            for topic, sources in by_topic(each for each in connections if each.ros_type in CLOUDS).items()
+        }
+
+    def placed(self, topic: str, places: Placer) -> list[CloudSample]:
+        """Return as many of a topic as are judged, in their frames; without those that have no place there."""
+        clouds: list[CloudSample] = []
+        for sample in self.observers[topic].found:
             try:
-                cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
-                place = places.place(cloud.frame_id, cloud.stamp_ns)
-                clouds.append(CloudSample.of(cloud, place.frame_id, place.target_from_source))
-            except (DecodeError, TransformError):
+                place = places.place(sample.frame_id, sample.stamp_ns)
+            except TransformError:
                 continue
+            clouds.append(sample.placed_in(place.frame_id, place.target_from_source))
             if clouds[0].floor is not None or len(clouds) == MOST_CLOUDS:
                 break
-    return clouds
+        return clouds
+
+
+def _sample_observer(sources: Sequence[Connection], *, moved: bool) -> Observer[CloudSample]:
+    decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in sources}
+    observer = Observer(
+        sources, lambda message: CloudSample.of(decoders[message.connection.id](message.data)), _LOOKED_AT
+    )
+    if not moved:
+        found = observer.found
+        observer.is_needless = lambda: bool(found) and (found[0].floor is not None or len(found) >= MOST_CLOUDS)
+    return observer
 
 
 def _as_floats(column: NDArray[Any]) -> NDArray[np.floating[Any]]:

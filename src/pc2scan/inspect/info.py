@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.bags.opening import as_one, open_recordings
@@ -14,7 +14,6 @@ from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.remote.urls import is_url
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
@@ -22,7 +21,7 @@ from pc2scan.tf.options import FrameOptions
 from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import RobotTransforms, TransformReading
 
-from .cloud_info import CloudInfo, CloudLook
+from .cloud_info import CloudInfo, CloudLook, FirstSamples
 from .sampling import sampled
 from .scan_info import ScanInfo, ScanLook
 
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
+    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
     from pc2scan.tf.buffer import TransformBuffer
@@ -288,16 +288,6 @@ def info(
         If there is no such topic.
     """
     asked = frames or FrameOptions()
-    if any(map(is_url, (*sources, *asked.tf_from))):
-        from pc2scan.remote.ranges import stand_ins  # noqa: PLC0415  # loads fsspec
-
-        with stand_ins([*sources, *asked.tf_from]) as near:
-            here = near.paths[: len(sources)]
-            read = replace(asked, tf_from=tuple(near.paths[len(sources) :]))
-            found: Info = near.names.of(
-                info(here, samples=samples, described=described, target_frame=target_frame, frames=read, given=given)
-            )
-        return found
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
         reader = as_one(readers)
@@ -308,13 +298,14 @@ def info(
         has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
         imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
         has_target = bool(target_frame or others)
+        first = FirstSamples(reader.connections if shown and samples else (), moved=bool(target_frame))
         needs_robot = any(topic.msgtype in CLOUDS for topic in topics)
         buffer, warnings, ups = _transforms_and_imus(
-            [reader, *others], asked, imus, start_ns or 0, all_of_them=has_target, needs_robot=needs_robot
+            [reader, *others], asked, imus, first, start_ns or 0, all_of_them=has_target, needs_robot=needs_robot
         )
         tolerance_ns = ProjectionParams().tolerance_ns
         places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
-        clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, buffer)
+        clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, buffer, first)
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
@@ -383,6 +374,7 @@ def _transforms_and_imus(
     readers: Sequence[Reader],
     asked: FrameOptions,
     imus: Sequence[str],
+    first: FirstSamples,
     time_ns: int,
     *,
     all_of_them: bool,
@@ -394,6 +386,8 @@ def _transforms_and_imus(
     ----------
     readers
         The recording first, then those of ``tf_from``.
+    first
+        Observes the first clouds meanwhile.
     time_ns
         The beginning of the recording.
     all_of_them
@@ -406,7 +400,7 @@ def _transforms_and_imus(
     TransformBuffer or None, list of str, tuple of ImuInfo
         The transforms (None if there are none), warnings about them, and the IMUs.
     """
-    if not (all_of_them or needs_robot or imus):
+    if not (all_of_them or needs_robot or imus or first.observers):
         return None, [], ()
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # recordings without clouds need none
 
@@ -414,8 +408,9 @@ def _transforms_and_imus(
     transforms = TransformReading(asked) if all_of_them else None
     robot = RobotTransforms(reader, asked, time_ns) if needs_robot and transforms is None else None
     readings = {topic: _imu_reading(reader, topic) for topic in imus}
-    observers = [] if transforms is None else transforms.observers(reader)
+    observers: list[Observer[Any]] = [] if transforms is None else [*transforms.observers(reader)]
     observers += [] if robot is None else robot.observers
+    observers += first.observers.values()
     for reading in readings.values():
         observers += [] if isinstance(reading, UsageError) else reading.observers(reader)
     observe(reader, observers)
@@ -468,6 +463,7 @@ def _samples(
     end_ns: int | None,
     places: Placer,
     buffer: TransformBuffer | None,
+    first: FirstSamples,
 ) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
     """Return the properties of the clouds and scans of topics; a topic with both counts as one of clouds."""
     clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS}
@@ -489,6 +485,6 @@ def _samples(
     for message in sampled(reader, connections, samples, start_ns, end_ns):
         looks[message.connection.topic].add(message)
     return (
-        tuple(look.described(reader, connections[name], buffer) for name, look in cloud_looks.items()),
+        tuple(look.described(first, buffer) for name, look in cloud_looks.items()),
         tuple(look.described() for look in scan_looks.values()),
     )

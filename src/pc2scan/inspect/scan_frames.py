@@ -9,13 +9,11 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
-from pc2scan.messages.clouds import CLOUDS
 from pc2scan.text import counted, nearest
 from pc2scan.tf.mounting import mounting
 from pc2scan.tf.placing import Placer
 from pc2scan.tf.world_frames import BODIES, find_body_motion
 
-from .cloud_info import first_clouds
 from .findings import Finding, Tally, few_unplaced, finding
 
 if TYPE_CHECKING:
@@ -24,9 +22,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
 
+    from .cloud_info import FirstSamples
     from .findings import Level
 
 #: A sensor is tilted if the cosine between its z axis and the robot's is below 1 by this much: 2.6 degrees.
@@ -247,11 +245,13 @@ class ScanFrames:
         return found
 
 
-def mounting_findings(reader: Reader, buffer: TransformBuffer, frames: Collection[str]) -> dict[str, Finding]:
+def mounting_findings(first: FirstSamples, buffer: TransformBuffer, frames: Collection[str]) -> dict[str, Finding]:
     """Look for frames of scans that are tilted, upside down or optical.
 
     Parameters
     ----------
+    first
+        Samples of the first clouds of all topics.
     frames
         The frames of the scans.
 
@@ -260,12 +260,10 @@ def mounting_findings(reader: Reader, buffer: TransformBuffer, frames: Collectio
     dict
         A defect for each frame in which the ground of the first clouds is not level.
     """
-    wanted = [c for c in reader.connections if c.ros_type in CLOUDS and c.ros_version is not None]
     findings: dict[str, Finding] = {}
-    for topic in dict.fromkeys(connection.topic for connection in wanted):
-        connections = [connection for connection in wanted if connection.topic == topic]
+    for topic in first.observers:
         for frame in dict.fromkeys(frames):
-            clouds = first_clouds(reader, connections, Placer(frame, buffer=buffer))
+            clouds = first.placed(topic, Placer(frame, buffer=buffer))
             there = mounting(topic, clouds[0].frame_id, clouds, buffer) if clouds else None
             if there is not None and there.fault:
                 hint = f"for scans made from clouds: pc2scan convert with {there.options}" if there.options else ""

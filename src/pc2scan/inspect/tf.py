@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.errors import TransformError, leading, stamp_text
-from pc2scan.remote.urls import is_url
 from pc2scan.result import Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count
@@ -227,12 +226,6 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
     """
     options = options or FrameOptions()
     read = [*sources, *options.tf_from]
-    if any(map(is_url, read)):
-        from pc2scan.remote.ranges import stand_ins  # noqa: PLC0415  # loads fsspec
-
-        with stand_ins(read) as near:
-            found: FrameTree = near.names.of(frame_tree(near.paths, replace(options, tf_from=())))
-        return found
     with ExitStack() as stack:
         readers = open_recordings(read, stack)
         buffer, warnings = read_transforms(readers, options)

@@ -9,15 +9,21 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import TransformError
-from pc2scan.options.table import PARAMETERS
+from pc2scan.options.call import call_words
+from pc2scan.options.table import PARAMETERS, output_options, spelling_of
+from pc2scan.options.values import Flag, Text
+from pc2scan.result import Call
 
 from .html import compress, description_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from pc2scan.core.rigid import Rigid
+    from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.stages.beams import BeamFilter
     from pc2scan.tf.buffer import TransformBuffer
 
     from .shots import Shot, Shots
@@ -34,22 +40,20 @@ _SHOWN = tuple(spec.name for spec in fields(ProjectionParams) if spec.name not i
 
 
 def clouds_page(
-    taken: Shots, buffer: TransformBuffer | None, options: ConvertOptions, *, preset: str, command: Sequence[str]
+    sources: Sequence[Path], taken: Shots, options: ConvertOptions, *, preset: str
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Describe a page of clouds.
 
     Parameters
     ----------
+    sources
+        The recordings as they were given, for the command that the page shows.
     taken
         The clouds.
-    buffer
-        The transforms; None if there are none.
     options
         The options of the conversion.
     preset
         The preset that the parameters come from; empty for none.
-    command
-        The words of the command line that precede the options for parameters.
 
     Returns
     -------
@@ -57,6 +61,10 @@ def clouds_page(
         As `pc2scan.look.html.html` takes them.
     """
     notes = list(taken.notes)
+    if options.scan.deskew:
+        notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
+    if options.scan.level:
+        notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
     step, blobs = _compress_to_fit(taken.shots)
     if step > 1:
         notes.append(
@@ -73,7 +81,8 @@ def clouds_page(
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
         columns = {name: column[::step] for name, column in shot.columns.items()}
-        entry = {**_shot_as_dict(shot, buffer), "data": description_of(_name(number), columns), "filtered": None}
+        data = description_of(_name(number), columns)
+        entry = {**_shot_as_dict(shot, taken.transforms), "data": data, "filtered": None}
         if shot.filtered is not None:
             named = {"filtered": shot.filtered[::step]}
             entry["filtered"] = description_of(f"filtered-{number}", named)
@@ -90,13 +99,58 @@ def clouds_page(
         "presets": {name: {k: v for k, v in values.items() if k in _SHOWN} for name, values in PRESETS.items()},
         "preset": preset,
         "parameters": {
-            name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": PARAMETERS[name].words} for name in _SHOWN
+            name: {"help": PARAMETERS[name].help.replace("`", ""), "choices": PARAMETERS[name].value.words}
+            for name in _SHOWN
         },
-        "command": list(command),
+        "command": call_words(_conversion(sources, options)),
         "targetFrame": options.scan.params.target_frame,
         "topics": [{"topic": topic, "clouds": clouds} for topic, clouds in topics.items()],
     }
     return description, blobs
+
+
+def _conversion(sources: Sequence[Path], options: ConvertOptions) -> Call:
+    """Return the call that converts the same points of the same topics in the same frames.
+
+    Parameters of the projection are not included, because the page adds them. Filters without an option are not
+    included.
+    """
+    scan, frames = options.scan, options.frames
+    given: dict[str, Any] = {
+        "destination": "scans.mcap",
+        "topics": tuple(
+            each.source if each.target is None else f"{each.source}:={each.target}" for each in scan.topics
+        ),
+        "tf_topics": frames.tf_topics,
+        "tf_from": frames.tf_from,
+        "static_tf": tuple(
+            f"{each.parent} {each.child} {' '.join(map(repr, each.parent_from_child.pose))}" for each in frames.static
+        ),
+        "source_frame": frames.source_frame,
+        "remove": tuple(map(_beam_filter_text, scan.remove)),
+    }
+    for name, option in output_options().items():
+        value = getattr(scan, name, option.default)
+        if isinstance(option.value, Flag | Text) and value != option.default:
+            given[name] = value
+    given |= {name: _time_text(getattr(options, name)) for name in ("start", "end")}
+    for chosen in scan.filters:
+        text = getattr(chosen, "text", None)
+        if text is not None and spelling_of(chosen.name):
+            given[chosen.name] = (*given.get(chosen.name, ()), text)
+    return Call("convert", tuple(map(str, sources)), {name: value for name, value in given.items() if value})
+
+
+def _beam_filter_text(chosen: BeamFilter) -> str:
+    words = (f"{each.name}={getattr(chosen, each.name)}" for each in fields(chosen) if chosen != type(chosen)())
+    return " ".join((chosen.name, *words))
+
+
+def _time_text(bound: TimeBound | None) -> str:
+    if bound is None:
+        return ""
+    seconds, rest = divmod(bound.nanoseconds, 1_000_000_000)
+    return f"{'@' if bound.absolute else ''}{seconds}.{rest:09d}"
 
 
 def _shown(params: ProjectionParams) -> dict[str, float | bool | str]:

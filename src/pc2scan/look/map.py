@@ -15,15 +15,14 @@ from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import files_output
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.pipeline.scan_spec import TopicRequest
+from pc2scan.pipeline.options import TopicRequest
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection
-from pc2scan.tf.reading import read_transforms
 
 from .map_drawing import Drawing
 from .map_files import map_paths
 from .map_result import contents_of
-from .recording import open_with_transforms
+from .recording import open_recording
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -112,13 +111,17 @@ def map_of(
     """
     if options.scan.reverse:
         raise UsageError("`reverse` makes clouds, but a map is made of scans")
-    with open_with_transforms(sources, options) as recording:
-        buffer, notes = read_transforms([recording.reader, *recording.others], options.frames)
+    notes: list[str] = []
+    with open_recording(sources, options) as recording:
         topics, converted = _topics(recording.reader, options)
+        stream = _stream(sources, options, topics, converted=converted)
+        buffer = stream.transforms
+        if buffer is None:
+            # Recorded scans are read as they are.
+            buffer, notes = recording.transforms()
         further = recording.damage
     if not converted and _converts(options):
         notes.append("The recording has no clouds: options about clouds have no effect.")
-    stream = _stream(sources, options, topics, converted=converted)
     drawn = Drawing(OccupancyGrid(asked.resolution, MAX_MAP_CELLS), buffer, asked, options)
     stream.listener = notes.append
     with stream, closing(stream.results(progress)) as results:
@@ -180,4 +183,4 @@ def _stream(
     if not converted:
         return Scans(selection)
     scans_alone = replace(options, only_scans=True, keep=(), keep_clouds=False)
-    return Scans(selection, scans_alone.with_scan(topics=topics))
+    return Scans(selection, scans_alone.with_scan(topics=topics), needs_transforms=True)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from pc2scan.arguments import path_of
 from pc2scan.core.occupancy import FREE, OCCUPIED, Occupancy
 from pc2scan.files.text_output import files_output
+from pc2scan.files.urls import path_of
 from pc2scan.result import Part, Remark, Result, skipped_remarks
 from pc2scan.text import duration
 

@@ -19,7 +19,7 @@ from pc2scan.files.text_output import file_output
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
-from .recording import open_with_transforms, title_of
+from .recording import open_recording, title_of
 from .shots import take_shots
 
 if TYPE_CHECKING:
@@ -141,12 +141,9 @@ def plot(
     )
     with (
         file_output(destination, beginning=None, overwrite=overwrite) as deliver,
-        open_with_transforms(sources, options) as recording,
+        open_recording(sources, options) as recording,
     ):
-        at_ns = recording.log_times(at)
-        taken = take_shots(
-            recording.reader, recording.buffer, options, count=clouds, at_ns=at_ns, others=recording.others
-        )
+        taken = take_shots(recording, options, count=clouds, at_ns=recording.log_times(at), level=True)
         figure = _figure(taken, title_of(sources), kind)
         deliver(figure)
         return Plotted(str(destination), len(figure), tuple(taken.notes), tuple(taken.warnings), recording.damage)

@@ -1,15 +1,16 @@
-"""A recording for pictures: opened as one with all transforms, and moments that are spread over it."""
+"""A recording for pictures: opened as one, its transforms, and moments that are spread over it."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import UsageError, stamp_text
 from pc2scan.inspect.sampling import sampled
-from pc2scan.pipeline.preparation import span_of
+from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_outside
 from pc2scan.tf.reading import read_transforms
 
@@ -22,18 +23,35 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.plan import Plan
+    from pc2scan.pipeline.preparation import Preparation
     from pc2scan.tf.buffer import TransformBuffer
 
 #: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
 _FIRST_DATE_NS = 100_000_000 * 1_000_000_000
 
 
-class ShownRecording(NamedTuple):
-    """A recording, others that were read for their transforms, and the transforms (None if there are none)."""
+@dataclass(slots=True)
+class ShownRecording:
+    """A recording, which is open, and others that transforms are read from.
 
+    Attributes
+    ----------
+    sources, reader
+        The files, and the recording.
+    options
+        The options of a conversion.
+    stack
+        Closes the recordings.
+    others
+        The recordings of ``tf_from``, once transforms were read.
+    """
+
+    sources: Sequence[Path]
     reader: Reader
-    others: list[Reader]
-    buffer: TransformBuffer | None
+    options: ConvertOptions
+    stack: ExitStack
+    others: Sequence[Reader] = ()
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -58,39 +76,57 @@ class ShownRecording(NamedTuple):
             )
         return times
 
+    def prepare(self, plan: Plan, options: ConvertOptions) -> Preparation:
+        """Prepare a conversion, with all transforms unless it is not clear which to use, and none are needed.
+
+        Raises
+        ------
+        UsageError
+            If it is not clear which transforms to use, or something cannot be measured.
+        """
+        span = span_of(self.reader, options)
+        request = self.reader, self.sources, plan, options, span, self.stack
+        try:
+            prepared = prepare(*request, needs_transforms=True)
+        except UsageError:
+            if plan.needs_transforms:
+                raise
+            prepared = prepare(*request)
+        self.others = prepared.others
+        return prepared
+
+    def transforms(self) -> tuple[TransformBuffer, list[str]]:
+        """Read all transforms; return them, and warnings about them.
+
+        Raises
+        ------
+        UsageError
+            If it is not clear which to use.
+        RecordingError
+            If a recording cannot be read.
+        """
+        options = self.options
+        self.others = open_recordings(options.frames.tf_from, self.stack, verify=options.verify, strict=options.strict)
+        return read_transforms([self.reader, *self.others], options.frames)
+
 
 @contextmanager
-def open_with_transforms(sources: Sequence[Path], options: ConvertOptions) -> Iterator[ShownRecording]:
-    """Open recordings as one, and read their transforms.
+def open_recording(sources: Sequence[Path], options: ConvertOptions) -> Iterator[ShownRecording]:
+    """Open recordings as one.
 
     Raises
     ------
-    UsageError
-        If transforms are needed, and it is not clear which to use.
     RecordingError
         If one cannot be read.
     """
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
-        others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
-        reader = as_one(readers)
-        yield ShownRecording(reader, others, _transforms([reader, *others], options))
+        yield ShownRecording(sources, as_one(readers), options, stack)
 
 
 def title_of(sources: Sequence[Path]) -> str:
     """Return the title of a picture of recordings."""
     return ", ".join(source.name or str(source) for source in sources)
-
-
-def _transforms(readers: Sequence[Reader], options: ConvertOptions) -> TransformBuffer | None:
-    """Return all transforms; None if it is not clear which to use and none are requested."""
-    try:
-        buffer, _ = read_transforms(readers, options.frames)
-    except UsageError:
-        if options.scan.needs_transforms:
-            raise
-        return None
-    return buffer
 
 
 def moment_text(stamp_ns: int) -> str:

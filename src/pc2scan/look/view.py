@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
-from pc2scan.arguments import path_of
 from pc2scan.errors import UsageError, leading
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import text_output
+from pc2scan.files.urls import path_of
 from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Part, Result
@@ -17,7 +17,7 @@ from pc2scan.tf.options import FrameOptions
 
 from .clouds import clouds_page
 from .html import BEGINNING, check_page_name, html
-from .recording import moment_text, open_with_transforms, title_of
+from .recording import moment_text, open_recording, title_of
 from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
 
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.tf.buffer import TransformBuffer
+
+    from .recording import ShownRecording
 
 #: Clouds and scans of a topic on one page. All of them are in memory until the page is written, and share its size.
 _MOST_CLOUDS = 1_000
@@ -107,7 +110,6 @@ def write_page(
     clouds: int = 10,
     at: Sequence[TimeBound] = (),
     preset: str = "",
-    command: Sequence[str] = (),
     overwrite: bool = False,
     also_read: Mapping[str, Path] | None = None,
 ) -> Page:
@@ -135,7 +137,7 @@ def write_page(
         [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
-        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, command=command)
+        page = page_of(sources, options, clouds=clouds, at=at, preset=preset)
         deliver(page.html)
     return replace(page, path=str(destination))
 
@@ -147,7 +149,6 @@ def page_of(
     clouds: int = 10,
     at: Sequence[TimeBound] = (),
     preset: str = "",
-    command: Sequence[str] = (),
 ) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
 
@@ -163,8 +164,6 @@ def page_of(
         Moments to show instead.
     preset
         The preset that the parameters come from; empty for none.
-    command
-        The words of the command line that converts the recording, without the parameters of the projection.
 
     Raises
     ------
@@ -175,17 +174,16 @@ def page_of(
     """
     if not 1 <= clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
-    with open_with_transforms(sources, options) as recording:
-        reader, _, buffer = recording
+    with open_recording(sources, options) as recording:
+        reader = recording.reader
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
-            taken = take_shots(reader, buffer, options, count=clouds, at_ns=at_ns)
-            described, blobs = clouds_page(taken, buffer, options, preset=preset, command=command)
+            taken = take_shots(recording, options, count=clouds, at_ns=at_ns, level=False)
+            described, blobs = clouds_page(sources, taken, options, preset=preset)
         else:
             asked = [request.source for request in options.scan.topics]
-            described, blobs = scans_page(
-                reader, scan_connections(reader, asked), buffer, options, count=clouds, at_ns=at_ns
-            )
+            topics, buffer = scan_connections(reader, asked), _transforms(recording)
+            described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)
             frames = FrameOptions(tf_topics=options.frames.tf_topics, tf_from=options.frames.tf_from)
             described["findings"] = findings(check(sources, topics=asked, frames=frames))
         notes, warnings = described["notes"], described.pop("warnings")
@@ -193,6 +191,17 @@ def page_of(
         described["notes"] = [*notes, *warnings]
         described |= {"title": title_of(sources), "subtitle": _subtitle(reader)}
         return Page(html(described, blobs), tuple(notes), tuple(warnings), recording.damage)
+
+
+def _transforms(recording: ShownRecording) -> TransformBuffer | None:
+    """Return all transforms; None if it is not clear which to use, and none are needed."""
+    try:
+        buffer, _ = recording.transforms()
+    except UsageError:
+        if recording.options.scan.needs_transforms:
+            raise
+        return None
+    return buffer
 
 
 def _subtitle(reader: Reader) -> str:

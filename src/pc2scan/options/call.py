@@ -1,4 +1,4 @@
-"""The options of one call, whoever gives them: Python, the command line or a file."""
+"""The options of one call, whoever gives them: Python, the command line or a file; and a call as a command line."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import UsageError
 
+from .conversion import CloudCombination
 from .option import ONE_OUTPUT, SINGLE, Parameter
-from .table import PARAMETERS, conversion_options, options_of
+from .table import PARAMETERS, conversion_options, options_of, spelling_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from typing_extensions import Self
+
+    from pc2scan.result import Call
 
     from .option import Option
 
@@ -35,13 +38,15 @@ class Options:
     known
         The options that there are, if not those of the command.
     later
-        Whether a wrong value is an error only in `check`; until then, it counts as not given.
+        Whether a wrong value raises no error, but counts as not given and is kept in ``wrong``.
 
     Attributes
     ----------
     given
         What was given, by name, as `pc2scan.options.values` reads it. Values that are defaults are not in it, except
         those of the projection's parameters, which override those of files and presets.
+    wrong
+        The first error of the values, if it was not raised.
 
     Raises
     ------
@@ -49,7 +54,7 @@ class Options:
         If a value has the wrong type, or means nothing.
     """
 
-    __slots__ = ("_known", "_wrong", "command", "given", "origins")
+    __slots__ = ("_known", "command", "given", "origins", "wrong")
 
     def __init__(
         self,
@@ -64,28 +69,22 @@ class Options:
         self.origins = origins or {}
         self._known = options_of(command) if known is None else known
         self.given: dict[str, Any] = {}
-        self._wrong: UsageError | None = None
+        self.wrong: UsageError | None = None
         for name, value in values.items():
-            try:
-                self._read(name, value)
-            except UsageError as err:
-                if not later:
-                    raise
-                self._wrong = self._wrong or err
-
-    def _read(self, name: str, value: Any) -> None:
-        option = self._known[name]
-        if isinstance(option, Parameter):
-            self.given[name] = _python_value(value)
-        elif value is not None and not _is_default(value, option.default):
-            read = option.value.read(name, value)
-            if not _is_default(read, option.default):
-                self.given[name] = read
-
-    def check(self) -> None:
-        """Raise the first error of the values, if that was put off."""
-        if self._wrong is not None:
-            raise self._wrong
+            option = self._known[name]
+            if isinstance(option, Parameter):
+                # NumPy's scalars as Python's.
+                self.given[name] = value.item() if getattr(value, "ndim", None) == 0 else value
+            elif value is not None and not _is_default(value, option.default):
+                try:
+                    read = option.value.read(name, value)
+                except UsageError as err:
+                    if not later:
+                        raise
+                    self.wrong = self.wrong or err
+                else:
+                    if not _is_default(read, option.default):
+                        self.given[name] = read
 
     def __getattr__(self, name: str) -> Any:
         """Return the value of an option; one that this command does not have has the default of a conversion."""
@@ -104,14 +103,14 @@ class Options:
         more.given = self.given | {name: (*self.given.get(name, ()), *values) for name, values in texts.items()}
         return more
 
-    def origin(self, name: str) -> str:
-        """Return where a parameter of the projection was given."""
-        return self.origins.get(name, CALL)
+    def among(self, names: Iterable[str]) -> dict[str, Any]:
+        """Return what was given of these options."""
+        return {name: self.given[name] for name in names if name in self.given}
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The given parameters of the projection."""
-        return {name: value for name, value in self.given.items() if isinstance(self._known[name], Parameter)}
+        """The given parameters of the projection, in the order in which they were given."""
+        return {name: value for name, value in self.given.items() if name in PARAMETERS}
 
     @property
     def of_one_output(self) -> list[str]:
@@ -128,9 +127,11 @@ class Options:
 
     @property
     def makes_scans(self) -> bool:
-        """Whether any parameter of the projection is given: by name, by a preset or in a file."""
-        sources = ("params", "preset", "params_file", "param")
-        return bool(self.parameters) or any(self.given.get(name) for name in sources)
+        """Whether parameters of the projection are given (by name, by a preset, in a file), or scans to be combined."""
+        combining = CloudCombination.__annotations__.keys()
+        return any(self.given.get(name) for name in ("params", "preset", "params_file", "param")) or any(
+            name in PARAMETERS or name in combining for name in self.given
+        )
 
 
 def _is_default(value: object, default: object) -> bool:
@@ -139,6 +140,20 @@ def _is_default(value: object, default: object) -> bool:
     return value is default or (type(value) is type(default) and bool(value == default))
 
 
-def _python_value(value: object) -> object:
-    """Return NumPy's scalars as Python's."""
-    return value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
+def call_words(call: Call) -> list[str]:
+    """Return the words of the command that a result proposes."""
+    words = ["pc2scan", call.command, *call.sources]
+    for name, value in call.options.items():
+        words += _option_words(spelling_of(name) or f"--{name}", value)
+    return words
+
+
+def _option_words(spelling: str, value: Any) -> Iterator[str]:
+    """Yield an option; negative numbers need no "=" before them, because no option begins with a digit."""
+    if value is True:
+        yield spelling
+    elif isinstance(value, tuple):
+        for each in value:
+            yield from _option_words(spelling, each)
+    else:
+        yield from (spelling, f"{value:g}" if isinstance(value, float) else str(value))

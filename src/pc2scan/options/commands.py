@@ -8,9 +8,22 @@ from typing import Annotated, TypedDict
 
 from pc2scan.core.presets import PRESETS
 
-from .option import FRAME_NAMES, Names, Option, Path, Progress, Quantity, Time, Tolerance, topics_of
+from .option import Names, Option, Path, Progress, Quantity, Time, Tolerance
 from .running import MAX_JOBS
-from .values import Count, Flag, Instance, Moment, Moments, Number, PathName, Switch, Text, Texts, Tolerances
+from .values import (
+    Count,
+    Flag,
+    Function,
+    Moment,
+    Moments,
+    Number,
+    PathName,
+    Recording,
+    Switch,
+    Text,
+    Texts,
+    Tolerances,
+)
 
 
 class ExportFormat(TypedDict, total=False):
@@ -34,7 +47,7 @@ class ExportFormat(TypedDict, total=False):
             "Write the robot's pose in this frame (odom, map) at each message's stamp, from the recorded transforms.",
             default="",
             common=True,
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
     base_frame: Annotated[
@@ -45,7 +58,7 @@ class ExportFormat(TypedDict, total=False):
             default="",
             default_text="base_link, base_footprint, or the frame that the sensor is mounted on",
             common=True,
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
     odom_topic: Annotated[
@@ -55,7 +68,7 @@ class ExportFormat(TypedDict, total=False):
             "Take the poses from this nav_msgs/Odometry topic instead of the transforms.",
             default="",
             common=True,
-            offers=topics_of("/Odometry"),
+            offers=("topics", "/Odometry"),
         ),
     ]
     overwrite: Annotated[
@@ -160,7 +173,7 @@ class BatchRunProgress(TypedDict, total=False):
 
     progress: Annotated[
         Progress | None,
-        Option(Instance(called=True), "A function that is called from time to time with the progress.", typed=""),
+        Option(Function(), "A function that is called from time to time with the progress.", typed=""),
     ]
 
 
@@ -247,7 +260,7 @@ class MapDrawing(TypedDict, total=False):
             "The frame of the map, in which the robot moves.",
             default="odom",
             common=True,
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
     base_frame: Annotated[
@@ -258,7 +271,7 @@ class MapDrawing(TypedDict, total=False):
             default="",
             default_text="base_link, or base_footprint",
             common=True,
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
 
@@ -292,7 +305,7 @@ class CheckRules(TypedDict, total=False):
             "LaserScan topic to check, or a glob. Default: all.",
             typed="--topic",
             short="-t",
-            offers=topics_of("/LaserScan"),
+            offers=("topics", "/LaserScan"),
         ),
     ]
     odom_frame: Annotated[
@@ -301,7 +314,7 @@ class CheckRules(TypedDict, total=False):
             Text("FRAME"),
             "The odometry's frame; the scans' frames must be connected to it.",
             default="odom",
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
     base_frame: Annotated[
@@ -311,7 +324,7 @@ class CheckRules(TypedDict, total=False):
             "The robot's frame.",
             default="",
             default_text="base_link, or base_footprint",
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
 
@@ -326,7 +339,7 @@ class InfoSamples(TypedDict, total=False):
             "Topic with clouds or scans to describe, or a glob. Default: all.",
             typed="--topic",
             short="-t",
-            offers=topics_of("/PointCloud2", "/LaserScan"),
+            offers=("topics", "/PointCloud2", "/LaserScan"),
         ),
     ]
     samples: Annotated[
@@ -340,7 +353,7 @@ class InfoSamples(TypedDict, total=False):
     target_frame: Annotated[
         str,
         Option(
-            Text("FRAME"), "Show heights in this frame, like convert --target-frame.", default="", offers=FRAME_NAMES
+            Text("FRAME"), "Show heights in this frame, like convert --target-frame.", default="", offers=("frames",)
         ),
     ]
 
@@ -354,7 +367,9 @@ class RepairContainer(TypedDict, total=False):
     compression: Annotated[
         str | None, Option(Text(words=("none", "lz4", "zstd", "bz2")), "Compression of DST.", default_text="SRC's")
     ]
-    verify: Annotated[bool, Option(Flag(), "Check the CRCs of an MCAP source.", default=True, typed="--no-verify")]
+    verify: Annotated[
+        bool, Option(Flag(), "Whether the CRCs of an MCAP source are checked.", default=True, typed="--no-verify")
+    ]
 
 
 class RepairScreen(TypedDict, total=False):
@@ -375,7 +390,7 @@ class ComparisonRules(TypedDict, total=False):
             typed="--topic",
             short="-t",
             panel="",
-            offers=topics_of(),
+            offers=("topics",),
         ),
     ]
     all_topics: Annotated[
@@ -432,9 +447,7 @@ class GoldenCases(TypedDict, total=False):
         bool,
         Option(Flag(), "Write the expected output of cases that differ or have none; review the changes.", panel=""),
     ]
-    init: Annotated[
-        Path | None, Option(PathName("SRC", is_recording=True), "Make a new case of this recording, in DIR.")
-    ]
+    init: Annotated[Path | None, Option(Recording("SRC"), "Make a new case of this recording, in DIR.")]
     start: Annotated[Time | None, Option(Moment("TIME"), "With `init`: where the input begins, as in convert.")]
     end: Annotated[Time | None, Option(Moment("TIME"), "With `init`: where it ends.")]
     topics: Annotated[
@@ -444,7 +457,7 @@ class GoldenCases(TypedDict, total=False):
             "With `init`: a topic of clouds or scans to keep, or a glob. Default: all.",
             typed="--topic",
             short="-t",
-            offers=topics_of("/PointCloud2", "/LaserScan"),
+            offers=("topics", "/PointCloud2", "/LaserScan"),
         ),
     ]
     params_file: Annotated[Path | None, Option(PathName(), "With `init`: the case's parameter file.")]

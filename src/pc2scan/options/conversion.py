@@ -6,7 +6,6 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 from .option import (
-    FRAME_NAMES,
     FRAMES,
     ONE_OUTPUT,
     POINTS,
@@ -22,9 +21,22 @@ from .option import (
     Quantity,
     Time,
     Transforms,
-    topics_of,
 )
-from .values import Duration, Flag, Instance, Moment, Number, PathName, PathNames, Share, Text, Texts
+from .values import (
+    ChannelNames,
+    Duration,
+    Filters,
+    Flag,
+    Instance,
+    Moment,
+    Number,
+    PathName,
+    Recordings,
+    Share,
+    Text,
+    Texts,
+    TransformTexts,
+)
 
 if TYPE_CHECKING:
     from pc2scan.tf.options import FrameOptions
@@ -42,7 +54,7 @@ class SourceTopics(TypedDict, total=False):
             typed="--topic",
             short="-t",
             common=True,
-            offers=topics_of("/PointCloud2", "/LaserScan"),
+            offers=("topics", "/PointCloud2", "/LaserScan"),
         ),
     ]
 
@@ -64,7 +76,8 @@ class TimeRange(TypedDict, total=False):
         bool,
         Option(
             Flag(),
-            "Check the CRCs of an MCAP source. Without it, reading is faster, but damage may not be detected.",
+            "Whether the CRCs of an MCAP source are checked. If not, reading is faster, but damage may not be "
+            "detected.",
             panel=RUN,
             default=True,
             typed="--no-verify",
@@ -101,9 +114,8 @@ class PointSelection(TypedDict, total=False):
         Names | None,
         Option(
             Texts("BEAMS"),
-            "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. Parameters of "
-            "laser_filters may follow, and it is its filter then: 'shadows min_angle=5 neighbors=10', "
-            "'speckles filter_window=3'.",
+            "Remove beams: shadows (returns between an edge and the surface behind it) or speckles. With parameters, "
+            "the filter of laser_filters removes them: 'shadows min_angle=5 neighbors=10', 'speckles filter_window=3'.",
             common=True,
         ),
     ]
@@ -145,7 +157,7 @@ class PointSelection(TypedDict, total=False):
         ),
     ]
     filters: Annotated[
-        Any, Option(Instance(), "Further filters of points, as objects.", panel=PYTHON, typed="", scope=SINGLE)
+        Any, Option(Filters(), "Further filters of points, as objects.", panel=PYTHON, typed="", scope=SINGLE)
     ]
 
 
@@ -158,7 +170,7 @@ class TransformTopics(TypedDict, total=False):
             Texts("TOPIC"),
             "Topic of the transforms, if not /tf and /tf_static.",
             typed="--tf-topic",
-            offers=topics_of("/TFMessage", "/tfMessage"),
+            offers=("topics", "/TFMessage", "/tfMessage"),
         ),
     ]
 
@@ -169,7 +181,7 @@ class StaticTransforms(TypedDict, total=False):
     static_tf: Annotated[
         Transforms | None,
         Option(
-            Texts("TRANSFORM", objects=("StaticTransform",)),
+            TransformTexts("TRANSFORM"),
             "Add a transform: 'parent child x y z qx qy qz qw' or 'parent child x y z roll pitch yaw' (m, rad; or "
             "20cm, 90deg). Replaces the recording's transform to this child.",
             common=True,
@@ -180,7 +192,7 @@ class StaticTransforms(TypedDict, total=False):
 class TransformSources(TransformTopics, total=False):
     """Where transforms come from."""
 
-    tf_from: Annotated[Paths | None, Option(PathNames(is_recording=True), "Read the transforms of this recording too.")]
+    tf_from: Annotated[Paths | None, Option(Recordings(), "Read the transforms of this recording too.")]
     frames: Annotated[
         "FrameOptions | None",
         Option(Instance(), "All options about transforms in one object.", panel=PYTHON, typed=""),
@@ -196,7 +208,7 @@ class SourceFrame(TypedDict, total=False):
             Text("FRAME"),
             "Frame of the messages to convert, if their frame_id is wrong or empty.",
             default="",
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
 
@@ -227,7 +239,7 @@ class RobotMotion(TypedDict, total=False):
             "points up.",
             default="",
             common=True,
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
     point_time: Annotated[
@@ -266,7 +278,7 @@ class RobotMotion(TypedDict, total=False):
             "sensor_msgs/Imu topic from which `level` takes roll and pitch; and the IMU's frame, if its frame_id is "
             "wrong or empty.",
             default="",
-            offers=topics_of("/Imu"),
+            offers=("topics", "/Imu"),
         ),
     ]
 
@@ -282,7 +294,7 @@ class CloudCombination(TypedDict, total=False):
             "scans have.",
             default="",
             default_text="the first",
-            offers=topics_of("/PointCloud2", "/LaserScan"),
+            offers=("topics", "/PointCloud2", "/LaserScan"),
         ),
     ]
     window: Annotated[
@@ -320,7 +332,7 @@ class CloudContent(Reversal, total=False):
     channels: Annotated[
         Channels | None,
         Option(
-            Texts("NAME", words=("distances", "stamps", "viewpoint"), objects=("UnprojectParams",)),
+            ChannelNames("NAME", words=("distances", "stamps", "viewpoint")),
             "Add these fields to the cloud: distances, stamps, viewpoint.",
             typed="--channel",
         ),
@@ -337,13 +349,13 @@ class OtherTopics(TypedDict, total=False):
         Names | None,
         Option(
             Texts("TOPIC"),
-            "Copy only these of the topics that are not converted (names or globs).",
+            "Of the topics that are not converted, copy only these (names or globs).",
             common=True,
-            offers=topics_of(),
+            offers=("topics",),
         ),
     ]
     drop: Annotated[
-        Names | None, Option(Texts("TOPIC"), "Do not write these topics (names or globs).", offers=topics_of())
+        Names | None, Option(Texts("TOPIC"), "Do not write these topics (names or globs).", offers=("topics",))
     ]
     keep_clouds: Annotated[bool, Option(Flag(), "Write the converted clouds too.")]
     only_scans: Annotated[bool, Option(Flag(), "Write only the scans.")]
@@ -376,7 +388,7 @@ class FailureConditions(TypedDict, total=False):
     min_used: Annotated[
         Quantity,
         Option(
-            Share(),
+            Share(metavar="SHARE"),
             "Fail and write nothing if less than this share of a topic's points is used in its scans: 0.05 or 5%.",
             default=0.0,
         ),

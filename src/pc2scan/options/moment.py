@@ -178,12 +178,3 @@ def _moment(text: str) -> tuple[datetime, int]:
 
 def _nanoseconds(since: timedelta) -> int:
     return (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
-
-
-def bound_of(name: str, time: Time | TimeBound | None) -> TimeBound | None:
-    """Read ``start`` or ``end``; an error names it."""
-    try:
-        return None if time is None else TimeBound.of(time)
-    except UsageError as err:
-        err.message = f"`{name}`: {err.message}"
-        raise

@@ -76,17 +76,18 @@ class Option:
         Whether ``--help`` has it; ``--help-all`` has all.
     scope
         Where it may stand.
-    typed, short
-        How it is typed: ``--min-height``, ``-t``. An empty ``typed``: only Python has it.
+    spelling, short
+        How it is typed: ``--min-height``, ``-t``; of a flag that is on by default, what switches it off. An empty
+        ``spelling``: only Python has it.
     offers
-        What the shell completes: ``frames``, ``presets``, or ``topics`` and the ends of their types.
+        What the shell completes: ``frames``, ``presets``, or ``topics`` and the ends of their types (none: all topics).
     command_only
         Whether only the command has it.
     """
 
     __slots__ = (
         *("_default_text", "command_only", "common", "default", "help", "name", "offers", "panel", "scope", "short"),
-        *("typed", "value"),
+        *("spelling", "value"),
     )
 
     def __init__(
@@ -114,7 +115,8 @@ class Option:
         self._default_text = default_text
         self.common = common
         self.scope = scope
-        self.typed = typed
+        # The table completes it by the name.
+        self.spelling = "--" if typed is None else typed
         self.short = short
         self.offers = offers
         self.command_only = command_only
@@ -126,11 +128,6 @@ class Option:
             return self._default_text
         return str(self.default) if self.default and self.default is not True else ""
 
-    @property
-    def spelling(self) -> str:
-        """The command line's spelling; of a flag that is on by default, the one that switches it off."""
-        return f"--{self.name.replace('_', '-')}" if self.typed is None else self.typed
-
     def __repr__(self) -> str:
         return f"<option {self.name}>"
 
@@ -139,24 +136,6 @@ class Parameter(Option):
     """A parameter of the projection, upstream's or pc2scan's own; its default is that of `ProjectionParams`."""
 
     __slots__ = ()
-
-    def __init__(self, value: Value, text: str, panel: str = PARAMS, **more: Any) -> None:
-        super().__init__(value, text, panel=panel, scope=ONE_OUTPUT, **more)
-
-    @property
-    def kind(self) -> str:
-        """``float``, ``bool``, ``int`` or ``str``."""
-        return self.value.kind
-
-    @property
-    def unit(self) -> str:
-        """``m``, ``rad``, ``s`` or empty."""
-        return self.value.unit
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """The choices, or the words that a number may be instead."""
-        return self.value.words
 
     @property
     def upstreams(self) -> bool:
@@ -182,13 +161,4 @@ class Parameter(Option):
         # 0 beams and return 0: another parameter is used.
         if not text or text == "no limit" or self.name in {"beams", "kth"}:
             return "" if self.name in {"beams", "kth"} else text
-        return f"{text} {self.unit}".rstrip() + (", 1 degree" if self.name == "angle_increment" else "")
-
-
-#: What the shell completes: frames; or topics whose types have these ends.
-FRAME_NAMES = ("frames",)
-
-
-def topics_of(*ends: str) -> tuple[str, ...]:
-    """Return what the shell completes: topics whose types have these ends, or all."""
-    return ("topics", *ends)
+        return f"{text} {self.value.unit}".rstrip() + (", 1 degree" if self.name == "angle_increment" else "")

@@ -11,7 +11,6 @@ from pc2scan.core.params import CHOICES, ProjectionParams
 from .option import (
     CALL_ONLY,
     CONVERSION,
-    FRAME_NAMES,
     PYTHON,
     SINGLE,
     SLAM,
@@ -34,7 +33,7 @@ class Projection(TypedDict, total=False):
             Text("FRAME"),
             "Frame that the clouds are transformed into; the scans are in this frame. Empty: the cloud's own frame.",
             common=True,
-            offers=FRAME_NAMES,
+            offers=("frames",),
         ),
     ]
     transform_tolerance: Annotated[
@@ -93,7 +92,7 @@ class Projection(TypedDict, total=False):
             Text(words=CHOICES["geometry"]),
             "Angles of beam i. upstream: from angle i to angle i + 1; centered: around angle i; half-open, symmetric: "
             "also centered, for gmapping and MRPT.",
-            SLAM,
+            panel=SLAM,
         ),
     ]
     beams: Annotated[
@@ -101,7 +100,7 @@ class Projection(TypedDict, total=False):
         Parameter(
             Count(words=("auto",)),
             "Number of beams in the sector, instead of `angle_increment`. auto: the lidar's own resolution.",
-            SLAM,
+            panel=SLAM,
         ),
     ]
     no_return: Annotated[
@@ -109,7 +108,7 @@ class Projection(TypedDict, total=False):
         Parameter(
             Text(words=CHOICES["no_return"]),
             "Range of beams without a return. Default: set by `use_inf`.",
-            SLAM,
+            panel=SLAM,
             common=True,
         ),
     ]
@@ -119,7 +118,7 @@ class Projection(TypedDict, total=False):
             Text(words=CHOICES["reduce"]),
             "What a beam's range is made of: its closest or farthest return, their mean or median, the kth closest, or "
             "the closest surface.",
-            SLAM,
+            panel=SLAM,
             common=True,
         ),
     ]
@@ -129,7 +128,7 @@ class Projection(TypedDict, total=False):
             Count(),
             "Which return `reduce=kth` takes; 1 is the closest. Beams with fewer returns count as beams without a "
             "return.",
-            SLAM,
+            panel=SLAM,
         ),
     ]
     surface_depth: Annotated[
@@ -137,7 +136,7 @@ class Projection(TypedDict, total=False):
         Parameter(
             Number("m"),
             "For `reduce=surface`: returns at most this far behind the closest one are on the same surface.",
-            SLAM,
+            panel=SLAM,
         ),
     ]
     surface_slope: Annotated[
@@ -145,18 +144,18 @@ class Projection(TypedDict, total=False):
         Parameter(
             Number(metavar=""),
             "Added to `surface_depth`, as a multiple of the beam's width at the closest return.",
-            SLAM,
+            panel=SLAM,
         ),
     ]
     min_points: Annotated[
-        int, Parameter(Count(), "Beams with fewer returns than this count as beams without a return.", SLAM)
+        int, Parameter(Count(), "Beams with fewer returns than this count as beams without a return.", panel=SLAM)
     ]
     intensity_field: Annotated[
         str,
         Parameter(
             Text("NAME"),
             "Field of the cloud that becomes the scan's intensities, from the points that give the ranges.",
-            SLAM,
+            panel=SLAM,
         ),
     ]
     time_increment: Annotated[
@@ -164,7 +163,7 @@ class Projection(TypedDict, total=False):
         Parameter(
             Number("s", words=("auto",)),
             "Time from beam to beam. auto: from the points' own times; the scan's stamp is then the first beam's.",
-            SLAM,
+            panel=SLAM,
         ),
     ]
     angle_rounding: Annotated[
@@ -173,7 +172,7 @@ class Projection(TypedDict, total=False):
             Text(words=CHOICES["angle_rounding"]),
             "Which atan2f is reproduced: the correct one of glibc 2.41 and later, or that of 2.31 to 2.40 "
             "(Ubuntu 20.04 to 24.04).",
-            SLAM,
+            panel=SLAM,
         ),
     ]
 
@@ -252,7 +251,7 @@ class SeveralOutputs(TypedDict, total=False):
         Path | Mapping[str, Any] | list[Any] | None,
         Option(
             Outputs(),
-            "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters given "
-            "besides override those of all outputs.",
+            "A YAML file with several outputs, each with its own sources, parameters and filters. Parameters of the "
+            "call override those of all outputs.",
         ),
     ]

@@ -6,7 +6,7 @@ No ``from __future__ import annotations`` here: see `pc2scan.options.table`.
 from typing import Annotated, TypedDict
 
 from .option import Option, Path, Progress
-from .values import Count, Flag, Instance, PathName, Size, Text
+from .values import Count, Flag, Function, OpenText, PathName, Text
 
 #: The largest number of threads, or of processes of a batch. More than any machine has cores would only take memory.
 MAX_JOBS = 1024
@@ -18,7 +18,7 @@ class Container(TypedDict, total=False):
     to: Annotated[
         str | None,
         Option(
-            Text(words=("bag", "mcap", "rosbag2"), is_open=True),
+            OpenText(words=("bag", "mcap", "rosbag2")),
             "Format of DST, if its name does not say it.",
             default_text="SRC's",
         ),
@@ -94,9 +94,6 @@ class Scratch(TypedDict, total=False):
             default_text="the system's folder for temporary files",
         ),
     ]
-    scratch_size: Annotated[
-        str | None, Option(Size("SIZE"), "Maximum size of the local copies (20GB).", default_text="the free space")
-    ]
 
 
 class RunReport(TypedDict, total=False):
@@ -129,7 +126,7 @@ class RunProgress(TypedDict, total=False):
     progress: Annotated[
         Progress | None,
         Option(
-            Instance(called=True),
+            Function(),
             "A function that is called from time to time with bytes read, bytes in total, and messages read.",
             typed="",
         ),

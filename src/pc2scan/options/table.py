@@ -224,19 +224,18 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
 }
 
 
-def _place(option: Option, name: str, panel: str, scope: str) -> None:
-    """Give an option its name, and its place if it has none of its own."""
-    option.name = name
-    option.panel = panel if option.panel is None else option.panel
-    option.scope = scope if option.scope is None else option.scope
-    if isinstance(option, Parameter):
-        option.default = ProjectionParams.__dataclass_fields__[name].default
-
-
+# Each option gets its name and spelling, and the place of its group if it has none of its own.
 for _group in (*_SECTIONS, *(group for groups in GROUPS.values() for group in groups)):
     for _name, _annotation in _group.__annotations__.items():
-        if not _annotation.__metadata__[0].name:
-            _place(_annotation.__metadata__[0], _name, *_SECTIONS.get(_group, ("", CALL_ONLY)))
+        _option = _annotation.__metadata__[0]
+        if not _option.name:
+            _panel, _scope = _SECTIONS.get(_group, ("", CALL_ONLY))
+            _option.name = _name
+            _option.spelling += _name.replace("_", "-") if _option.spelling == "--" else ""
+            _option.panel = _panel if _option.panel is None else _option.panel
+            _option.scope = _scope if _option.scope is None else _option.scope
+            if isinstance(_option, Parameter):
+                _option.default = ProjectionParams.__dataclass_fields__[_name].default
 
 
 def options_of(command: str) -> Mapping[str, Option]:

@@ -11,9 +11,10 @@ from numbers import Integral, Real
 from os import PathLike
 from typing import TYPE_CHECKING
 
-from pc2scan.arguments import names_in, path_of, paths_in, value_and_type
+from pc2scan.arguments import names_in, value_and_type
 from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
+from pc2scan.files.urls import path_of, paths_in
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class Value:
         What Python takes besides, for the documentation.
     """
 
+    metavar: str | None = None
     kind = "str"
     unit = ""
     words: tuple[str, ...] = ()
@@ -59,7 +61,8 @@ class Value:
     note = ""
 
     def __init__(self, metavar: str | None = None, words: Iterable[str] = ()) -> None:
-        self.metavar = metavar
+        if metavar is not None:
+            self.metavar = metavar
         self.words = tuple(words)
 
     @property
@@ -120,23 +123,20 @@ class Flag(Value):
 class Text(Value):
     """A text, or one of a few words.
 
-    Parameters
+    Attributes
     ----------
     is_open
         Whether there may be other words, which the code that obeys the option knows.
     """
 
     is_text = True
-
-    def __init__(self, metavar: str | None = None, words: Iterable[str] = (), *, is_open: bool = False) -> None:
-        super().__init__(metavar, words)
-        self._is_open = is_open
+    is_open = False
 
     def read(self, name: str, value: Any) -> str:
         """Return the text."""
         if not isinstance(value, str):
             raise TypeError(f"{name} is {value_and_type(value)}, it must be a str, or None")
-        if self.words and value and value not in self.words and not self._is_open:
+        if self.words and value and value not in self.words and not self.is_open:
             raise UsageError(
                 f"`{name}` is {value!r}, it must be one of {', '.join(self.words)}",
                 hint=did_you_mean(value, self.words) or None,
@@ -147,6 +147,12 @@ class Text(Value):
         """Return the text if it is allowed; YAML reads the words inf and nan as numbers."""
         text = str(value) if isinstance(value, float) and self.words else value
         return text if isinstance(text, str) and (text in self.words or not self.words) else None
+
+
+class OpenText(Text):
+    """A text: usually one of a few words."""
+
+    is_open = True
 
 
 class Preset(Text):
@@ -166,31 +172,15 @@ class Switch(Text):
 
 
 class Texts(Value):
-    """One text, or several.
-
-    Parameters
-    ----------
-    objects
-        The classes of Python that may stand for a text, by name.
-    """
+    """One text, or several."""
 
     expected = "text, or a list of texts"
     is_text = True
     repeats = True
     note = "One or several."
 
-    def __init__(self, metavar: str | None = None, words: Iterable[str] = (), *, objects: Iterable[str] = ()) -> None:
-        super().__init__(metavar, words)
-        self._objects = frozenset(objects)
-
     def read(self, name: str, value: Any) -> Any:
         """Return the texts as a tuple."""
-        if type(value).__name__ in self._objects:
-            return (value,) if name == "static_tf" else value
-        if self._objects and isinstance(value, Iterable) and not isinstance(value, str | bytes):
-            value = tuple(value)
-            if not all(isinstance(each, str) for each in value):
-                return value
         found = names_in(name, value)
         for text in found:
             if self.words and text not in self.words:
@@ -206,6 +196,26 @@ class Texts(Value):
         return {"anyOf": [item, {"type": "array", "items": item, "minItems": 1}]}
 
 
+class TransformTexts(Texts):
+    """Transforms as texts; in Python also as `pc2scan.tf.static.StaticTransform`."""
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return texts and objects as a tuple; `pc2scan.tf.static.added_transforms` reads them."""
+        if type(value).__name__ == "StaticTransform":
+            return (value,)
+        if isinstance(value, Iterable) and not isinstance(value, str | bytes):
+            return tuple(value)
+        return super().read(name, value)
+
+
+class ChannelNames(Texts):
+    """Fields of clouds; in Python also `pc2scan.UnprojectParams`."""
+
+    def read(self, name: str, value: Any) -> Any:
+        """Return the names as a tuple, or the object."""
+        return value if type(value).__name__ == "UnprojectParams" else super().read(name, value)
+
+
 class PathName(Value):
     """A path: `str` or `pathlib.Path`. In a file, it is relative to this file.
 
@@ -215,20 +225,24 @@ class PathName(Value):
         Whether it is that of a recording.
     """
 
+    metavar = "FILE"
     expected = "a path"
     is_text = True
-
-    def __init__(self, metavar: str | None = "FILE", *, is_recording: bool = False) -> None:
-        super().__init__(metavar)
-        self.is_recording = is_recording
+    is_recording = False
 
     def read(self, name: str, value: Any) -> Any:
         """Return the path."""
         return path_of(name, value)
 
 
-class PathNames(PathName):
-    """One path, or several."""
+class Recording(PathName):
+    """The path of a recording."""
+
+    is_recording = True
+
+
+class Recordings(Recording):
+    """The paths of one recording, or of several."""
 
     expected = "a path or a list of paths"
     repeats = True
@@ -346,9 +360,6 @@ class Number(Value):
 class Share(Number):
     """A share, 0 to 1, or in percent: ``0.05`` or ``5%``."""
 
-    def __init__(self) -> None:
-        super().__init__(metavar="SHARE")
-
     def read(self, name: str, value: Any) -> float:
         """Return the share."""
         if not isinstance(value, str):
@@ -374,7 +385,7 @@ class Duration(Value):
     note = "Also a timedelta."
 
     def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
-        """Return the value as it is: `pc2scan.pipeline.combine.options.Combining` reads it."""
+        """Return the value as it is: `pc2scan.pipeline.options.Combining` reads it."""
         return value
 
     def admits(self, value: object) -> bool:
@@ -412,9 +423,13 @@ class Moment(Value):
 
     def read(self, name: str, value: Any) -> Any:
         """Return it as a `pc2scan.options.moment.TimeBound`."""
-        from .moment import bound_of  # noqa: PLC0415  # most conversions have no cut
+        from .moment import TimeBound  # noqa: PLC0415  # most conversions have no cut
 
-        return bound_of(name, value)
+        try:
+            return TimeBound.of(value)
+        except UsageError as err:
+            err.message = f"`{name}`: {err.message}"
+            raise
 
     def admits(self, value: object) -> bool:
         """Return whether it is a number or text."""
@@ -437,21 +452,6 @@ class Moments(Moment):
         if several and getattr(value, "shape", True) != ():
             return tuple(super(Moments, self).read(name, time) for time in value)
         return (super().read(name, value),)
-
-
-class Size(Value):
-    """A number of bytes: ``500MB``, ``20GB``."""
-
-    is_text = True
-
-    def read(self, name: str, value: Any) -> int:
-        """Return the number of bytes."""
-        from pc2scan.core.quantities import byte_size  # noqa: PLC0415  # few conversions have one
-
-        size = byte_size(value) if isinstance(value, str) else None
-        if not size:
-            raise UsageError(f"`{name}` is {value!r}, it must be a size above 0", hint="with its unit: 500MB, 20GB")
-        return size
 
 
 class Tolerances(Value):
@@ -489,13 +489,32 @@ class Tolerances(Value):
 class Instance(Value):
     """An object of Python, which only functions take."""
 
-    def __init__(self, *, called: bool = False) -> None:
-        super().__init__()
-        self._called = called
+    def read(self, name: str, value: Any) -> Any:  # noqa: ARG002
+        """Return the object."""
+        return value
+
+
+class Filters(Instance):
+    """A filter of points, or several: see `pc2scan.pipeline.stages.filters.Filter`."""
+
+    def read(self, name: str, value: Any) -> tuple[Any, ...]:
+        """Return the filters as a tuple."""
+        found = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else (value,)
+        for each in found:
+            if isinstance(each, type) or not hasattr(each, "explanation"):
+                text = "; a condition as text is the argument `where`" if isinstance(each, str) else ""
+                raise TypeError(
+                    f"{name} has {value_and_type(each)}, it must be a filter, such as pc2scan.Where('ring < 8'){text}"
+                )
+        return found
+
+
+class Function(Instance):
+    """A function of Python."""
 
     def read(self, name: str, value: Any) -> Any:
-        """Return the object."""
-        if self._called and not callable(value):
+        """Return the function."""
+        if not callable(value):
             raise TypeError(f"{name} is {value_and_type(value)}, it must be a function, or None")
         return value
 

@@ -99,6 +99,11 @@ class CloudToScan(Conversion):
         Whether results include the points that beams read.
     remove
         Filters that remove beams of the scans, in order.
+
+    Attributes
+    ----------
+    params, timings, frames, deskew, filters
+        As above.
     """
 
     made_type = LASERSCAN
@@ -116,12 +121,14 @@ class CloudToScan(Conversion):
         keeps_used: bool = False,
         remove: Sequence[BeamFilter] = (),
     ) -> None:
-        self._timings = timings or {}
+        self.timings = timings or {}
         # The size of a scan: the cloud's header, ranges and intensities. Its other fields take fewer bytes.
-        longest = max([each.resolve(params).length for each in self._timings.values()], default=params.length)
+        longest = max([each.resolve(params).length for each in self.timings.values()], default=params.length)
         self.shrinks_from = 1024 + 8 * longest
         self.params = params
-        self._frames = frames
+        self.frames = frames
+        self.deskew = deskew
+        self.filters = filters
         self._first_clouds = first_clouds
         self._default = Measurements(
             0.0 if params.scan_time == "auto" else params.scan_time,
@@ -147,7 +154,7 @@ class CloudToScan(Conversion):
 
     def stages(self, topic: str) -> tuple[Step, ...]:
         """Return the stages of one topic's messages: place, select, project, remove; see `Conversion`."""
-        measured = self._timings.get(topic, self._default)
+        measured = self.timings.get(topic, self._default)
         beams = Beams(self.params, measured)
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
         project = partial(self._make_scan, measured.first_beam_ns, beams, firsts)

@@ -12,14 +12,14 @@ from pc2scan.messages.definitions import definition
 from pc2scan.model import LATCHED_QOS, NEW_ID, Connection, Definition
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pc2scan.bags.destinations import Destination
     from pc2scan.model import Buffer, Writer
 
     from .items import OpenRoute
     from .options import ConvertOptions
-    from .topic_report import TopicReport
+    from .report import TopicReport
 
 #: Maximum number of fields that are compiled for re-encoding. Each takes about a millisecond and 7 kB; large robots
 #: have thousands.
@@ -28,72 +28,57 @@ _MAX_COMPILED_FIELDS = 20_000
 _COMMENT = rb"#[^\n]*"
 
 
-class Declarations:
-    """The connections to declare in a destination, in the order in which they are added."""
+def declare(writer: Writer, connections: Sequence[Connection], *, one_a_topic: bool) -> list[int]:
+    """Declare connections, before the first message is written; return the writer's handle of each.
 
-    def __init__(self) -> None:
-        self._connections: list[Connection] = []
+    Parameters
+    ----------
+    writer
+        The writer of the destination.
+    one_a_topic
+        Whether the publishers of a topic share a connection, as in rosbag2's recordings: programs that read these
+        find a topic by its name, and use the first connection of this name.
+    """
+    if not one_a_topic:
+        return [writer.add_connection(connection) for connection in connections]
+    topics: dict[tuple[str, str, str], list[int]] = {}
+    for place, connection in enumerate(connections):
+        plain = connection.in_utf8
+        msgtype = plain.ros_type if plain.serialization == "cdr" else plain.msgtype
+        topics.setdefault((plain.topic, msgtype, plain.serialization), []).append(place)
+    handles = [-1] * len(connections)
+    publishers = ({place: connections[place] for place in places} for places in topics.values())
+    for group in sorted(group for each in publishers for group in _by_layout(each)):
+        handle = writer.add_connection(_merge_connections([connections[place] for place in group]))
+        for place in group:
+            handles[place] = handle
+    return handles
 
-    def add(self, connection: Connection) -> int:
-        """Add a connection; return its index in the list that `declare` returns."""
-        self._connections.append(connection)
-        return len(self._connections) - 1
 
-    def declare(self, writer: Writer, *, one_a_topic: bool) -> list[int]:
-        """Declare all connections, before the first message is written.
+def _by_layout(publishers: Mapping[int, Connection]) -> Iterable[list[int]]:
+    """Group the publishers of a topic by the layout of their messages.
 
-        Parameters
-        ----------
-        writer
-            The writer of the destination.
-        one_a_topic
-            Whether the publishers of a topic share a connection, as in rosbag2's recordings: programs that read these
-            find a topic by its name, and use the first connection of this name.
-
-        Returns
-        -------
-        list of int
-            The writer's handle of each connection that was added.
-        """
-        if not one_a_topic:
-            return [writer.add_connection(connection) for connection in self._connections]
-        topics: dict[tuple[str, str, str], list[int]] = {}
-        for place, connection in enumerate(self._connections):
-            plain = connection.in_utf8
-            msgtype = plain.ros_type if plain.serialization == "cdr" else plain.msgtype
-            topics.setdefault((plain.topic, msgtype, plain.serialization), []).append(place)
-        handles = [-1] * len(self._connections)
-        for group in sorted(group for places in topics.values() for group in self._by_layout(places)):
-            handle = writer.add_connection(_merge_connections([self._connections[place] for place in group]))
-            for place in group:
-                handles[place] = handle
-        return handles
-
-    def _by_layout(self, places: Sequence[int]) -> Iterable[list[int]]:
-        """Group the publishers of a topic by the layout of their messages.
-
-        Two definitions may have the same name; messages of one cannot be decoded with the other.
-        """
-        publishers = {place: self._connections[place] for place in places}
-        if len({(each.digest, each.definition) for each in publishers.values()}) == 1:
-            return [list(places)]
-        digests: dict[Definition, str] = {}
-        for each in publishers.values():
-            if each.digest:
-                digests.setdefault(each.definition, each.digest)
-        # A connection without a definition has the same topic and type as the others, so it joins the first group.
-        digests[Definition()] = ""
-        groups: dict[str, list[int]] = {}
-        for place, each in publishers.items():
-            if each.definition not in digests:
-                digests[each.definition] = _layout(each)
-            groups.setdefault(each.digest or digests[each.definition], []).append(place)
-        unknown = groups.pop("", [])
-        if not groups:
-            return [unknown]
-        first = min(groups, key=lambda name: groups[name])
-        groups[first] = sorted(groups[first] + unknown)
-        return groups.values()
+    Two definitions may have the same name; messages of one cannot be decoded with the other.
+    """
+    if len({(each.digest, each.definition) for each in publishers.values()}) == 1:
+        return [list(publishers)]
+    digests: dict[Definition, str] = {}
+    for each in publishers.values():
+        if each.digest:
+            digests.setdefault(each.definition, each.digest)
+    # A connection without a definition has the same topic and type as the others, so it joins the first group.
+    digests[Definition()] = ""
+    groups: dict[str, list[int]] = {}
+    for place, each in publishers.items():
+        if each.definition not in digests:
+            digests[each.definition] = _layout(each)
+        groups.setdefault(each.digest or digests[each.definition], []).append(place)
+    unknown = groups.pop("", [])
+    if not groups:
+        return [unknown]
+    first = min(groups, key=lambda name: groups[name])
+    groups[first] = sorted(groups[first] + unknown)
+    return groups.values()
 
 
 def _layout(connection: Connection) -> str:
@@ -145,13 +130,14 @@ class RecordingTopics:
         self.target = target
         self._same_kind = same_kind
         self._options = options
-        self._declarations = Declarations()
+        self._connections: list[Connection] = []
         #: The fields of all types that were compiled for re-encoding; their number is bounded.
         self._compiled: dict[tuple[str, Definition], int] = {}
 
     def add(self, connection: Connection) -> int:
         """Add a connection; return its handle."""
-        return self._declarations.add(connection)
+        self._connections.append(connection)
+        return len(self._connections) - 1
 
     def add_like(self, source: Connection, topic: str, msgtype: str) -> int:
         """Add a topic with the QoS profile, latching and caller id of a source's; return its handle."""
@@ -225,7 +211,7 @@ class RecordingTopics:
 
     def declare(self, writer: Writer, routes: Iterable[OpenRoute]) -> list[int]:
         """Declare all topics, and give the routes the writer's handles; return the handle of each topic."""
-        handles = self._declarations.declare(writer, one_a_topic=self.target.format.one_a_topic)
+        handles = declare(writer, self._connections, one_a_topic=self.target.format.one_a_topic)
         for route in routes:
             if route.passing_handle >= 0:
                 route.passing_handle = handles[route.passing_handle]

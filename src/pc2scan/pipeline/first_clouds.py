@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement
 
-    from .scan_spec import ScanSpec
+    from .options import ScanSpec
 
 
 class SharedSample(NamedTuple):
@@ -135,7 +135,7 @@ class TopicClouds:
 
     def sample(self, points: Points, place: Placement) -> SharedSample:
         """Return a sample of a cloud's points; on any thread."""
-        return SharedSample(self, CloudSample.of(points, place.frame_id, place.target_from_source))
+        return SharedSample(self, CloudSample.of(points).placed_in(place.frame_id, place.target_from_source))
 
     def add(self, sample: CloudSample, counts: PointCounts) -> None:
         """Add the next cloud, in the order of writing."""

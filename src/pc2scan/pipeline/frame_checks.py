@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from pc2scan.tf.static import StaticTransform
 
     from .items import Span
+    from .options import ScanSpec
     from .plan import Plan
-    from .scan_spec import ScanSpec
 
 
 #: No sensor is this far from its robot, metres; in millimetres all but the nearest are.

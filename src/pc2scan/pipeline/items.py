@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from .combine.conversion import Contribution
     from .conversion import ConvertedMessage
-    from .topic_report import TopicReport
+    from .report import TopicReport
 
 
 @dataclass(slots=True, eq=False)

@@ -9,7 +9,6 @@ from pc2scan.bags.topics import is_static
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import NEW_ID, TF_QOS, Connection
-from pc2scan.tf.imu import ImuRequest, UpEstimate
 from pc2scan.tf.reading import tf_connections
 from pc2scan.tf.up_sources import UpByFrame, UpByImu
 
@@ -20,12 +19,13 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Writer
     from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.imu import ImuRequest, UpEstimate
     from pc2scan.tf.options import FrameOptions
     from pc2scan.tf.placing import LevelTransform
     from pc2scan.tf.up_sources import UpSource
 
-    from .scan_spec import ScanSpec
-    from .topic_report import TopicReport
+    from .options import ScanSpec
+    from .report import TopicReport
 
 _TFMESSAGE = "tf2_msgs/msg/TFMessage"
 
@@ -61,8 +61,7 @@ class UpSources:
         key = (spec.fixed_frame, spec.imu, tolerance_ns)
         new: UpEstimate | None = None
         if key not in self._sources:
-            if spec.imu:
-                request = ImuRequest.parse(spec.imu)
+            if request := spec.imu_request:
                 if request not in self._estimated:
                     new = self._estimated[request] = self._estimate(request)
                 up = self._estimated[request]

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
     from pc2scan.tf.placing import Placer
 
-    from .scan_spec import ScanSpec
+    from .options import ScanSpec
 
 #: How many clouds are read to measure the scan time, and how many to measure the time and the width of a beam.
 FIRST_CLOUDS = 51

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import UsageError
 from pc2scan.text import did_you_mean
 
-from .scan_spec import TopicRequest
+from .options import TopicRequest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from .options import ConvertOptions
-    from .scan_spec import ScanSpec
+    from .options import ConvertOptions, ScanSpec
 
 #: The nodes' names for the topic that they read and the topic that they write, by whether scans become clouds.
 _NAMES = {False: ("cloud_in", "scan"), True: ("scan_in", "cloud")}
@@ -59,7 +58,7 @@ def read_remaps(texts: Iterable[str], *, reverse: bool = False) -> Remappings:
 
     Returns
     -------
-    Remapped
+    Remappings
         A remapping of ``scan`` alone applies to the only PointCloud2 topic.
 
     Raises

@@ -1,34 +1,407 @@
-"""The options of a conversion, besides the projection's own parameters."""
+"""The checked options of a conversion: those of each output, and those that apply to all of them."""
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+import re
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.errors import UsageError
+from pc2scan.bags.topics import is_glob, new_topic
+from pc2scan.core.counts import PointCounts
+from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import ParameterError, UsageError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.options.conversion import CloudCombination, PointSelection
+from pc2scan.options.values import nanoseconds_of
 from pc2scan.tf.options import FrameOptions
 
-from .scan_spec import ScanSpec
-
 if TYPE_CHECKING:
+    from collections.abc import Generator, Mapping
+
+    from pc2scan.core.rule import Rejection
+    from pc2scan.core.unproject import UnprojectParams
     from pc2scan.options.moment import TimeBound
+    from pc2scan.options.option import Period
+    from pc2scan.tf.imu import ImuRequest
+
+    from .parameters import ResolvedParams
+    from .stages.beams import BeamFilter
+    from .stages.filters import Filter
+
+#: The largest number of messages that one scan may be made of.
+_MOST_MESSAGES = 100_000
+
+_CLOUDS = r"(\d+) ?(?:clouds?|scans?|messages?)"
+
+#: Attributes of an output that are made of options. All others are options as they are given.
+_MADE = frozenset({"topics", "params", "reverse", "channels", "filters", "remove"})
 
 
-def destination_and_folder(text: str | None) -> tuple[Path | None, Path | None]:
-    """Return the destination, or the folder to write into if the text ends with a slash or is a dot.
+class TopicRequest(NamedTuple):
+    """A topic to convert, and the topic of the result."""
 
-    >>> destination_and_folder("scans/"), destination_and_folder("scans")
-    ((None, PosixPath('scans')), (PosixPath('scans'), None))
+    source: str
+    target: str | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> TopicRequest:
+        """Read ``/points`` or, in ROS's remapping notation, ``/points:=/scan``.
+
+        Raises
+        ------
+        UsageError
+            If a side of ``:=`` is empty, or the right one is not the name of a topic.
+        """
+        source, remapped, target = text.partition(":=")
+        if not source or (remapped and not target):
+            raise UsageError(f"{text!r} is not a topic", hint="write /points or /points:=/scan")
+        return cls(source, new_topic(target, f"`topics={text}`") if target else None)
+
+
+class Combining(NamedTuple):
+    """Which messages become one scan.
+
+    Attributes
+    ----------
+    lead
+        The topic whose stamps the scans have; empty: the topic that is named first.
+    window_ns
+        The largest difference between the stamps of another topic and of the leading one, nanoseconds; None: half the
+        median period.
+    span_ns, count
+        A scan has the points of this many nanoseconds, or of this many messages of each topic, counted back from its
+        stamp; both 0: of one message, or of its interval.
+    every_ns
+        The length of an interval that becomes one scan, nanoseconds; 0: each message of the leading topic becomes one.
+    rebin
+        Whether LaserScans are converted instead of clouds.
     """
-    if text is None:
-        return None, None
-    separators = tuple(filter(None, (os.sep, os.altsep)))
-    # Not Path.name, which ignores the slash.
-    if text.endswith(separators) or os.path.basename(text) in {".", ".."}:  # noqa: PTH119
-        return None, Path(text)
-    return Path(text), None
+
+    lead: str = ""
+    window_ns: int | None = None
+    span_ns: int = 0
+    count: int = 0  # type: ignore[assignment]  # instead of the tuple's method
+    every_ns: int = 0
+    rebin: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        lead: str = "",
+        window: Period | None = None,
+        accumulate: Period | None = None,
+        every: Period | None = None,
+        rebin: bool = False,
+        **_others: object,
+    ) -> Combining:
+        """Parse the values that a user gives; other options are ignored.
+
+        Parameters
+        ----------
+        accumulate
+            A time, or a number of clouds as ``10clouds``.
+
+        Raises
+        ------
+        UsageError
+            If a value cannot be parsed, or is out of range.
+        """
+        count = span_ns = 0
+        if isinstance(accumulate, str) and (written := re.fullmatch(_CLOUDS, accumulate.strip())):
+            count = int(written[1])
+            if not 1 <= count <= _MOST_MESSAGES:
+                raise UsageError(f"`accumulate` is {accumulate!r}, it must be 1 to {_MOST_MESSAGES:,} clouds")
+        elif accumulate is not None:
+            span_ns = nanoseconds_of("accumulate", accumulate, "; or a number of clouds (10clouds)")
+        every_ns = 0 if every is None else nanoseconds_of("every", every)
+        window_ns = None if window is None else nanoseconds_of("window", window)
+        return cls(lead, window_ns, span_ns, count, every_ns, rebin)
+
+    @property
+    def accumulates(self) -> bool:
+        """Whether scans are made of several messages of each topic."""
+        return bool(self.span_ns or self.count or self.every_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScanSpec:
+    """The checked description of one output. Two of these are never equal.
+
+    Attributes
+    ----------
+    topics
+        The topics to convert, and those of the results; empty means every topic of `source_types`. Messages that go to
+        several topics are converted once.
+    name
+        The name of the output in errors and the report; without ``topics``, also the target of the only topic that can
+        be converted. Empty if the command line describes the output.
+    place
+        The place of its description, for errors.
+    origins
+        The origin of each parameter's value, by name; ``default`` if it was not given.
+    params
+        The projection's parameters.
+    reverse
+        Whether LaserScan becomes PointCloud2. Of ``params``, only those about frames are used then.
+    channels
+        Fields of the clouds that ``reverse`` makes, and the range cutoff; None means the defaults.
+    deskew
+        Whether each point of a cloud, with ``reverse`` each beam of a scan, is transformed by the pose at its own time.
+    fixed_frame
+        A frame that does not move. With ``deskew`` of clouds, points are transformed through it; with ``level``, its z
+        axis points up.
+    point_time
+        With ``deskew`` of clouds: the field with the times of points, as ``FIELD`` or ``FIELD:UNIT``. Empty: the first
+        of the usual fields that exists.
+    stamp
+        With ``deskew`` of clouds: the scan's stamp: that of the cloud's ``header``, or the ``start``, ``middle`` or
+        ``end`` of its points' times.
+    level
+        Whether scans of clouds are in a frame without roll and pitch, which come from ``fixed_frame`` or ``imu``.
+    imu
+        With ``level``: the IMU that measures the direction of up, ``TOPIC`` or ``TOPIC:FRAME``. Empty: ``fixed_frame``
+        is used. ``imu_request`` is what it asks for.
+    combining
+        Which messages become one scan.
+    filters
+        Filters of points, which are applied before the projection, in order.
+    remove
+        Filters of beams, which are applied after the projection, in order: ``Shadows`` and ``Speckles`` of
+        `pc2scan.pipeline.stages.beams`.
+    keep_used
+        A topic for the points that give the scans their ranges; empty: none.
+    """
+
+    topics: tuple[TopicRequest, ...] = ()
+    name: str = ""
+    place: str = ""
+    origins: Mapping[str, str] = field(default_factory=dict)
+    params: ProjectionParams = ProjectionParams()
+    reverse: bool = False
+    channels: UnprojectParams | None = None
+    deskew: bool = False
+    fixed_frame: str = ""
+    point_time: str = ""
+    stamp: str = "header"
+    level: bool = False
+    imu: str = ""
+    combining: Combining = Combining()
+    filters: tuple[Filter, ...] = ()
+    remove: tuple[BeamFilter, ...] = ()
+    keep_used: str = ""
+    imu_request: ImuRequest | None = field(default=None, init=False, repr=False)
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], found: ResolvedParams, **more: Any) -> ScanSpec:
+        """Return an output by the options of a call, or the keys of a scans file; others are ignored.
+
+        Parameters
+        ----------
+        found
+            The parameters of the projection.
+        **more
+            Attributes that are no options.
+        """
+        read = {name: values[name] for name in cls.__dataclass_fields__ if name in values and name not in _MADE}
+        if values.keys() & CloudCombination.__annotations__.keys():
+            read["combining"] = Combining.of(**values)
+        if values.keys() & PointSelection.__annotations__.keys():
+            from .stages.filter_options import filters_from  # noqa: PLC0415  # few conversions have filters
+
+            read["filters"] = (*filters_from(values, found.params.min_height), *values.get("filters", ()))
+        if "remove" in values:
+            from .stages.beams import beam_filter  # noqa: PLC0415  # few scans are filtered
+
+            read["remove"] = tuple(map(beam_filter, values["remove"]))
+        return cls(params=found.params, origins=found.origin, reverse=found.reverse, **read, **more)
+
+    def __post_init__(self) -> None:
+        if self.keep_used:
+            object.__setattr__(self, "keep_used", new_topic(self.keep_used, "`keep_used`"))
+        if self.channels is not None and not self.reverse:
+            raise UsageError("`channels` and `range_cutoff` need `reverse`")
+        if self.reverse:
+            self._check_reverse()
+        for name in (each.name for each in self.filters):
+            if name in PointCounts().as_dict() or not name.isidentifier():
+                raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
+        if self.level or self.imu:
+            self._check_levelling()
+        if (self.reverse or not self.deskew) and (self.point_time or self.stamp != "header"):
+            raise UsageError("`point_time` and `stamp` need `deskew` of clouds")
+        if self.fixed_frame and (self.reverse or not (self.deskew or self.level or self.may_combine)):
+            raise UsageError(
+                "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan"
+            )
+        if self.deskew and not self.reverse:
+            self._check_deskewing()
+        if self.may_combine or self.combining != Combining():
+            self._check_combining()
+
+    def _check_reverse(self) -> None:
+        """Raise if an option is about scans of clouds."""
+        if self.keep_used:
+            raise UsageError("`keep_used` keeps points of clouds, but `reverse` converts scans")
+        if self.remove:
+            raise UsageError("`remove` removes beams of scans that are made of clouds, but `reverse` makes clouds")
+        if self.filters:
+            raise UsageError("filters select points of clouds, but `reverse` converts scans")
+        if self.level:
+            raise UsageError("`level` makes scans level, but `reverse` makes clouds")
+        if self.deskew and not self.params.target_frame:
+            raise UsageError(
+                "`deskew` needs a `target_frame` that does not move with the sensor",
+                hint="such as `target_frame=odom`",
+            )
+        if self.combining.accumulates or self.combining.rebin:
+            raise UsageError("`accumulate`, `every` and `rebin` make scans, but `reverse` makes clouds")
+
+    def _check_levelling(self) -> None:
+        if not self.level:
+            raise UsageError("`imu` needs `level`")
+        if self.imu:
+            from pc2scan.tf.imu import ImuRequest  # noqa: PLC0415  # only where scans are level
+
+            object.__setattr__(self, "imu_request", ImuRequest.parse(self.imu))
+        elif not self.fixed_frame:
+            raise UsageError(
+                "`level` needs a source of the direction of up",
+                hint="give a frame that does not move, whose z is up: `fixed_frame=odom`; or an IMU: `imu=/imu/data`",
+            )
+
+    def _check_deskewing(self) -> None:
+        from .stages.deskew import STAMPS, PointTime  # noqa: PLC0415  # only where points move
+
+        if not self.fixed_frame:
+            raise UsageError(
+                "`deskew` of clouds needs a frame that does not move: `fixed_frame`", hint="such as `fixed_frame=odom`"
+            )
+        if self.stamp not in STAMPS:
+            raise UsageError(f"`stamp` is {self.stamp!r}, it must be one of {', '.join(STAMPS)}")
+        if self.point_time:
+            PointTime.parse(self.point_time)
+        if self.params.time_increment != 0:
+            raise UsageError(
+                f"time_increment is {self.params.time_increment}, but a deskewed scan has one time",
+                hint="remove `time_increment`",
+            )
+
+    def _check_combining(self) -> None:
+        asked = self.combining
+        if (asked.lead or asked.window_ns is not None) and not self.may_share:
+            raise UsageError(
+                "`lead` and `window` need several topics that become one scan",
+                hint="such as `topics=/front:=/scan` `topics=/rear:=/scan` `target_frame=base_link`",
+            )
+        if asked.window_ns is not None and asked.accumulates:
+            raise UsageError(
+                "`window` has no effect with `accumulate` and `every`, which use all messages of an interval"
+            )
+        if self.may_combine and self.params.time_increment != 0:
+            raise UsageError(
+                f"time_increment is {self.params.time_increment}, but a scan of several messages has one time",
+                hint="remove `time_increment`",
+            )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the parameters of the projection, their origins and the filters, for reports."""
+        from .stages.filters import as_dict  # noqa: PLC0415  # only reports in JSON need it
+
+        return {
+            "name": self.name,
+            "params": self.params,
+            "param_origins": dict(self.origins),
+            "filters": [as_dict(each) for each in self.filters],
+        }
+
+    @contextmanager
+    def naming_errors(self, place: str = "") -> Generator[None]:
+        """Put the name of the output in front of errors, after ``place``; those of a parameter get its origin."""
+        try:
+            yield
+        except UsageError as err:
+            if isinstance(err, ParameterError) and (origin := self.origins.get(err.name)):
+                err.message += f" (from {origin})"
+            err.message = place + self.label + err.message
+            raise
+
+    @property
+    def may_share(self) -> bool:
+        """Whether several topics may go to one."""
+        targets = [request.target for request in self.topics if request.target]
+        wild = any(request.target and "*" not in request.target and is_glob(request.source) for request in self.topics)
+        return not self.reverse and (wild or len(set(targets)) < len(targets))
+
+    @property
+    def may_combine(self) -> bool:
+        """Whether a scan may be made of several messages, or of other scans."""
+        return self.may_share or self.combining.accumulates or self.combining.rebin
+
+    def refuse_combining(self, what: str) -> None:
+        """Raise if scans would be made of several messages, or of scans, where each has to be made of one cloud.
+
+        Raises
+        ------
+        UsageError
+            If any option requests this.
+        """
+        if self.may_combine:
+            raise UsageError(
+                f"{what} each scan of one cloud: `accumulate`, `every`, `rebin` and topics that share a target do not "
+                "count",
+                hint="make the scans with `pc2scan convert` and these options, and use what it writes",
+            )
+
+    @property
+    def rejections(self) -> tuple[Rejection, ...]:
+        """The reasons for which points may be rejected, besides those of the projection."""
+        further: tuple[Rejection, ...] = ()
+        if self.filters:
+            from .stages.filters import rejection_of  # noqa: PLC0415  # only where points are filtered
+
+            further = tuple(map(rejection_of, self.filters))
+        if not self.deskew or self.reverse:
+            return further
+        from pc2scan.core.rule import NO_TIME, NO_TRANSFORM  # noqa: PLC0415  # only where points move
+
+        return (*further, NO_TIME, NO_TRANSFORM)
+
+    @property
+    def needs_transforms(self) -> bool:
+        """Whether messages are transformed, for the output or for a filter."""
+        in_others = any(isinstance(each.frame, str) for each in self.filters)
+        return bool(self.params.target_frame or self.fixed_frame or self.level or in_others)
+
+    @property
+    def needs_measuring(self) -> bool:
+        """Whether anything must be measured in the first clouds."""
+        params = self.params
+        needs_fields = params.intensity_field or self.deskew or any(each.fields for each in self.filters)
+        return bool(needs_fields) or "auto" in (params.scan_time, params.time_increment, params.beams)
+
+    @property
+    def label(self) -> str:
+        """The beginning of messages about this output; empty if it has no name."""
+        return f"{self.name}: " if self.name else ""
+
+    @property
+    def source_types(self) -> tuple[str, ...]:
+        """The types that are converted, in ROS 2's spelling."""
+        return (LASERSCAN,) if self.reverse or self.combining.rebin else tuple(CLOUDS)
+
+    @property
+    def named_types(self) -> tuple[str, ...]:
+        """The types that are converted if a topic is requested by name."""
+        return (*self.source_types, LASERSCAN) if self.may_combine and not self.combining.rebin else self.source_types
+
+    @property
+    def made_type(self) -> str:
+        """The type of the new messages."""
+        return POINTCLOUD2 if self.reverse else LASERSCAN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,52 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError, UsageError
 
 from .parameters import preset_settings, resolve
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
-    from pc2scan.core.params import ProjectionParams
-
-    from .parameters import Direction, Setting
+    from .parameters import Direction, ResolvedParams, Setting
     from .params_file import HiddenPlace
-
-
-class ResolvedSources(NamedTuple):
-    """The result of `resolve_sources`.
-
-    Attributes
-    ----------
-    params, origin
-        See `pc2scan.pipeline.parameters.ResolvedParams`.
-    reverse
-        Whether scans become clouds.
-    ignored
-        Places of entries in the parameter file that are not parameters of the projection.
-    remaps, files
-        See `pc2scan.pipeline.params_file.ParamsFile`.
-    """
-
-    params: ProjectionParams
-    origin: Mapping[str, str]
-    reverse: bool
-    ignored: tuple[str, ...] = ()
-    remaps: tuple[str, ...] = ()
-    files: tuple[Path, ...] = ()
-
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """The topics that a launch file remaps, in the notation of `pc2scan.pipeline.scan_spec.TopicRequest`."""
-        if not self.remaps:
-            return ()
-        from .nodes import read_remaps  # noqa: PLC0415  # only where a launch file is given
-
-        return read_remaps(self.remaps, reverse=self.reverse).topics
 
 
 def resolve_sources(
@@ -59,7 +25,7 @@ def resolve_sources(
     launch_args: Sequence[str] = (),
     preset: str | None = None,
     reverse: bool = False,
-) -> ResolvedSources:
+) -> ResolvedParams:
     """Resolve parameters: ``settings`` override ``assignments``, which override the file, which overrides the preset.
 
     Parameters
@@ -120,7 +86,7 @@ def resolve_sources(
             if may_quote(err, place):
                 raise (redact_value(err, place, written) if written else redact_file(err, place, named_in)) from None
         raise
-    return ResolvedSources(resolved.params, resolved.origin, reverse, ignored, remaps, files)
+    return resolved._replace(ignored=ignored, remaps=remaps, files=files)
 
 
 def _launch_arguments(texts: Sequence[str]) -> dict[str, str]:

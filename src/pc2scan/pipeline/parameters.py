@@ -19,10 +19,9 @@ from pc2scan.options.call import CALL
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean, nearest
 
-from .ros_scalars import plain_scalar
-
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+    from pathlib import Path
 
     from pc2scan.options.option import Parameter
 
@@ -53,7 +52,7 @@ class Setting(NamedTuple):
 
 
 class ResolvedParams(NamedTuple):
-    """The parameters of a run, and where each was given.
+    """The parameters of a run, where each was given, and what else the files of parameters have.
 
     Attributes
     ----------
@@ -61,10 +60,20 @@ class ResolvedParams(NamedTuple):
         The checked parameters.
     origin
         For each name of `PARAMETERS`, the origin of the setting that is used, or ``default``.
+    reverse
+        Whether scans become clouds.
+    ignored
+        Places of entries in the parameter file that are not parameters of the projection.
+    remaps, files
+        See `pc2scan.pipeline.params_file.ParamsFile`.
     """
 
     params: ProjectionParams
     origin: Mapping[str, str]
+    reverse: bool = False
+    ignored: tuple[str, ...] = ()
+    remaps: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
 
 
 #: ROS 1's names for parameters that ROS 2 renamed.
@@ -74,10 +83,6 @@ ALIASES = {"concurrency_level": "queue_size"}
 #: last two.
 TOPICS = frozenset({"cloud_in", "scan", "scan_in", "cloud", "point_cloud_topic", "scan_topic"})
 
-#: Names that identify a section as one of upstream's nodes. pc2scan's own names (``geometry``, ``beams``) do not: any
-#: node may use them, also for groups of parameters.
-SCALAR_PARAMETERS = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
-
 #: Pairs of parameters that describe the same thing. The setting with the higher precedence is used, the other ignored.
 RIVALS = {
     "beams": "angle_increment",
@@ -85,6 +90,14 @@ RIVALS = {
     "no_return": "use_inf",
     "use_inf": "no_return",
 }
+
+# Scalars that are not quoted, in ROS.
+_TRUE = frozenset(["y", "Y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"])
+_FALSE = frozenset(["n", "N", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"])
+_NULL = frozenset({"", "~", "null", "Null", "NULL"})
+_INTEGER = r"[-+]?([1-9][0-9]*|0[0-7]*|0[xX][0-9a-fA-F]+)"
+_FLOAT = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+_SPECIAL = r"([-+]?)\.?(inf|Inf|INF|nan|NaN|NAN)"
 
 
 def names_of(direction: Direction | None) -> list[str]:
@@ -121,10 +134,11 @@ def expected_message(name: str, found: str, origin: str) -> str:
 def expected(name: str) -> str:
     """Return the kind of a parameter's values in words."""
     parameter = PARAMETERS.get(ALIASES.get(name, name))
-    kind = _EXPECTED[parameter.kind] if parameter else "a value"
-    if parameter and parameter.words:
-        kind = " or ".join(filter(None, ("" if parameter.kind == "str" else kind, ", ".join(parameter.words))))
-    return kind
+    if parameter is None:
+        return "a value"
+    value = parameter.value
+    kind = "" if value.words and value.kind == "str" else _EXPECTED[value.kind]
+    return " or ".join(filter(None, (kind, ", ".join(value.words))))
 
 
 def value_text(value: object) -> str:
@@ -139,35 +153,19 @@ def value_text(value: object) -> str:
     return "a list" if isinstance(value, list | tuple) else repr(value)
 
 
-def _typed_value(parameter: Parameter, setting: Setting) -> float | bool | str:
-    """Return the value of a setting in the type of its parameter.
-
-    A whole number is accepted where a float is expected; ROS 2 itself requires ``30.0``. A number may have a unit, or
-    be arithmetic (``180deg``, ``pi/2``, ``50cm``). Nothing else is converted.
-    """
-    found: float | bool | str | None = parameter.value.accept(setting.value)
-    if found is not None:
-        return found
-    raise ParameterError(
-        expected_message(setting.name, value_text(setting.value), setting.origin),
-        name=parameter.name,
-        hint=_type_hint(parameter, setting.value),
-    )
-
-
 def _type_hint(parameter: Parameter, value: object) -> str | None:
-    if isinstance(value, str) and parameter.unit and isinstance(plain_scalar(value), str):
+    if isinstance(value, str) and parameter.value.unit and isinstance(plain_scalar(value), str):
         from pc2scan.core.quantities import EXAMPLES  # noqa: PLC0415  # only for errors
 
-        return EXAMPLES[parameter.unit]
-    if parameter.words:
-        return did_you_mean(str(value), parameter.words) or None
-    if parameter.kind == "str" and isinstance(value, bool | int | float):
+        return EXAMPLES[parameter.value.unit]
+    if parameter.value.words:
+        return did_you_mean(str(value), parameter.value.words) or None
+    if parameter.value.kind == "str" and isinstance(value, bool | int | float):
         return "YAML reads it as a number or a truth value; put it in quotes"
-    if parameter.kind == "bool" and isinstance(value, int):
+    if parameter.value.kind == "bool" and isinstance(value, int):
         return "write true or false"
     quoted = isinstance(value, str) and not isinstance(plain_scalar(value), str | bool | None)
-    if parameter.kind in {"float", "int"} and quoted:
+    if parameter.value.kind in {"float", "int"} and quoted:
         return "the quotes make it text; remove them"
     return None
 
@@ -197,15 +195,24 @@ def resolve(
         If a name is not one of the node's, or a value has the wrong type or is not allowed. The message names the
         parameter, the value and its origin; for contradicting values it names both origins.
     """
-    known = names_of(direction)
+    reverse = direction == "laserscan_to_pointcloud"
     values: dict[str, Any] = {}
     origin = dict.fromkeys(PARAMETERS, "default")
     winners: dict[str, Setting] = {}
     for setting in settings_by_precedence:
         name = ALIASES.get(setting.name, setting.name)
-        if name not in known:
+        parameter = PARAMETERS.get(name)
+        if parameter is None or (reverse and not parameter.is_shared):
             raise unknown_parameter(setting.name, setting.origin, direction)
-        value = _typed_value(PARAMETERS[name], setting)
+        # A whole number is accepted where a float is expected; ROS 2 itself requires `30.0`. A number may have a unit,
+        # or be arithmetic (`180deg`, `pi/2`, `50cm`). Nothing else is converted.
+        value = parameter.value.accept(setting.value)
+        if value is None:
+            raise ParameterError(
+                expected_message(setting.name, value_text(setting.value), setting.origin),
+                name=name,
+                hint=_type_hint(parameter, setting.value),
+            )
         rival = winners.get(RIVALS.get(name, ""))
         if rival is not None:
             if rival.source == setting.source:
@@ -215,14 +222,15 @@ def resolve(
             values[name] = value
             origin[name] = setting.origin
             winners[name] = setting
-    refuse_degrees(values, origin, {name: setting.value for name, setting in winners.items()})
+    if values.keys() & {"angle_min", "angle_max"}:
+        refuse_degrees(values, origin, {name: setting.value for name, setting in winners.items()})
     try:
         params = ProjectionParams(**values)
     except ParameterError as err:
         _raise_with_origin(err, origin)
     if params.beams:
         origin["angle_increment"] = f"follows from {origin['beams']}"
-    return ResolvedParams(params, origin)
+    return ResolvedParams(params, origin, reverse)
 
 
 def refuse_degrees(
@@ -344,3 +352,30 @@ def _where_given(hint: str, origin: Mapping[str, str]) -> str:
         return advice[0] if place == "default" or place.startswith("--") else f"{name}: {value} ({place})"
 
     return re.sub(r"`(\w+)=([^`]*)`", spelled, hint)
+
+
+def plain_scalar(text: str) -> bool | int | float | str | None:
+    """Read an unquoted scalar as ROS 2 does.
+
+    Source of the rule: ``get_value`` of rcl_yaml_param_parser/src/parse.c tries YAML 1.1's booleans, then
+    ``strtol`` with base 0, then ``strtod``; the rest is text. So ``1e5`` is a number, unlike in YAML 1.1.
+    """
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    if text in _NULL:
+        return None
+    if re.fullmatch(_INTEGER, text):
+        return _integer(text)
+    if re.fullmatch(_FLOAT, text):
+        return float(text)
+    special = re.fullmatch(_SPECIAL, text)
+    return float("".join(special.groups())) if special else text
+
+
+def _integer(text: str) -> int | str:
+    digits = text.lstrip("+-")
+    base = 16 if digits[:2] in {"0x", "0X"} else 8 if digits[0] == "0" else 10
+    try:
+        return int(text, base)
+    except ValueError:  # more digits than Python reads
+        return text

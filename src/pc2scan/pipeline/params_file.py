@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, get_args
 
 from pc2scan.errors import ParameterError, SeveralNodesError
-from pc2scan.files.similar_paths import missing_hint
+from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_bytes
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
@@ -16,15 +16,14 @@ from pc2scan.text import did_you_mean
 from .launch_file import is_launch_xml, launch_node
 from .parameters import (
     ALIASES,
-    SCALAR_PARAMETERS,
     TOPICS,
     Direction,
     Setting,
     names_of,
+    plain_scalar,
     unknown_parameter,
 )
 from .redaction import may_quote, redact_file
-from .ros_scalars import plain_scalar
 from .yaml_nodes import compose, is_empty, is_mapping, is_scalar, place_of, scalar_value
 
 if TYPE_CHECKING:
@@ -40,6 +39,10 @@ MAX_DEPTH = 50
 
 #: Parameters that every ROS 2 node has.
 _EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
+
+#: Names that identify a section as one of upstream's nodes. pc2scan's own names (``geometry``, ``beams``) do not: any
+#: node may use them, also for groups of parameters.
+_OF_UPSTREAM = {name for name, parameter in PARAMETERS.items() if parameter.upstreams} | ALIASES.keys()
 
 
 class HiddenPlace(NamedTuple):
@@ -250,14 +253,14 @@ def _launch_value(param: LaunchParam) -> object:
     if quoted:
         return quoted[1] if quoted[1] is not None else quoted[2]
     parameter = PARAMETERS.get(ALIASES.get(param.name, param.name))
-    if param.type in {"str", "string"} or (parameter and parameter.kind == "str"):
+    if param.type in {"str", "string"} or (parameter and parameter.value.kind == "str"):
         return param.value
     return plain_scalar(text)
 
 
 def _as_bool(name: str, value: object) -> object:
     """Read 0 and 1 as truth values, as roscpp does."""
-    if PARAMETERS[name].kind == "bool" and isinstance(value, int) and value in {0, 1}:
+    if PARAMETERS[name].value.kind == "bool" and isinstance(value, int) and value in {0, 1}:
         return bool(value)
     return value
 
@@ -322,7 +325,7 @@ def _leaves(mapping: Any, file: Path, above: tuple[str, ...]) -> Iterator[_Leaf]
             )
         first_lines[name] = line
         keys = (*above, name)
-        if is_mapping(value) and value.value and name not in SCALAR_PARAMETERS:
+        if is_mapping(value) and value.value and name not in _OF_UPSTREAM:
             yield from _leaves(value, file, keys)
         else:
             yield _Leaf(keys, value, f"{file}, line {line}, {'.'.join(keys)}")
@@ -362,7 +365,7 @@ def _ros1_sections(leaves: Iterable[_Leaf]) -> _Sections:
     for leaf in leaves:
         full = _qualified(key.removeprefix("~") for key in leaf.path)
         above, _, name = full.rpartition("/")
-        if is_empty(leaf.node) and name not in SCALAR_PARAMETERS:
+        if is_empty(leaf.node) and name not in _OF_UPSTREAM:
             sections.setdefault(full, {})
         else:
             sections.setdefault(above or "/", {})[name] = leaf
@@ -453,7 +456,7 @@ def _foreign(names: Iterable[str]) -> list[str]:
 
 
 def _only_upstreams(names: Collection[str]) -> bool:
-    return not _foreign(names) and any(name in SCALAR_PARAMETERS for name in names)
+    return not _foreign(names) and any(name in _OF_UPSTREAM for name in names)
 
 
 def _direction_of(full: str) -> Direction | None:

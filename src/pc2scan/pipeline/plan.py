@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
@@ -12,13 +11,12 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
     from pc2scan.model import Connection
 
-    from .options import ConvertOptions
-    from .scan_spec import ScanSpec
+    from .options import ConvertOptions, ScanSpec
 
 
 class Combination:
@@ -110,26 +108,30 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         already exists in the source.
     """
     specs = () if options.repair else options.scans
-    targets = {spec: _placed_targets(connections, spec, options) for spec in specs}
-    types = _types_by_topic(connections)
-    combined = {spec: _combinations(spec, found, types, options) for spec, found in targets.items()}
+    kinds = [_kind(connection) for connection in connections]
+    types: dict[str, set[str]] = {}
+    for connection, kind in zip(connections, kinds, strict=True):
+        types.setdefault(connection.topic, set()).add(kind)
+    targets: dict[ScanSpec, Mapping[str, Sequence[str]]] = {}
+    combined: dict[ScanSpec, Sequence[Combination]] = {}
+    for spec in specs:
+        with spec.naming_errors(f"{spec.place}, " if spec.place else ""):
+            targets[spec] = _targets(types, spec, options)
+            combined[spec] = _combinations(spec, targets[spec], types, options)
     routes = []
-    for connection in connections:
-        topic, kind = connection.topic, _kind(connection)
+    for connection, kind in zip(connections, kinds, strict=True):
+        topic = connection.topic
         tasks = tuple(
-            task
-            for spec, found in targets.items()
-            if topic in found
-            for task in _tasks(spec, topic, kind, found[topic], combined[spec])
+            task for spec in specs for task in _tasks(spec, topic, kind, targets[spec].get(topic, ()), combined[spec])
         )
-        passes = not options.only_scans and (
-            options.keep_clouds if tasks else _is_written(topic, options.keep, options.drop)
-        )
+        wanted = (not options.keep or matches(topic, options.keep)) and not matches(topic, options.drop)
+        passes = not options.only_scans and (options.keep_clouds if tasks else wanted)
         routes.append(Route(connection, tasks, passes))
     _refuse_collisions(routes)
     converted = {topic for found in targets.values() for topic in found}
     everything = tuple(each for found in combined.values() for each in found)
-    return Plan(tuple(routes), specs, everything, tuple(_pattern_warnings(connections, options, converted)))
+    idle = _pattern_warnings(types.keys(), options, converted) if options.keep or options.drop else ()
+    return Plan(tuple(routes), specs, everything, tuple(idle))
 
 
 def _tasks(
@@ -146,15 +148,8 @@ def _combinations(
     spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
 ) -> list[Combination]:
     """Return the topics whose messages become scans together."""
-    if spec.reverse:
+    if not spec.may_combine:
         return []
-    with _naming_output(spec):
-        return _combined_topics(spec, targets, types, options)
-
-
-def _combined_topics(
-    spec: ScanSpec, targets: Mapping[str, Sequence[str]], types: dict[str, set[str]], options: ConvertOptions
-) -> list[Combination]:
     sources: dict[str, list[str]] = {}
     for topic, names in targets.items():
         for name in names:
@@ -187,28 +182,8 @@ def _leading_topics(topics: Sequence[str], spec: ScanSpec, types: dict[str, set[
     return sorted(topics, key=lambda topic: topic != lead)
 
 
-def _placed_targets(
-    connections: Sequence[Connection], spec: ScanSpec, options: ConvertOptions
-) -> dict[str, tuple[str, ...]]:
-    """Return `_targets` of an output; an error names the output."""
-    with _naming_output(spec):
-        return _targets(connections, spec, options)
-
-
-@contextmanager
-def _naming_output(spec: ScanSpec) -> Generator[None]:
-    """Add the name of an output to errors."""
-    try:
-        yield
-    except TopicError as err:
-        if spec.place:
-            err.message = f"{spec.place}, {spec.name}: {err.message}"
-        raise
-
-
-def _targets(connections: Sequence[Connection], spec: ScanSpec, options: ConvertOptions) -> dict[str, tuple[str, ...]]:
+def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions) -> dict[str, tuple[str, ...]]:
     """Return the topics to convert, and the topics that their scans go to."""
-    types = _types_by_topic(connections)
     convertible = spec.named_types if spec.topics else spec.source_types
     candidates = [topic for topic, kinds in types.items() if not kinds.isdisjoint(convertible)]
     if spec.topics:
@@ -231,16 +206,14 @@ def _targets(connections: Sequence[Connection], spec: ScanSpec, options: Convert
             )
         return dict.fromkeys(requests, (spec.name,))
     name = "cloud" if spec.reverse else "scan"
-
-    def named(topic: str, target: str | None) -> str:
-        if spec.combining.rebin and not target:
-            return f"{topic}_rebinned" if options.keep_clouds else topic
-        return target or (f"/{name}" if single else f"{topic.rstrip('/')}/{name}")
-
-    # A topic that is requested twice is converted once.
-    return {
-        topic: tuple(dict.fromkeys(named(topic, target) for target in targets)) for topic, targets in requests.items()
-    }
+    found = {}
+    for topic, asked in requests.items():
+        usual = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
+        if spec.combining.rebin:
+            usual = f"{topic}_rebinned" if options.keep_clouds else topic
+        # A topic that is requested twice is converted once.
+        found[topic] = tuple(dict.fromkeys(target or usual for target in asked))
+    return found
 
 
 def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str], spec: ScanSpec) -> list[str]:
@@ -274,15 +247,6 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     return None
 
 
-def _refuse_used(task: RouteTask, routes: Sequence[Route]) -> None:
-    """Raise if `keep_used` cannot be applied."""
-    topic = task.spec.keep_used
-    if not topic:
-        return
-    if any(topic in route.targets for route in routes):
-        raise TopicError(f"{topic} is the topic of a scan, `keep_used` needs a different topic")
-
-
 def _refuse_collisions(routes: Sequence[Route]) -> None:
     """Raise if a scan would share a topic with another scan, or with messages that pass through."""
     passing = {route.connection.topic for route in routes if route.passes}
@@ -293,8 +257,9 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
         for task in route.tasks
         for target in (*task.targets, *filter(None, (task.spec.keep_used,)))
     ]
-    for _, task, _ in made:
-        _refuse_used(task, routes)
+    scans = {target for route in routes for target in route.targets}
+    if used := next((task.spec.keep_used for _, task, _ in made if task.spec.keep_used in scans), None):
+        raise TopicError(f"{used} is the topic of a scan, `keep_used` needs a different topic")
     for topic, own, target in made:
         source, task = origin.setdefault(target, (topic, own))
         if task.spec is not own.spec:
@@ -319,11 +284,8 @@ def _refuse_collisions(routes: Sequence[Route]) -> None:
             )
 
 
-def _pattern_warnings(
-    connections: Sequence[Connection], options: ConvertOptions, converted: AbstractSet[str]
-) -> list[str]:
+def _pattern_warnings(topics: AbstractSet[str], options: ConvertOptions, converted: AbstractSet[str]) -> list[str]:
     """Return warnings about patterns that match no topic: they are nearly always typing errors."""
-    topics = {connection.topic for connection in connections}
     idle = []
     for name, patterns in (("keep", options.keep), ("drop", options.drop)):
         for pattern in patterns:
@@ -337,17 +299,6 @@ def _pattern_warnings(
                     "`keep_clouds=True` writes them too"
                 )
     return idle
-
-
-def _is_written(topic: str, keep: Sequence[str], drop: Sequence[str]) -> bool:
-    return (not keep or matches(topic, keep)) and not matches(topic, drop)
-
-
-def _types_by_topic(connections: Sequence[Connection]) -> dict[str, set[str]]:
-    types: dict[str, set[str]] = {}
-    for connection in connections:
-        types.setdefault(connection.topic, set()).add(_kind(connection))
-    return types
 
 
 def _kind(connection: Connection) -> str:

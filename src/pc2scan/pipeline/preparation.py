@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.errors import ParameterError, Pc2ScanError, UsageError
+from pc2scan.errors import Pc2ScanError, UsageError
 from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import read_robot_transforms
 
@@ -15,16 +15,15 @@ from .first_clouds import FirstClouds
 from .items import Span
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
 
     from .conversion import Conversion, Measurements
-    from .options import ConvertOptions
+    from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
-    from .scan_spec import ScanSpec
     from .stages.deskew import Deskew
     from .survey import DeskewObservers, Survey
 
@@ -44,6 +43,8 @@ class Preparation(NamedTuple):
         The other recordings that transforms were read from.
     notes, warnings
         Texts for the user.
+    transforms
+        All transforms; None if they were not read.
     """
 
     conversions: Mapping[ScanSpec | Combination, Conversion]
@@ -52,6 +53,7 @@ class Preparation(NamedTuple):
     others: Sequence[Reader] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
+    transforms: TransformBuffer | None = None
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -75,6 +77,8 @@ def prepare(
     span: Span,
     stack: ExitStack,
     warn: Callable[[str], None] | None = None,
+    *,
+    needs_transforms: bool = False,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -88,10 +92,13 @@ def prepare(
         Closes the other recordings.
     warn
         Called immediately with warnings about the first clouds.
+    needs_transforms
+        Whether the caller needs all transforms, even if the conversion does not.
     """
+    needs_transforms |= plan.needs_transforms
     asked = options.frames
     firsts = FirstClouds(asked.source_frame, partial(_robot_transforms, sources, options, span), warn)
-    needs_survey = plan.needs_transforms or asked.static or asked.source_frame or plan.combinations
+    needs_survey = needs_transforms or asked.static or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
         return Preparation({spec: _unmeasured(spec, firsts) for spec in plan.specs}, span, firsts)
     from .survey import Survey  # noqa: PLC0415  # most conversions need none
@@ -99,19 +106,23 @@ def prepare(
     notes: list[str] = []
     warnings: list[str] = []
     others: list[Reader] = []
-    if plan.needs_transforms:
+    if needs_transforms:
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-    survey = Survey(reader, others, plan, asked, span)
+    survey = Survey(reader, others, plan, asked, span, needs_transforms=needs_transforms)
     survey.read()
-    buffer: TransformBuffer | None = None
+    transforms: TransformBuffer | None = None
     if survey.transforms is not None:
-        buffer, found = survey.transforms.finish()
+        transforms, found = survey.transforms.finish()
         warnings += found
+    buffer = transforms if plan.needs_transforms else None
+    if buffer is not None:
         firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
+    elif survey.robot is not None:
+        firsts.transforms.read = survey.robot.finish
     if asked.static or asked.source_frame:
         from .frame_checks import check_given_frames, first_frame  # noqa: PLC0415  # few conversions add frames
 
-        robot = None if survey.robot is None else survey.robot.finish()
+        robot = transforms if survey.robot is None else survey.robot.finish()
         warnings += check_given_frames(map(first_frame, survey.given_frames), plan, asked, buffer, robot)
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
@@ -136,7 +147,7 @@ def prepare(
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
         warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, span, firsts, others, notes, warnings)
+    return Preparation(conversions, span, firsts, others, notes, warnings, transforms)
 
 
 def _prepare_output(
@@ -153,14 +164,14 @@ def _prepare_output(
     if observed.frame is not None and frames.buffer is not None:
         from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
 
-        with _naming_output(spec):
+        with spec.naming_errors():
             doubts = check_fixed_frame(frames.source_frame or first_frame(observed.frame), spec, frames.buffer)
         warnings += (spec.label + doubt for doubt in doubts)
     for combination, observers in observed.combinations.items():
         from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
         from .combine.measurements import measure_sources  # noqa: PLC0415
 
-        with _naming_output(spec):
+        with spec.naming_errors():
             timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, frames)
         notes += (spec.label + note for note in new_notes)
         warnings += (spec.label + doubt for doubt in doubts)
@@ -177,7 +188,7 @@ def _prepare_output(
         if spec.needs_measuring:
             from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
-            with _naming_output(spec):
+            with spec.naming_errors():
                 timings, new_notes = measure(observed.clouds, spec, frames)
             notes += (spec.label + note for note in new_notes)
         deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew.get(None))
@@ -198,7 +209,7 @@ def _deskew(
 
     where = PointTime.parse(spec.point_time)
     doubts = [] if observers is None else [spec.label + each for each in time_warnings(observers.times)]
-    with _naming_output(spec):
+    with spec.naming_errors():
         turns, notes = measure_turns({} if observers is None else observers.turns, spec.point_time)
     deskew = Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
     return deskew, [spec.label + note for note in notes], doubts
@@ -242,15 +253,3 @@ def _to_scans(
         keeps_used=bool(spec.keep_used),
         remove=spec.remove,
     )
-
-
-@contextmanager
-def _naming_output(spec: ScanSpec) -> Generator[None]:
-    """Add the name of an output, and the origin of a parameter, to errors."""
-    try:
-        yield
-    except UsageError as err:
-        if isinstance(err, ParameterError) and (origin := spec.origins.get(err.name)):
-            err.message += f" (from {origin})"
-        err.message = spec.label + err.message
-        raise

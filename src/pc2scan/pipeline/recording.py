@@ -14,9 +14,9 @@ from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChun
 
 from .conversion import ConvertedMessage
 from .declarations import RecordingTopics
+from .report import TopicReport
 from .routes import count_skipped, open_routes
 from .tally import NOTHING_REFUSED
-from .topic_report import TopicReport
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence

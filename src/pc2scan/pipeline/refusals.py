@@ -5,31 +5,26 @@ They are found before the first message, when none of many messages can be conve
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from contextlib import closing
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.damage import RECOVER, Damage, count_details
-from pc2scan.errors import DamageError, MissingError, ResultError, TopicError, UnconnectedError, UsageError, name_list
+from pc2scan.errors import DamageError, MissingError, ResultError, TopicError, UsageError, name_list
+from pc2scan.files.urls import exists
 from pc2scan.text import agreeing, counted, did_you_mean, stamp
 
 from .checks.request import in_another_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Collection, Sequence
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.errors import MessageError
     from pc2scan.model import Connection
 
     from .items import OpenRoute
     from .options import ConvertOptions
-    from .report import Report
-    from .topic_report import TopicReport
-
-#: How many of the first messages must fail before a user is warned.
-_LOOKED_AT = 10
+    from .report import Report, TopicReport
 
 
 def refuse_unusable(options: ConvertOptions) -> None:
@@ -43,8 +38,8 @@ def refuse_unusable(options: ConvertOptions) -> None:
         If ``ros_distro`` is not a known distribution.
     """
     for path in options.frames.tf_from:
-        if not os.path.lexists(path):
-            from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415  # only for errors
+        if not exists(path):
+            from pc2scan.files.places import missing_hint  # noqa: PLC0415  # only for errors
 
             raise MissingError("does not exist (from `tf_from`)", path=path, hint=missing_hint(path))
     if options.ros_distro:
@@ -124,53 +119,6 @@ def _outside(reader: Reader, start_ns: int | None, stop_ns: int | None) -> Usage
         path=reader.path,
         hint=(f"{meant}; " if meant else "") + f"its {seconds:.3f} s are `start=0` to `end={seconds + 0.001:.3f}`",
     )
-
-
-class TransformCheck:
-    """Detects that no transforms connect the frames of any message to convert with the target frame.
-
-    Frames may differ from message to message, so it is certain only after the last one. The first ones draw a warning.
-
-    Parameters
-    ----------
-    warn
-        Called with the warning; None: there is none.
-
-    Attributes
-    ----------
-    is_possible
-        Whether all messages so far have failed for this reason.
-    """
-
-    def __init__(self, warn: Callable[[str], None] | None = None) -> None:
-        self.is_possible = True
-        self._warn = warn
-        self._failed = 0
-        self._first: tuple[str, UnconnectedError] | None = None
-
-    def note(self, topic: str, error: MessageError | None) -> None:
-        """Count whether a message was converted."""
-        if not isinstance(error, UnconnectedError):
-            self.is_possible = False
-            return
-        self._failed += 1
-        self._first = self._first or (topic, error)
-        if self._failed == _LOOKED_AT and self.is_possible and self._warn is not None:
-            topic, first = self._first
-            advice = f"; {first.hint}" if first.hint else ""
-            self._warn(f"none of the first {_LOOKED_AT} messages can be converted: {topic}: {first.message}{advice}")
-
-    def finish(self) -> None:
-        """Raise if there were messages, and all of them have failed.
-
-        Raises
-        ------
-        TransformError
-            The first error.
-        """
-        if self.is_possible and self._first is not None:
-            topic, first = self._first
-            raise UnconnectedError(f"nothing can be converted: {first.message}", topic=topic, hint=first.hint)
 
 
 def compare_counts(

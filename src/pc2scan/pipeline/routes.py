@@ -9,7 +9,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import converter
 from .items import OpenRoute, Output
-from .topic_report import TopicReport
+from .report import TopicReport
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from .combine.combiner import Combiner
     from .conversion import Conversion, Step
     from .declarations import RecordingTopics
+    from .options import ScanSpec
     from .plan import Combination, Route, RouteTask
-    from .scan_spec import ScanSpec
 
 
 class Routes(NamedTuple):
@@ -61,74 +61,99 @@ def open_routes(
     recording
         The topics of the recording that results are written to; None: no message passes as it is.
     """
+    opening = _Opening(recording)
     opened: dict[int, OpenRoute] = {}
-    entries: dict[tuple[object, ...], TopicReport] = {}
-    combinations: dict[Combination, Combiner] = {}
-    combiners: dict[Output, Combiner] = {}
-
-    def shared(entry: TopicReport) -> TopicReport:
-        """Return the report's entry; publishers of one topic share it if their messages are handled alike."""
-        key = (entry.topic, entry.msgtype, entry.target, entry.action, entry.note, entry.spec)
-        return entries.setdefault(key, entry)
-
     for route in routes:
-        connection = route.connection
-        topic, msgtype = connection.topic, connection.ros_type
         if recording is None and not route.tasks:
             continue
+        connection = route.connection
         made = opened[connection.id] = OpenRoute(connection)
         passing = None
         if route.passes and recording is not None:
-            passing = TopicReport(topic, msgtype, topic, "passed")
+            passing = TopicReport(connection.topic, connection.ros_type, connection.topic, "passed")
             made.passing_handle, made.encode = recording.add_passing(connection, passing)
         if not route.tasks:
-            made.report = shared(passing or TopicReport(topic, msgtype, None, "skipped"))
+            made.report = opening.shared(passing or TopicReport(connection.topic, connection.ros_type, None, "skipped"))
             continue
         chosen = [conversions[task.key] for task in route.tasks]
         steps = [last(conversion, connection) for conversion in chosen]
-        joined = [_combiner_of(combinations, *each) for each in zip(route.tasks, chosen, steps, strict=True)]
+        combiners = [
+            None if task.combination is None else opening.combiner_of(task.combination, conversion, step)
+            for task, conversion, step in zip(route.tasks, chosen, steps, strict=True)
+        ]
         # A group has the last step, not its messages.
-        own_steps = [None if combiner else step for step, combiner in zip(steps, joined, strict=True)]
-        made.convert = converter(chosen, topic, connection.serialization, msgtype, own_steps)
+        own_steps = [None if combiner else step for step, combiner in zip(steps, combiners, strict=True)]
+        made.convert = converter(chosen, connection.topic, connection.serialization, connection.ros_type, own_steps)
         made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
-        for place, (task, conversion, combiner) in enumerate(zip(route.tasks, chosen, joined, strict=True)):
-            leads = task.combination is None or task.combination.sources[0] == topic
-            for name in task.targets:
-                action = "converted" if leads else "joined"
-                entry = TopicReport(topic, msgtype, name, action, clouds_kept=made.passing_handle >= 0, spec=task.spec)
-                if passing is not None and passing.lost:
-                    entry.note, entry.lost = passing.note, True
-                output = Output(shared(entry), place)
-                if leads and recording is not None:
-                    output.handle = recording.add_like(connection, name, conversion.made_type)
-                made.outputs.append(output)
-                if combiner is not None and task.combination is not None:
-                    combiners[output] = combiner
-                    combiner.reports[task.combination.sources.index(topic)] = output.report
-            if (name := task.spec.keep_used) and leads and recording is not None:
-                note = f"the points that the beams of {', '.join(task.targets)} read"
-                entry = TopicReport(topic, msgtype, name, "added", note)
-                points = Output(shared(entry), place, used=True)
-                points.handle = recording.add_like(connection, name, POINTCLOUD2)
-                made.outputs[-1].points = points
-                made.outputs.append(points)
-    return Routes(opened, list(entries.values()), combiners)
+        for place, (task, conversion, combiner) in enumerate(zip(route.tasks, chosen, combiners, strict=True)):
+            opening.add_outputs(made, place, task, conversion.made_type, combiner, passing)
+    return Routes(opened, list(opening.entries.values()), opening.by_output)
 
 
-def _combiner_of(
-    combiners: dict[Combination, Combiner], task: RouteTask, conversion: Conversion, last: Step
-) -> Combiner | None:
-    """Return the `Combiner` that makes one scan of several messages; all routes of a combination share it."""
-    if task.combination is None:
-        return None
-    from .combine.combiner import Combiner  # noqa: PLC0415
-    from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
+class _Opening:
+    """What the routes of a conversion share.
 
-    if not isinstance(conversion, MessagesToScan) or conversion.grouper is None:
-        return None
-    if task.combination not in combiners:
-        combiners[task.combination] = Combiner(conversion, last)
-    return combiners[task.combination]
+    Attributes
+    ----------
+    entries
+        The report's entries: publishers of one topic share one if their messages are handled alike.
+    by_output
+        What makes scans of several messages, by the outputs of these.
+    """
+
+    def __init__(self, recording: RecordingTopics | None) -> None:
+        self._recording = recording
+        self._combiners: dict[Combination, Combiner] = {}
+        self.entries: dict[tuple[object, ...], TopicReport] = {}
+        self.by_output: dict[Output, Combiner] = {}
+
+    def shared(self, entry: TopicReport) -> TopicReport:
+        """Return the report's entry."""
+        key = (entry.topic, entry.msgtype, entry.target, entry.action, entry.note, entry.spec)
+        return self.entries.setdefault(key, entry)
+
+    def combiner_of(self, combination: Combination, conversion: Conversion, last: Step) -> Combiner | None:
+        """Return what makes one scan of several messages; all routes of a combination share it."""
+        from .combine.combiner import Combiner  # noqa: PLC0415
+        from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
+
+        if not isinstance(conversion, MessagesToScan) or conversion.grouper is None:
+            return None
+        if combination not in self._combiners:
+            self._combiners[combination] = Combiner(conversion, last)
+        return self._combiners[combination]
+
+    def add_outputs(
+        self,
+        made: OpenRoute,
+        place: int,
+        task: RouteTask,
+        made_type: str,
+        combiner: Combiner | None,
+        passing: TopicReport | None,
+    ) -> None:
+        """Add the topics that the results of a task go to."""
+        connection, recording, combination = made.connection, self._recording, task.combination
+        topic, msgtype = connection.topic, connection.ros_type
+        leads = combination is None or combination.sources[0] == topic
+        action = "converted" if leads else "joined"
+        for name in task.targets:
+            entry = TopicReport(topic, msgtype, name, action, clouds_kept=made.passing_handle >= 0, spec=task.spec)
+            if passing is not None and passing.lost:
+                entry.note, entry.lost = passing.note, True
+            output = Output(self.shared(entry), place)
+            if leads and recording is not None:
+                output.handle = recording.add_like(connection, name, made_type)
+            made.outputs.append(output)
+            if combiner is not None and combination is not None:
+                self.by_output[output] = combiner
+                combiner.reports[combination.sources.index(topic)] = output.report
+        if (name := task.spec.keep_used) and leads and recording is not None:
+            note = f"the points that the beams of {', '.join(task.targets)} read"
+            points = Output(self.shared(TopicReport(topic, msgtype, name, "added", note)), place, used=True)
+            points.handle = recording.add_like(connection, name, POINTCLOUD2)
+            made.outputs[-1].points = points
+            made.outputs.append(points)
 
 
 def count_skipped(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
@@ -23,26 +22,24 @@ from pc2scan.errors import (
     DamageError,
     MissingError,
     OutputError,
-    Pc2ScanError,
     TopicError,
     UsageError,
 )
 from pc2scan.files.places import output_folder
 from pc2scan.files.staging import check_destination, staged_output
+from pc2scan.files.urls import UrlPath, exists
 from pc2scan.model import MAX_ROSBAG2_NS
-from pc2scan.remote.urls import is_url, shown_path
-from pc2scan.result import Failure
 from pc2scan.tf.options import FrameOptions
 from pc2scan.threads import Threads, cores
 
-from .checks import cut_warnings, request_warnings, result_findings
+from .checks import request_warnings, result_findings
 from .engine import items_of
 from .plan import make_plan
 from .preparation import prepare, span_of
 from .recording import open_recording, write_items
 from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse_unsatisfied, refuse_unusable
 from .report import Report
-from .run_files import OutputOptions, RunFiles, report_file
+from .run_files import OutputOptions, RunFiles
 from .tally import Tally
 
 if TYPE_CHECKING:
@@ -54,6 +51,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.splitting import Cut
     from pc2scan.model import Writer
+    from pc2scan.result import Failure
 
     from .engine import Progress
     from .items import Span
@@ -82,16 +80,19 @@ def run(
     """
     if not sources:
         raise UsageError("no source given")
-    if any(map(is_url, (*sources, *options.frames.tf_from, destination, output.folder, output.report))):
-        if is_url(output.report):
-            raise UsageError("`report` must be a local file", hint="such as `report=report.json`")
-        return _run_at_urls(sources, destination, options, output, also_read=also_read, progress=progress, warn=warn)
-    if output.scratch is not None or output.scratch_size is not None:
-        raise UsageError("`scratch` and `scratch_size` have no effect: no source and no destination is a URL")
+    at_urls = [path for path in (*sources, *options.frames.tf_from) if isinstance(path, UrlPath)]
+    if output.scratch is not None and not (at_urls or isinstance(destination or output.folder, UrlPath)):
+        raise UsageError("`scratch` has no effect: no source and no destination is a URL")
     files = RunFiles(sources, destination, options.frames, also_read or {}, output)
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
     with ExitStack() as stack, files.reporting(report):
+        if at_urls or output.scratch is not None:
+            from pc2scan.files.transfers import reading_urls  # noqa: PLC0415  # loads fsspec
+
+            # Of a cut, or in a dry run, only some ranges are read.
+            is_whole = not output.dry_run and options.start is None and options.end is None
+            stack.enter_context(reading_urls(at_urls if is_whole else (), output.scratch))
         _refuse_missing_destination(sources, destination, output)
         reader, readers, plan = open_plan(sources, options, stack)
         target = _target(files, reader, readers, options, output)
@@ -102,13 +103,12 @@ def run(
             from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
 
             report.add(overlap_warnings(readers))
-        report.add((*plan.warnings, *request_warnings(options)))
+        report.add((*plan.warnings, *request_warnings(options, reader.summary)))
         if output.dry_run:
             _estimate(files, reader, plan, target, options, output, stack, report)
             return report
         with _staging(files, target, output, stack, report) as unfinished:
             span = _span_with_messages(reader, plan, options)
-            report.add(cut_warnings(reader, options))
             prepared = prepare(reader, files.read, plan, options, span, stack, warn)
             report.add(prepared.warnings, prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
@@ -172,55 +172,6 @@ def open_plan(
     return reader, readers, _plan(reader, options)
 
 
-def _run_at_urls(
-    sources: Sequence[Path],
-    destination: Path | None,
-    options: ConvertOptions,
-    output: OutputOptions,
-    *,
-    also_read: Mapping[str, Path] | None,
-    progress: Progress | None,
-    warn: Callable[[str], None] | None,
-) -> Report:
-    """Convert local copies of URLs, and upload the result."""
-    from pc2scan.remote.staging import RemoteRequest, local_copies  # noqa: PLC0415  # loads fsspec
-
-    request = RemoteRequest(
-        sources,
-        options.frames.tf_from,
-        destination,
-        output.folder,
-        output.scratch,
-        output.scratch_size,
-        output.overwrite,
-        output.dry_run,
-        output.cut is not None,
-    )
-    with ExitStack() as stack:
-        write_report = report_file(output, stack)
-        try:
-            with local_copies(request) as here:
-                done = run(
-                    here.sources,
-                    here.destination,
-                    replace(options, frames=replace(options.frames, tf_from=tuple(here.tf_from))),
-                    output._replace(folder=here.folder, report=None, scratch=None, scratch_size=None),
-                    also_read=also_read,
-                    progress=progress if here.limit is None else here.limit.watching(progress),
-                    warn=None if warn is None else lambda text: warn(here.names.text(text)),
-                )
-                done.warnings += here.upload()
-                report: Report = here.names.of(done)
-        except Pc2ScanError as err:
-            if write_report is not None:
-                to = None if destination is None else shown_path(destination)
-                write_report(Failure([err], [shown_path(source) for source in sources], to).as_json())
-            raise
-        if write_report is not None:
-            write_report(report.as_json())
-    return report
-
-
 def report_failure(
     failure: Failure, sources: Sequence[Path], output: OutputOptions, also_read: Mapping[str, Path]
 ) -> None:
@@ -275,7 +226,6 @@ def _estimate(
     else:
         check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
     span = _span_with_messages(reader, plan, options)
-    report.add(cut_warnings(reader, options))
     prepared = prepare(reader, files.read, plan, options, span, stack)
     report.add(prepared.warnings, prepared.notes)
     recording = open_recording(reader, plan, prepared, target, options, None, None)
@@ -305,7 +255,7 @@ def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> 
 def _refuse_missing_destination(sources: Sequence[Path], destination: Path | None, output: OutputOptions) -> None:
     """Raise if the last of several sources does not exist: it may be meant as the destination, as with `cp`."""
     *others, last = sources
-    if not others or destination or output.folder or os.path.lexists(last) or not all(map(os.path.lexists, others)):
+    if not others or destination or output.folder or exists(last) or not all(map(exists, others)):
         return
     raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
 

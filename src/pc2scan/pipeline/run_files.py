@@ -54,9 +54,8 @@ class OutputOptions(NamedTuple):
         Whether a named destination has the storage of the source, like a destination that is named after the source.
     cut
         When a new file begins; None for a recording in one file.
-    scratch, scratch_size
-        Folder of the local copies of URLs, and how many bytes they may take; None: the system's folder for temporary
-        files, without a limit.
+    scratch
+        Folder of the local copies of what is at URLs; None: the system's folder for temporary files.
     """
 
     storage: str | None = None
@@ -72,7 +71,6 @@ class OutputOptions(NamedTuple):
     like_source: bool = False
     cut: Cut | None = None
     scratch: Path | None = None
-    scratch_size: int | None = None
 
 
 class RunFiles:

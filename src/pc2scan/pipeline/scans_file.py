@@ -13,12 +13,10 @@ from pc2scan.options.table import PARAMETERS, output_options
 from pc2scan.options.values import Texts
 from pc2scan.text import did_you_mean
 
-from .combine.options import Combining
+from .options import ScanSpec, TopicRequest
 from .param_sources import resolve_sources
 from .parameters import ALIASES, Setting, names_of, value_text
 from .redaction import may_quote, redact_file
-from .scan_spec import ScanSpec, TopicRequest
-from .stages.filter_options import filters_from
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -31,9 +29,6 @@ _TOP = ("defaults", "scans")
 
 #: The keys of an output that are no parameters of the projection.
 _KEYS = {"sources": Texts(), **{name: option.value for name, option in output_options().items()}}
-
-#: Keys that are copied to attributes of `ScanSpec`.
-_OWN = ScanSpec.__dataclass_fields__.keys() - {"remove"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,8 +165,7 @@ def _entry_of(value: Any, place: str, depth: int) -> _Entry:
         return _Entry({key: _entry_of(each, f"{place}[{key!r}]", depth + 1) for key, each in value.items()}, place)
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return _Entry([_entry_of(each, f"{place}[{n}]", depth + 1) for n, each in enumerate(value)], place)
-    plain = value.item() if hasattr(value, "item") and getattr(value, "ndim", None) == 0 else value
-    return _Entry(plain, place)
+    return _Entry(value.item() if getattr(value, "ndim", None) == 0 else value, place)
 
 
 def _outputs(root: _Entry) -> Iterator[tuple[str, _Entry]]:
@@ -231,27 +225,13 @@ def _spec(
         resolved = resolve_sources(settings, file=file, node=values.get("node"), preset=values.get("preset"))
         if resolved.reverse:
             raise UsageError(f"{file} is for laserscan_to_pointcloud, scans are made of clouds")
-        sources = values.get("sources", [request.partition(":=")[0] for request in resolved.topics])
-        spec = ScanSpec(
-            name=topic,
-            place=entry.place,
-            topics=tuple(TopicRequest(_check_topic(source), topic) for source in sources),
-            origins=resolved.origin,
-            params=resolved.params,
-            combining=Combining.of(**values),
-            filters=tuple(filters_from(values, resolved.params.min_height)),
-            remove=_beam_filters(values.get("remove", ())),
-            **{name: value for name, value in values.items() if name in _OWN},
-        )
+        if "sources" not in values and resolved.remaps:
+            from .nodes import read_remaps  # noqa: PLC0415  # only where a launch file is given
+
+            values["sources"] = [request.partition(":=")[0] for request in read_remaps(resolved.remaps).topics]
+        topics = tuple(TopicRequest(_check_topic(source), topic) for source in values.get("sources", ()))
+        spec = ScanSpec.of(values, resolved, name=topic, place=entry.place, topics=topics)
     return spec, (() if file is None else (file, *resolved.files)), resolved.ignored
-
-
-def _beam_filters(texts: Sequence[str]) -> tuple[Any, ...]:
-    if not texts:
-        return ()
-    from .stages.beams import beam_filter  # noqa: PLC0415  # only where something is removed
-
-    return tuple(map(beam_filter, texts))
 
 
 def _check_topic(source: str) -> str:

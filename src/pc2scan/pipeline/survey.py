@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from .combine.measurements import CombinationObservers
     from .items import Span
     from .measurements import FirstCloud
+    from .options import ScanSpec
     from .plan import Combination, Plan
     from .point_times import PointTimes
-    from .scan_spec import ScanSpec
     from .stages.turn import TurnSample
 
 
@@ -90,13 +90,15 @@ class Survey:
         The options about transforms.
     span
         The cut. It limits clouds, never transforms.
+    needs_transforms
+        Whether all transforms are read.
 
     Attributes
     ----------
     transforms
-        All transforms; None if nothing is transformed.
+        All transforms; None if they are not needed.
     robot
-        Those between the robot's frames, where they are needed although nothing is transformed.
+        Those between the robot's frames, if not all transforms are read.
     given_frames
         The frames of the first messages, if the user gives frames.
     outputs
@@ -108,13 +110,20 @@ class Survey:
         If it is not clear which transforms to use, or an IMU does not exist.
     """
 
-    def __init__(self, reader: Reader, others: Sequence[Reader], plan: Plan, asked: FrameOptions, span: Span) -> None:
+    def __init__(
+        self,
+        reader: Reader,
+        others: Sequence[Reader],
+        plan: Plan,
+        asked: FrameOptions,
+        span: Span,
+        *,
+        needs_transforms: bool,
+    ) -> None:
         self._readers = [reader, *others]
         self._span = span
-        self.transforms = TransformReading(asked) if plan.needs_transforms else None
-        self.robot: RobotTransforms | None = None
-        if asked.source_frame and self.transforms is None:
-            self.robot = RobotTransforms(reader, asked, span.first_ns)
+        self.transforms = TransformReading(asked) if needs_transforms else None
+        self.robot = None if needs_transforms else RobotTransforms(reader, asked, span.first_ns)
         self.given_frames: list[Observer[str]] = []
         if asked.static or asked.source_frame:
             from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions add frames
@@ -122,10 +131,10 @@ class Survey:
             self.given_frames = [frame_observer([route.connection], span) for route in plan.routes if route.tasks]
         self._imus: dict[str, ImuReading] = {}
         for spec in plan.specs:
-            if spec.imu:
-                from pc2scan.tf.imu import ImuReading, ImuRequest  # noqa: PLC0415  # few scans are level
+            if spec.imu_request:
+                from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few scans are level
 
-                topic = ImuRequest.parse(spec.imu).topic
+                topic = spec.imu_request.topic
                 self._imus.setdefault(topic, ImuReading(self._readers, topic))
         self.outputs = {spec: self._observers_of(spec, plan, asked) for spec in plan.specs if not spec.reverse}
 
@@ -208,9 +217,8 @@ def _motion_connections(reader: Reader, spec: ScanSpec, frames: FrameOptions) ->
     """Yield the connections with moving transforms, and those of the IMU, that the spec uses."""
     if spec.fixed_frame:
         yield from (c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic))
-    if spec.imu:
+    if spec.imu_request:
         from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
-        from pc2scan.tf.imu import ImuRequest  # noqa: PLC0415
 
-        topic = ImuRequest.parse(spec.imu).topic.strip("/")
+        topic = spec.imu_request.topic.strip("/")
         yield from (c for c in reader.connections if c.ros_type == IMU and c.topic.strip("/") == topic)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pc2scan.errors import MessageError
+from pc2scan.errors import MessageError, UnconnectedError
 from pc2scan.result import MAX_LISTED, Skipped
 
 from .conversion import ConvertedMessage
 from .first_clouds import SharedSample
-from .refusals import TransformCheck
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +16,10 @@ if TYPE_CHECKING:
     from pc2scan.model import StoredChunk
 
     from .items import Item, OpenRoute
-    from .topic_report import TopicReport
+    from .report import TopicReport
+
+#: How many of the first messages must fail before a user is warned.
+_LOOKED_AT = 10
 
 #: The destination stores everything.
 NOTHING_REFUSED: Mapping[int, MessageError] = {}
@@ -42,6 +44,9 @@ class Tally:
         The first `MAX_LISTED` messages that were not converted.
     failures
         How many messages, or groups, have an error.
+    is_connected
+        Whether transforms connect at least one message with the target frame, or none are needed. Frames may differ
+        from message to message, so that it is certain only after the last one.
     """
 
     def __init__(
@@ -49,19 +54,18 @@ class Tally:
     ) -> None:
         self.skipped: list[Skipped] = []
         self.failures = 0
+        self.is_connected = False
         self._routes = routes
         self._on_error = on_error
-        self._transforms = TransformCheck(warn)
+        self._warn = warn
+        #: Messages that no transforms connect with the target frame, and the first of them.
+        self._unconnected = 0
+        self._first_unconnected: tuple[str, UnconnectedError] | None = None
 
     @property
     def messages(self) -> int:
         """How many messages were read, of all topics that are not skipped."""
         return sum(route.messages for route in self._routes.values())
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether transforms connect at least one message with the target frame, or none are needed."""
-        return not self._transforms.is_possible
 
     def count(self, item: Item, refused: Mapping[int, MessageError] = NOTHING_REFUSED) -> None:
         """Count an item.
@@ -112,8 +116,11 @@ class Tally:
                 failed.append((result if isinstance(result, MessageError) else refused[place], entry))
         if failed:
             self._skip(item, failed)
-        if self._transforms.is_possible and route.convert is not None and not item.is_group:
-            self._transforms.note(route.connection.topic, item.failure)
+        if not self.is_connected and route.convert is not None and not item.is_group:
+            error = item.failure
+            self.is_connected = not isinstance(error, UnconnectedError)
+            if isinstance(error, UnconnectedError):
+                self._note_unconnected(route.connection.topic, error)
 
     def count_chunk(self, chunk: StoredChunk) -> None:
         """Count the messages of a chunk that passes as a whole."""
@@ -132,7 +139,18 @@ class Tally:
         TransformError
             The first error.
         """
-        self._transforms.finish()
+        if not self.is_connected and self._first_unconnected is not None:
+            topic, first = self._first_unconnected
+            raise UnconnectedError(f"nothing can be converted: {first.message}", topic=topic, hint=first.hint)
+
+    def _note_unconnected(self, topic: str, error: UnconnectedError) -> None:
+        """Note a message that no transforms connect with the target frame; warn if they connect none of the first."""
+        self._unconnected += 1
+        self._first_unconnected = self._first_unconnected or (topic, error)
+        if self._unconnected == _LOOKED_AT and self._warn is not None:
+            topic, first = self._first_unconnected
+            advice = f"; {first.hint}" if first.hint else ""
+            self._warn(f"none of the first {_LOOKED_AT} messages can be converted: {topic}: {first.message}{advice}")
 
     def _skip(self, item: Item, failed: Sequence[tuple[MessageError, TopicReport]]) -> None:
         """List the errors of an item, or raise the first one."""

@@ -8,8 +8,7 @@ from typing import Any
 from pc2scan.core.quantities import ANGLE, angle_value, written_angle
 from pc2scan.errors import ParameterError
 
-from .parameters import Setting, expected_message
-from .ros_scalars import plain_scalar
+from .parameters import Setting, expected_message, plain_scalar
 
 _YAML_TAG = "tag:yaml.org,2002:"
 

@@ -12,7 +12,7 @@ from pc2scan.core.unproject import UnprojectParams, unproject
 from pc2scan.errors import UsageError, stamp_text, visible
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, as_message, decode_laserscan
-from pc2scan.pipeline.checks import cut_warnings, request_warnings, result_findings
+from pc2scan.pipeline.checks import request_warnings, result_findings
 from pc2scan.pipeline.plan import make_plan
 from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_unusable
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
     from pc2scan.pipeline.first_clouds import FirstClouds
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.tf.buffer import TransformBuffer
 
     from .stream import Selection
 
@@ -179,6 +180,8 @@ class Scans(Stream[Scan]):
         The topics of the scans.
     notes
         Values that were measured, or chosen by default, for scans that are made of clouds.
+    transforms
+        All transforms of the recording, if they were read for scans that are made of clouds; else None.
     damage
         The damage that the last loop found.
     skipped, skipped_count
@@ -189,8 +192,12 @@ class Scans(Stream[Scan]):
         self,
         selection: Selection,
         conversion: ConvertOptions | None = None,
+        *,
+        needs_transforms: bool = False,
     ) -> None:
         self._conversion = conversion
+        self._needs_transforms = needs_transforms
+        self.transforms: TransformBuffer | None = None
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
 
@@ -215,13 +222,19 @@ class Scans(Stream[Scan]):
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
-        report.warnings += (
-            *request_warnings(options),
-            *cut_warnings(reader, options),
-            *plan.warnings,
-        )
+        report.warnings += (*plan.warnings, *request_warnings(options, reader.summary))
         early: list[str] = []
-        prepared = prepare(reader, self._selection.paths, plan, options, span_of(reader, options), stack, early.append)
+        prepared = prepare(
+            reader,
+            self._selection.paths,
+            plan,
+            options,
+            span_of(reader, options),
+            stack,
+            early.append,
+            needs_transforms=self._needs_transforms,
+        )
+        self.transforms = prepared.transforms
         report.add(prepared.warnings, prepared.notes)
         early[:0] = report.warnings
         self.notes = tuple(report.notes)

@@ -24,8 +24,8 @@ from pc2scan.pipeline.items import OpenRoute, Output
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.preparation import span_of
 from pc2scan.pipeline.refusals import refuse_no_messages
+from pc2scan.pipeline.report import TopicReport
 from pc2scan.pipeline.tally import Tally
-from pc2scan.pipeline.topic_report import TopicReport
 from pc2scan.threads import Threads, cores
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.topics import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
@@ -14,7 +14,7 @@ from pc2scan.model import own_message
 from pc2scan.text import counted, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
@@ -137,13 +137,17 @@ class TransformReading:
         return buffer, texts
 
 
-def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[TransformBuffer, list[str]]:
+def read_transforms(
+    readers: Sequence[Reader], options: FrameOptions, others: Sequence[Observer[Any]] = ()
+) -> tuple[TransformBuffer, list[str]]:
     """Read all transforms of recordings, anywhere in the files, and add the user's own.
 
     Parameters
     ----------
     readers
-        The sources first, then the recordings of ``tf_from``.
+        The source first, then the recordings of ``tf_from``.
+    others
+        What else observes the source.
 
     Returns
     -------
@@ -154,7 +158,7 @@ def read_transforms(readers: Iterable[Reader], options: FrameOptions) -> tuple[T
 
     reading = TransformReading(options)
     for reader in readers:
-        observe(reader, reading.observers(reader))
+        observe(reader, [*reading.observers(reader), *(others if reader is readers[0] else ())])
     return reading.finish()
 
 

@@ -181,7 +181,7 @@ def load_static_transforms(path: Path) -> tuple[StaticTransform, ...]:
     from ruamel.yaml import YAML  # noqa: PLC0415  # heavy, and few have such a file
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
-    from pc2scan.files.similar_paths import missing_hint  # noqa: PLC0415
+    from pc2scan.files.places import missing_hint  # noqa: PLC0415
     from pc2scan.files.source import open_text  # noqa: PLC0415
 
     try:

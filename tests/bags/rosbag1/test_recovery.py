@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.chunks import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.rosbag1.records import BagFile
-    from pc2scan.files.buffers import BorrowedBytes
+    from pc2scan.files.source import BorrowedBytes
 
 CONNECTIONS = [connection("/a"), connection("/b")]
 ROWS: list[Row] = [(i % 2, 1_000_000_000 + 10 * (i // 2) + (i * 7) % 13, string(f"{i:03}" * 6)) for i in range(9)]

@@ -13,16 +13,15 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import DecodeError
-from pc2scan.files.buffers import BorrowedBuffer, BufferPool
+from pc2scan.files.source import BorrowedBuffer, BufferPool
 from pc2scan.messages.laserscan import LaserScan, encode_laserscan
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.combine import conversion as combine
 from pc2scan.pipeline.combine.conversion import Contribution, MessagesToScan, common_memory
 from pc2scan.pipeline.combine.grouping import Grouper
-from pc2scan.pipeline.combine.options import Combining
 from pc2scan.pipeline.combine.rules import Nearest
 from pc2scan.pipeline.conversion import ConvertedMessage, Measurements
-from pc2scan.pipeline.scan_spec import ScanSpec, TopicRequest
+from pc2scan.pipeline.options import Combining, ScanSpec, TopicRequest
 from pc2scan.pipeline.stages.ground import MinHeightSlope
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.pipeline.stages.where import Where

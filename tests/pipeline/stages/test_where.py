@@ -100,8 +100,10 @@ def test_a_field_that_a_cloud_lacks_is_an_error() -> None:
 @pytest.mark.parametrize(
     ("condition", "what"),
     [
-        ("ring > 3 and " + "(" * 60 + "ring > 3" + ")" * 60, "`where`: column 65 of .*: more than 50 levels"),
-        ("not " * 60 + "ring > 3", "`where`: column 205 of .*: more than 50 levels"),
+        ("ring > 3 and " + "(" * 300 + "ring > 3" + ")" * 300, "`where`: column .*: unexpected"),
+        ("not " * 160 + "ring > 3", "`where`: column 401 of .*: more than 100 levels"),
+        ("ring == " + "-" * 1900 + "ring", "`where`: column .*: (more than 100 levels|it cannot be read)"),
+        ("ring" + "+1" * 900 + "> 3", "`where`: column 1 of .*: more than 100 levels"),
         ("r" * 3000, "3,000 characters, at most 2,000"),
     ],
 )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.chunks import Segment
 from pc2scan.errors import DamageError
-from pc2scan.files.crc32 import crc32
+from pc2scan.files.compression import crc32
 from pc2scan.files.limits import ConnectionLimit
 
 from . import records

@@ -16,9 +16,9 @@ from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
-from pc2scan.files.buffers import BorrowedBytes
-from pc2scan.files.crc32 import combine_crc32, crc32
+from pc2scan.files.compression import combine_crc32, crc32
 from pc2scan.files.limits import MAX_CONNECTIONS
+from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
 from . import records
@@ -201,20 +201,24 @@ class McapReader(Reader):
     ) -> Loaded[Item]:
         """Load a segment; see `pc2scan.bags.units.Load`."""
         self._bytes_read += segment.length
-        found: StoredChunk | Loaded[Item] | None = None
+        found: StoredChunk | Messages | None = None
+        payload: BorrowedBytes | None = None
         # A damaged segment is read again to recover its messages; a damaged chunk is not copied.
         with suppress(DamageError):
-            found = self._load_sound(selection, segment, callback, whole=whole)
+            found, payload = self._sound(selection, segment, whole=whole)
         if found is None:
-            found = map_items(callback, self._recovered(selection, segment))
+            found = self._recovered(selection, segment)
+        loaded = found if isinstance(found, StoredChunk) else map_items(callback, found)
+        # The messages refer to the payload, which is overwritten as soon as nothing refers to it.
+        del payload
         if self._data_crc is not None:
             self._data_crc.compare()
-        return found
+        return loaded
 
-    def _load_sound(
-        self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
-    ) -> Loaded[Item]:
-        """Load a segment.
+    def _sound(
+        self, selection: _Selection, segment: Segment, *, whole: bool
+    ) -> tuple[StoredChunk | Messages, BorrowedBytes | None]:
+        """Return the wanted messages of a segment, or the chunk as a whole; and what the messages refer to.
 
         Raises
         ------
@@ -227,8 +231,7 @@ class McapReader(Reader):
                 seen = copy_by_index(self._file, segment, selection.rule)
             seen = seen or copy_by_content(self._file, segment, selection.rule, verify=self._verify)
         if isinstance(seen, StoredChunk):
-            return seen
-        # The messages refer to the records, which are overwritten as soon as nothing refers to `payload`.
+            return seen, None
         if seen is None:
             payload = borrow_payload(self._file, segment, verify=self._verify)
         else:
@@ -236,8 +239,7 @@ class McapReader(Reader):
         if self._data_crc is not None:
             self._data_crc.add(segment, payload.data)
         messages = self._scan(selection, segment, payload.data)
-        messages = decompress_messages(messages, DamageLog(strict=True), segment.offset, self._file.path)
-        return map_items(callback, messages)
+        return decompress_messages(messages, DamageLog(strict=True), segment.offset, self._file.path), payload
 
     def _scan(self, selection: _Selection, segment: Segment, data: memoryview) -> Messages:
         """Find the wanted messages among a segment's records.

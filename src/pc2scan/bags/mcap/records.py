@@ -15,7 +15,7 @@ from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems
 from pc2scan.errors import DamageError
-from pc2scan.files.crc32 import crc32
+from pc2scan.files.compression import crc32
 from pc2scan.files.source import SourceFile
 from pc2scan.model import RawMessage, own_data
 

@@ -10,10 +10,8 @@ from itertools import chain
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError, UnwritableError
-from pc2scan.files.compression import compress
-from pc2scan.files.crc32 import crc32
-from pc2scan.files.source import FreeIds, NewFile
-from pc2scan.files.write_ahead import WriteAhead
+from pc2scan.files.compression import compress, crc32
+from pc2scan.files.new_file import FreeIds, NewFile, WriteAhead
 from pc2scan.model import StoredChunk, normalized_type, ros1_type
 
 from . import records

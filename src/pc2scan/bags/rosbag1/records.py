@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunks import Segment
-    from pc2scan.files.buffers import BorrowedBytes
+    from pc2scan.files.source import BorrowedBytes
     from pc2scan.model import Buffer
 
 FIRST_LINE = FORMATS["rosbag1"].magic

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError, UnwritableError
 from pc2scan.files.compression import compress
-from pc2scan.files.source import FreeIds, NewFile
-from pc2scan.files.write_ahead import WriteAhead
+from pc2scan.files.new_file import FreeIds, NewFile, WriteAhead
 from pc2scan.model import StoredChunk, ros1_type
 
 from .records import (

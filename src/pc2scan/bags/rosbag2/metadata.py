@@ -20,7 +20,6 @@ Keys are read from any version that has them.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -35,6 +34,7 @@ from pc2scan.bags.qos import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.records import Record
 from pc2scan.files.source import open_text
+from pc2scan.files.urls import exists
 from pc2scan.files.yaml import MAX_CHARACTERS, dump_yaml, load_yaml
 from pc2scan.model import Connection
 
@@ -110,7 +110,7 @@ def read_info(folder: Path, log: DamageLog) -> BagInfo:
     """
     path = folder / METADATA_NAME
     try:
-        if not os.path.lexists(path):
+        if not exists(path):
             return replace(_guess_info(folder), is_guessed=True)
         with open_text(path) as file:
             # One more than allowed, so that longer text is refused.

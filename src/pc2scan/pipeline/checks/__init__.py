@@ -14,12 +14,9 @@ from .request import Cut, OutputRequest
 from .result import Result, TopicResult
 
 if TYPE_CHECKING:
-    from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer
-    from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.report import Report
-    from pc2scan.pipeline.scan_spec import ScanSpec
-    from pc2scan.pipeline.topic_report import TopicReport
+    from pc2scan.model import Buffer, Summary
+    from pc2scan.pipeline.options import ConvertOptions, ScanSpec
+    from pc2scan.pipeline.report import Report, TopicReport
 
     from .clouds import CloudFacts
 
@@ -39,13 +36,18 @@ REQUEST: Checks[OutputRequest] = (
     request.milliseconds_as_seconds,
     request.increment_in_degrees,
     request.sector_in_degrees,
+    request.beams_beyond_half_turn,
 )
 
 #: What a cut leaves of the recording.
 CUT: Checks[Cut] = (request.cut_without_effect,)
 
 #: What each of the first clouds of a topic shows, at once.
-EACH_CLOUD: Checks[CloudFacts] = (clouds.target_that_moves, clouds.returns_at_sensor)
+EACH_CLOUD: Checks[CloudFacts] = (
+    clouds.target_that_moves,
+    clouds.clouds_in_fixed_frame,
+    clouds.returns_at_sensor,
+)
 
 #: What the first clouds show about their frame, which all outputs share.
 FRAME: Checks[CloudFacts] = (clouds.frame_not_level,)
@@ -90,14 +92,10 @@ def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
     return [label + text for check in checks for text in check(facts)]
 
 
-def request_warnings(options: ConvertOptions) -> list[str]:
-    """Return the warnings about a request, of each output."""
-    return [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
-
-
-def cut_warnings(reader: Reader, options: ConvertOptions) -> list[str]:
-    """Return the warnings about the cut of a recording."""
-    return found_by(CUT, Cut(options.start, options.end, reader.summary))
+def request_warnings(options: ConvertOptions, recorded: Summary) -> list[str]:
+    """Return the warnings about a request, of each output, and about the cut of the recording."""
+    found = [text for spec in options.scans for text in found_by(REQUEST, OutputRequest(options, spec), spec.label)]
+    return found + found_by(CUT, Cut(options.start, options.end, recorded))
 
 
 def result_findings(

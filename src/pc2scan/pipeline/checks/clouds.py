@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.floor import CloudSample
-    from pc2scan.pipeline.scan_spec import ScanSpec
+    from pc2scan.pipeline.options import ScanSpec
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.static import StaticTransform
@@ -52,6 +52,10 @@ _NOISE = 0.02
 #: Filters that may remove the floor, and filters that may remove points at the sensor.
 _FLOOR_FILTERS = {"ground", "min_height_slope", "where"}
 _PLACE_FILTERS = {"exclude_box", "exclude_polygon", "where"}
+
+#: Frames that do not move with the robot: those of REP 105, and the one that LOAM and its successors register
+#: clouds in.
+_FIXED = {"odom", "map", "world", "earth", "camera_init"}
 
 #: A height limit from here on, metres, is taken for millimetres if the clouds are ten times lower.
 _TALL = 50.0
@@ -113,7 +117,9 @@ class CloudFacts:
         first = self.samples[0]
         if len(first.points) < FEWEST_POINTS:
             return True
-        return first.floor is not None and self.floor_share < _MOST_FLOOR and not any(swapped_transform(self))
+        if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
+            return False
+        return self.spec.level or not first.tilt_by_transform
 
     @property
     def are_nearly_empty(self) -> bool:
@@ -229,6 +235,31 @@ def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
             f"measured from the origin of {target} instead of from the robot, as SLAM and navigation expect; "
             f"`target_frame={shlex.quote(moving.body)}`"
         )
+
+
+def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if clouds are in a frame that the robot moves in, and stay in it.
+
+    There is none if the recording's transforms say that nothing moves in it.
+    """
+    frame = clouds.source.removeprefix("/")
+    if clouds.spec.params.target_frame or frame not in _FIXED or len(clouds.samples) > 1:
+        return
+    from pc2scan.tf.world_frames import BODIES  # noqa: PLC0415  # few clouds are in such a frame
+
+    buffer = clouds.transforms.read()
+    bodies = [body for body in BODIES if buffer is not None and body in buffer.frames]
+    if buffer is not None and any(buffer.is_rigid(frame, body) for body in bodies):
+        return
+    cure = (
+        f"`target_frame={bodies[0]}` moves them to the robot"
+        if bodies
+        else "convert the topic with the lidar's own clouds, or move them to the robot by `tf_from` and `target_frame`"
+    )
+    yield (
+        f"{clouds.topic}: the clouds are in {frame!r}, a frame that does not move with the robot: the scans are "
+        f"measured from its origin instead of from the robot, as SLAM and navigation expect; {cure}"
+    )
 
 
 def returns_at_sensor(clouds: CloudFacts) -> Iterator[str]:

@@ -17,11 +17,13 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Summary
     from pc2scan.options.moment import TimeBound
-    from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.scan_spec import ScanSpec
+    from pc2scan.pipeline.options import ConvertOptions, ScanSpec
 
 #: An angle_increment of this many radians (11 degrees) or more is nearly always meant in degrees.
 _COARSE = 0.2
+
+#: A warning is worth it if this share of the beams is out of reach.
+_NOTABLE_SHARE = 0.01
 
 #: A tolerance of this many seconds or more, or a scan that takes so long, is nearly always meant in milliseconds.
 _LONG = 5.0
@@ -173,6 +175,22 @@ def sector_in_degrees(request: OutputRequest) -> Iterator[str]:
         yield (
             f"angle_min {params.angle_min:g} to angle_max {params.angle_max:g} rad is a sector of "
             f"{math.degrees(span):.0f} degrees: beams beyond pi stay empty; degrees are written `angle_max=90deg`"
+        )
+
+
+def beams_beyond_half_turn(request: OutputRequest) -> Iterator[str]:
+    """Yield a warning if some beams have angles that no point has: those of points are from -pi to pi."""
+    params = request.spec.params
+    # Beams of a full circle go round it, wherever it begins.
+    if request.spec.reverse or params.angle_max - params.angle_min > FULL_TURN or params.layout.full_circle:
+        return
+    low, high = max(params.angle_min, -math.pi), min(params.angle_max, math.pi)
+    share = 1 - max(0.0, high - low) / (params.angle_max - params.angle_min)
+    if share >= _NOTABLE_SHARE:
+        first, last = math.degrees(params.angle_min), math.degrees(params.angle_max)
+        yield (
+            f"angle_min is {first:.4g} degrees and angle_max {last:.4g}, but the angles of points are from -180 to "
+            f"180: {share:.0%} of the beams never have a return; a full turn is `angle_min=-180deg` `angle_max=180deg`"
         )
 
 

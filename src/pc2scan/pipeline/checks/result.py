@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import stamp_text
+from pc2scan.errors import name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.pipeline.parameters import from_preset, preset_of
 from pc2scan.text import agreeing, counted
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from pc2scan.core.verdicts import Outcome, Verdict
     from pc2scan.model import Buffer
     from pc2scan.pipeline.combine.counts import SourceCounts
-    from pc2scan.pipeline.report import Report
-    from pc2scan.pipeline.scan_spec import ScanSpec
-    from pc2scan.pipeline.topic_report import TopicReport
+    from pc2scan.pipeline.options import ScanSpec
+    from pc2scan.pipeline.report import Report, TopicReport
 
 #: How many topics the warning about skipped ones lists.
 _MAX_WARNED = 5
@@ -247,6 +246,11 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
         if name == "height" and topic.advice:
             explanation += f": {topic.advice}"
         explained[explanation] += points.rejected.get(name, 0)
+    beams = dict(topic.removed_beams)
+    returns = beams.pop("returns", 0)
+    if 0 < returns <= sum(beams.values()):
+        names = name_list([name for name, number in beams.items() if number])
+        return f"all of the {counted(returns, 'beam')} with a return were removed as {names}"
     explanation, count = explained.most_common(1)[0]
     if count:
         return f"{count / points.total:.0%} of all points were {explanation}"

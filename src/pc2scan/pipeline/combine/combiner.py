@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from pc2scan.pipeline.conversion import ConvertedMessage
     from pc2scan.pipeline.items import OpenRoute, Output
-    from pc2scan.pipeline.topic_report import TopicReport
+    from pc2scan.pipeline.report import TopicReport
     from pc2scan.threads import Threads
 
     from .conversion import MessagesToScan

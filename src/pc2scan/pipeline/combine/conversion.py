@@ -20,7 +20,7 @@ from pc2scan.core.points import Points
 from pc2scan.core.project import PointsPart, ProjectedScan, contiguous, transform_rows
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
-from pc2scan.files.buffers import ReadBuffer, retain
+from pc2scan.files.source import ReadBuffer, retain
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
     from pc2scan.core.moving import MovingTransform
     from pc2scan.core.project import Transform
-    from pc2scan.files.buffers import RetainedMemory
+    from pc2scan.files.source import RetainedMemory
     from pc2scan.messages.used_points import UsedPoints
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Measurements, Step
     from pc2scan.pipeline.first_clouds import SharedSample, TopicClouds
-    from pc2scan.pipeline.scan_spec import ScanSpec
+    from pc2scan.pipeline.options import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
     from pc2scan.pipeline.stages.selection import SelectStage

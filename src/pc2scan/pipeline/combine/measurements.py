@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, Connection, RawMessage
     from pc2scan.pipeline.items import Span
     from pc2scan.pipeline.measurements import FirstCloud
+    from pc2scan.pipeline.options import Combining
     from pc2scan.pipeline.plan import Combination
     from pc2scan.tf.placing import Placer
 
     from .conversion import Contribution
-    from .options import Combining
     from .rules import Rule
 
 #: How many messages of a topic are read to measure its period, and how many are needed at least.

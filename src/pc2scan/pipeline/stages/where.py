@@ -1,26 +1,20 @@
 """A filter by the values of fields: ``ring in (3, 4, 5) and intensity > 10``.
 
-The grammar::
-
-    condition   = conjunction {"or" conjunction}
-    conjunction = negation {"and" negation}
-    negation    = "not" negation | comparison
-    comparison  = sum (("<" | "<=" | ">" | ">=" | "==" | "!=") sum)+
-                | sum ["not"] "in" "(" number {"," number} [","] ")"
-                | "(" condition ")"
-    sum         = product {("+" | "-") product}
-    product     = factor {("*" | "/" | "%") factor}
-    factor      = "-" factor | number | field | "abs" "(" sum ")" | "(" sum ")"
-
-Nothing is executed: a condition becomes a tree of the nodes below, and these call NumPy.
+A condition is an expression of Python with few of its nodes: ``and``, ``or``, ``not``, comparisons, ``in`` with numbers
+in parentheses, ``+ - * / %``, ``abs``, numbers, and the names of fields. Python parses it; nothing of it is executed.
 """
 
 from __future__ import annotations
 
+import ast
 import operator
 import re
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import reduce
+from keyword import iskeyword
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -29,41 +23,39 @@ from pc2scan.errors import UsageError
 from .filters import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
 
+#: Returns the value of a part of a condition for every point: float64, or bool for a condition.
+_Part: TypeAlias = "Callable[[Points], Any]"
+
 _EXAMPLE = "such as `where='ring in (3, 4, 5) and intensity > 10'`"
 
 #: The longest condition, and the deepest nesting: deeper ones could overflow the stack.
 _LONGEST = 2_000
-_DEEPEST = 50
-
-_TOKEN = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z_][A-Za-z0-9_]*)"
-    r"|(?P<sign><=|>=|==|!=|[<>()+\-*/%,]))"
-)
-_WORDS = {"and", "or", "not", "in", "abs"}
+_DEEPEST = 100
 
 #: Operators of other languages, and what to write instead.
+_FOREIGN = re.compile(r"(?<![<>=!])=(?!=)|&+|\|+|!(?!=)")
 _INSTEAD = {"=": "for equality write ==", "&": "write and", "|": "write or", "!": "write not"}
 
-_COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = {
-    "<": operator.lt,
-    "<=": operator.le,
-    ">": operator.gt,
-    ">=": operator.ge,
-    "==": operator.eq,
-    "!=": operator.ne,
+_COMPARISONS: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
 }
-_ARITHMETIC: Mapping[str, Callable[[Any, Any], Any]] = {
-    "+": operator.add,
-    "-": operator.sub,
-    "*": operator.mul,
-    "/": np.divide,
-    "%": np.mod,
+_ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: np.divide,
+    ast.Mod: np.mod,
 }
 
 
@@ -78,7 +70,7 @@ class Where:
     Parameters
     ----------
     condition
-        See the grammar of this module.
+        See this module.
 
     Raises
     ------
@@ -100,9 +92,9 @@ class Where:
         return self.condition
 
     def __post_init__(self) -> None:
-        parser = _Parser(self.condition)
-        object.__setattr__(self, "_holds", parser.whole())
-        object.__setattr__(self, "_names", tuple(parser.fields))
+        read = _Condition(self.condition)
+        object.__setattr__(self, "_holds", read.holds)
+        object.__setattr__(self, "_names", tuple(read.fields))
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -111,223 +103,142 @@ class Where:
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return for which points the condition holds; see `pc2scan.pipeline.stages.filters.Filter`."""
-        return self._holds(points)
+        return np.asarray(self._holds(points))
 
 
-@dataclass(frozen=True, slots=True)
-class _Expression:
-    """A part of a condition: a field, a number, or a function of other parts; ``column`` is where it begins."""
+class _Condition:
+    """A condition that was read.
 
-    column: int
-    function: Callable[..., Any] | None = None
-    parts: tuple[_Expression, ...] = ()
-    is_condition: bool = False
-    field: str = ""
-    number: float | None = None
-
-    def __call__(self, points: Points) -> Any:
-        """Return its value for every point: float64, or bool for a condition."""
-        if self.function is not None:
-            return self.function(*(part(points) for part in self.parts))
-        return np.float64(self.number) if self.number is not None else points.field(self.field).astype(np.float64)
-
-
-@dataclass(frozen=True, slots=True)
-class _Comparison(_Expression):
-    """A comparison of two parts."""
-
-    def __call__(self, points: Points) -> Any:
-        left, right = (_operand(part, other, points) for part, other in (self.parts, self.parts[::-1]))
-        return self.function(left, right)  # type: ignore[misc]  # a comparison has one
-
-
-def _operand(part: _Expression, other: _Expression, points: Points) -> Any:
-    """Return the values of a side of a comparison: float32 if a field of float32 is compared with a number."""
-    named, number = (part, other) if part.field else (other, part)
-    if named.field and number.number is not None:
-        values = points.field(named.field)
-        if values.dtype.kind == "f" and values.dtype.itemsize == 4:
-            return values if named is part else np.float32(number.number)
-    return part(points)
-
-
-def _join_conditions(function: Callable[..., Any], conditions: Sequence[_Expression]) -> _Expression:
-    """Return one condition that joins several."""
-    first, *others = conditions
-    for other in others:
-        first = _Expression(first.column, function, (first, other), True)
-    return first
-
-
-class _Token(NamedTuple):
-    """A word, number or sign of a condition; ``kind`` is one of `_TOKEN`'s groups, or end."""
-
-    kind: str
-    text: str
-    column: int
-
-
-class _Parser:
-    """Reads one condition, from left to right."""
+    Attributes
+    ----------
+    fields
+        The fields that it names.
+    holds
+        Returns for which points it holds.
+    """
 
     def __init__(self, text: str) -> None:
         self._text = text
-        if len(text) > _LONGEST:
-            raise UsageError(f"`where` has {len(text):,} characters, at most {_LONGEST:,} are allowed")
-        self._tokens = self._split()
-        self._place = 0
-        self._depth = 0
         self.fields: dict[str, None] = {}
-
-    def whole(self) -> _Expression:
-        """Read the whole condition."""
-        condition = self._condition(self._either())
-        if self._next.kind != "end":
-            raise self._error(self._next.column, f"expected and, or, or the end, not {self._shown}")
+        self.holds = self._condition(self._parse(), 0)
         if not self.fields:
             raise self._error(1, "it names no field")
-        return condition
 
-    def _split(self) -> list[_Token]:
-        tokens = []
-        place, end = 0, len(self._text.rstrip())
-        while place < end:
-            found = _TOKEN.match(self._text, place)
-            if found is None:
-                column = end - len(self._text[place:end].lstrip()) + 1
-                character = self._text[column - 1]
-                raise self._error(column, f"unexpected {character!r}", _INSTEAD.get(character))
-            kind = found.lastgroup or ""
-            tokens.append(_Token(kind, found[kind], found.start(kind) + 1))
-            place = found.end()
-        return [*tokens, _Token("end", "the end", end + 1)]
+    def _parse(self) -> ast.expr:
+        text = self._text
+        if len(text) > _LONGEST:
+            raise UsageError(f"`where` has {len(text):,} characters, at most {_LONGEST:,} are allowed")
+        if found := _FOREIGN.search(text):
+            raise self._error(found.start() + 1, f"unexpected {found[0]!r}", _INSTEAD[found[0][0]])
+        try:
+            # Python warns of some expressions that it accepts, such as `3and 4`.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                # A condition in a file may have several lines.
+                return ast.parse(re.sub(r"\s", " ", text.strip()), mode="eval").body
+        except SyntaxError as err:
+            column = min(err.offset + self._indent, len(text) + 1) if err.offset else len(text.rstrip()) + 1
+            rest = text[column - 1 :].split()
+            hint = "a word of Python is no field" if rest and iskeyword(rest[0]) else None
+            raise self._error(column, f"unexpected {rest[0]!r}" if rest else "it ends too early", hint) from None
+        except (ValueError, RecursionError, MemoryError):
+            raise self._error(1, "it cannot be read") from None
 
     @property
-    def _next(self) -> _Token:
-        return self._tokens[self._place]
+    def _indent(self) -> int:
+        """How many blanks precede the condition."""
+        return len(self._text) - len(self._text.lstrip())
 
-    @property
-    def _shown(self) -> str:
-        return self._next.text if self._next.kind == "end" else repr(self._next.text)
-
-    def _take(self, *texts: str) -> str:
-        """Take the next token if it is one of these; empty if not."""
-        token = self._next
-        if token.kind == "end" or token.text not in texts:
-            return ""
-        self._place += 1
-        return token.text
-
-    def _expect(self, text: str) -> None:
-        if not self._take(text):
-            raise self._error(self._next.column, f"expected {text!r}, not {self._shown}")
-
-    def _error(self, column: int, what: str, hint: str | None = None) -> UsageError:
+    def _error(self, place: int | ast.AST, what: str, hint: str | None = None) -> UsageError:
+        column = place if isinstance(place, int) else getattr(place, "col_offset", 0) + self._indent + 1
         return UsageError(f"`where`: column {column} of {self._text!r}: {what}", hint=hint or _EXAMPLE)
 
-    def _condition(self, node: _Expression) -> _Expression:
-        if not node.is_condition:
-            raise self._error(node.column, "expected a comparison; this is a number", "compare it: ring == 3")
-        return node
+    def _deeper(self, node: ast.AST, depth: int) -> int:
+        if depth >= _DEEPEST:
+            raise self._error(node, f"more than {_DEEPEST} levels of operators and nots")
+        return depth + 1
 
-    def _value(self, node: _Expression) -> _Expression:
-        if node.is_condition:
-            raise self._error(node.column, "expected a number; this is a condition")
-        return node
+    def _condition(self, node: ast.expr, depth: int) -> _Part:
+        """Return what computes a condition."""
+        depth = self._deeper(node, depth)
+        if isinstance(node, ast.BoolOp):
+            join = np.logical_and if isinstance(node.op, ast.And) else np.logical_or
+            parts = [self._condition(each, depth) for each in node.values]
+            return lambda points: reduce(join, (part(points) for part in parts))
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            part = self._condition(node.operand, depth)
+            return lambda points: np.logical_not(part(points))
+        if isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+            checks = [self._comparison(*each, depth) for each in zip(sides, node.ops, sides[1:], strict=False)]
+            return lambda points: reduce(np.logical_and, (check(points) for check in checks))
+        self._value(node, depth)
+        raise self._error(node, "expected a comparison; this is a number", "compare it: ring == 3")
 
-    def _either(self) -> _Expression:
-        node = self._both()
-        while self._take("or"):
-            node = _Expression(node.column, np.logical_or, (self._condition(node), self._condition(self._both())), True)
-        return node
+    def _comparison(self, left: ast.expr, sign: ast.cmpop, right: ast.expr, depth: int) -> _Part:
+        """Return what compares two values, or a value with several numbers."""
+        if isinstance(sign, ast.In | ast.NotIn):
+            numbers = right.elts if isinstance(right, ast.Tuple | ast.List | ast.Set) else [right]
+            for each in numbers:
+                if _number_of(each) is None:
+                    raise self._error(each, "expected a number")
+            if not numbers:
+                raise self._error(right, "expected a number in the parentheses")
+            equal = [self._comparison(left, ast.Eq(), each, depth) for each in numbers]
+            if isinstance(sign, ast.In):
+                return lambda points: reduce(np.logical_or, (check(points) for check in equal))
+            return lambda points: np.logical_not(reduce(np.logical_or, (check(points) for check in equal)))
+        compare = _COMPARISONS.get(type(sign))
+        if compare is None:
+            raise self._error(right, "expected one of < <= > >= == != in")
+        values = self._value(left, depth), self._value(right, depth)
+        named, number = (left, _number_of(right)) if isinstance(left, ast.Name) else (right, _number_of(left))
+        if not isinstance(named, ast.Name) or number is None:
+            return lambda points: compare(values[0](points), values[1](points))
 
-    def _both(self) -> _Expression:
-        node = self._negation()
-        while self._take("and"):
-            node = _Expression(
-                node.column, np.logical_and, (self._condition(node), self._condition(self._negation())), True
-            )
-        return node
+        def compare_field(points: Points) -> Any:
+            own = points.field(named.id)
+            if own.dtype != np.float32:
+                return compare(values[0](points), values[1](points))
+            return compare(own, np.float32(number)) if named is left else compare(np.float32(number), own)
 
-    def _negation(self) -> _Expression:
-        column = self._next.column
-        if self._take("not"):
-            return _Expression(column, np.logical_not, (self._condition(self._deeper(self._negation)),), True)
-        return self._comparison()
+        return compare_field
 
-    def _comparison(self) -> _Expression:
-        left = self._sum()
-        column = left.column
-        checks: list[_Expression] = []
-        while sign := self._take(*_COMPARISONS):
-            right = self._value(self._sum())
-            checks.append(_Comparison(column, _COMPARISONS[sign], (self._value(left), right), True))
-            left = right
-        if checks:
-            return _join_conditions(np.logical_and, checks)
-        is_negated = self._next.text == "not" and self._tokens[self._place + 1].text == "in"
-        self._place += is_negated
-        if not self._take("in"):
-            return left
-        value = self._value(left)
-        equal = [_Comparison(column, operator.eq, (value, number), True) for number in self._numbers()]
-        found = _join_conditions(np.logical_or, equal)
-        return _Expression(column, np.logical_not, (found,), True) if is_negated else found
+    def _value(self, node: ast.expr, depth: int) -> _Part:
+        """Return what computes a number for each point."""
+        depth = self._deeper(node, depth)
+        if (number := _number_of(node)) is not None:
+            value = np.float64(number)
+            return lambda _: value
+        if isinstance(node, ast.Name) and node.id.isascii():
+            name = node.id
+            self.fields[name] = None
+            return lambda points: points.field(name).astype(np.float64)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+            part = self._value(node.operand, depth)
+            return lambda points: -part(points)
+        if isinstance(node, ast.BinOp) and (compute := _ARITHMETIC.get(type(node.op))) is not None:
+            parts = self._value(node.left, depth), self._value(node.right, depth)
+            return lambda points: compute(parts[0](points), parts[1](points))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "abs":
+            if len(node.args) == 1 and not node.keywords:
+                part = self._value(node.args[0], depth)
+                return lambda points: np.abs(part(points))
+            raise self._error(node, "abs takes one value")
+        if isinstance(node, ast.BoolOp | ast.Compare) or (
+            isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not)
+        ):
+            raise self._error(node, "expected a number; this is a condition")
+        found = ast.get_source_segment(self._text.strip(), node)
+        raise self._error(node, f"unexpected {found!r}")
 
-    def _numbers(self) -> list[_Expression]:
-        """Return the numbers in parentheses after ``in``."""
-        self._expect("(")
-        numbers = [self._literal()]
-        while self._take(",") and self._next.text != ")":
-            numbers.append(self._literal())
-        self._expect(")")
-        return numbers
 
-    def _literal(self) -> _Expression:
-        column, sign = self._next.column, -1 if self._take("-") else 1
-        token = self._next
-        if token.kind != "number":
-            raise self._error(token.column, f"expected a number, not {self._shown}")
-        self._place += 1
-        return _Expression(column, number=sign * float(token.text))
-
-    def _sum(self) -> _Expression:
-        node = self._product()
-        while sign := self._take("+", "-"):
-            node = _Expression(node.column, _ARITHMETIC[sign], (self._value(node), self._value(self._product())))
-        return node
-
-    def _product(self) -> _Expression:
-        node = self._factor()
-        while sign := self._take("*", "/", "%"):
-            node = _Expression(node.column, _ARITHMETIC[sign], (self._value(node), self._value(self._factor())))
-        return node
-
-    def _factor(self) -> _Expression:
-        token = self._next
-        if token.kind == "number" or (token.text == "-" and self._tokens[self._place + 1].kind == "number"):
-            return self._literal()
-        if token.kind == "name" and token.text not in _WORDS:
-            self._place += 1
-            self.fields[token.text] = None
-            return _Expression(token.column, field=token.text)
-        if self._take("-"):
-            return _Expression(token.column, operator.neg, (self._value(self._deeper(self._factor)),))
-        function = self._take("abs")
-        if not function and self._next.text != "(":
-            raise self._error(token.column, f"expected a field or a number, not {self._shown}")
-        self._expect("(")
-        node = self._deeper(self._either)
-        self._expect(")")
-        if function:
-            return _Expression(token.column, np.abs, (self._value(node),))
-        return replace(node, column=token.column)
-
-    def _deeper(self, read: Callable[[], _Expression]) -> _Expression:
-        """Read a nested part; raise if it is too deep."""
-        if self._depth >= _DEEPEST:
-            raise self._error(self._next.column, f"more than {_DEEPEST} levels of parentheses, signs and nots")
-        self._depth += 1
-        node = read()
-        self._depth -= 1
-        return node
+def _number_of(node: ast.expr) -> float | None:
+    """Return the number that a node is, with its sign; None if it is anything else."""
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub) and isinstance(node.operand, ast.Constant):
+        number = _number_of(node.operand)
+        return None if number is None else -number
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
+        with suppress(OverflowError):
+            return float(node.value)
+    return None

@@ -6,6 +6,7 @@ with a log beside it is merged with the log into a temporary copy by `pc2scan.ba
 
 from __future__ import annotations
 
+import os
 import re
 import sqlite3
 import sys
@@ -15,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files.copies import copy_errors, private_folder, sqlite_is_full
+from pc2scan.files.places import TEMPORARY_HINT, copy_errors, private_folder
+from pc2scan.files.source import copy_file
+from pc2scan.files.urls import UrlPath
 
 from .logs import missing_bytes, side_logs, write_merged
 from .pages import PageFile, declared_size, rebuild_database
@@ -122,6 +125,8 @@ class Database:
         if any(log.page_count is not None for log in self._logs):
             path = self._merged_copy()
         # Other threads use the reader, one at a time.
+        elif isinstance(path, UrlPath):
+            path = self._local_copy()
         database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True, check_same_thread=False)
         self._connection = database
         # A topic's name may have bytes that are not UTF-8.
@@ -221,7 +226,7 @@ class Database:
 
     def _error(self, err: Exception) -> RecordingError:
         if isinstance(err, sqlite3.Error) and code_of(err) == FULL:
-            return sqlite_is_full(self.path)
+            return _sorting_error(self.path)
         message = f"SQLite cannot read it: {str(err) or type(err).__name__}"
         # Failing disks and a lack of memory are not damage.
         if not isinstance(err, sqlite3.Error) or code_of(err) in _DAMAGE_CODES:
@@ -258,6 +263,14 @@ class Database:
             error = self.damage(f"has {self.size} bytes, {self.size - declared} more than its header declares")
             self._noted.note(error, key="size", messages_lost=0)
 
+    def _local_copy(self) -> Path:
+        """Copy a database at a URL: SQLite reads only local files."""
+        self._copy = private_folder(self.path)
+        target = Path(self._copy.name, "copy.db3")
+        with copy_errors(self.path, target.parent):
+            copy_file(self.path, target)
+        return target
+
     def _merged_copy(self) -> Path:
         """Copy the database with the pages of its logs; the copy is at most as large as both."""
         self._copy = private_folder(self.path)
@@ -265,3 +278,13 @@ class Database:
         with copy_errors(self.path, target.parent):
             write_merged(self.path, self._logs, target)
         return target
+
+
+def _sorting_error(path: Path) -> RecordingError:
+    """Return the error for SQLite's own temporary files, whose folder is not Python's."""
+    named = (os.environ.get("SQLITE_TMPDIR"), os.environ.get("TMPDIR"), "/var/tmp", "/usr/tmp", "/tmp")  # noqa: S108
+    usable = (place for place in named if place and Path(place).is_dir() and os.access(place, os.W_OK | os.X_OK))
+    place = next(usable, ".")
+    return RecordingError(
+        f"cannot be sorted: SQLite's temporary files do not fit in {place}", path=path, hint=TEMPORARY_HINT
+    )

@@ -8,13 +8,12 @@ and ``pager.c``.
 
 from __future__ import annotations
 
-import shutil
 import struct
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.files.source import SourceFile, file_beside
+from pc2scan.files.source import SourceFile, copy_file, file_beside
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -395,7 +394,7 @@ def write_merged(path: Path, logs: Sequence[PageLog], target: Path) -> None:
     OSError
         If the database cannot be read, or the target not written.
     """
-    shutil.copyfile(path, target)
+    copy_file(path, target)
     with target.open("r+b") as out:
         for log in logs:
             count, size = log.page_count, log.page_size

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import OutputError, UnwritableError
 from pc2scan.files.compression import compress
-from pc2scan.files.system import sync_file
-from pc2scan.files.write_ahead import WriteAhead
+from pc2scan.files.new_file import WriteAhead
+from pc2scan.files.staging import sync
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -192,7 +192,7 @@ class Sqlite3Writer:
         self._run("COMMIT")
         try:
             self._database.close()
-            sync_file(self._path)
+            sync(self._path)
         except (OSError, sqlite3.Error) as err:
             raise self._write_error(err) from err
 

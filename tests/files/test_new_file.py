@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from pc2scan.files.write_ahead import WriteAhead
+from pc2scan.files.new_file import WriteAhead
 from pc2scan.threads import Threads
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from random import Random
+from threading import Lock
+from time import sleep
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,13 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.errors import RecordingError
-from pc2scan.files.source import on_demand
-from pc2scan.remote.ranges import add_stand_in
-from pc2scan.remote.store import LEAST_BYTES, Pace, TooSlowError
+from pc2scan.files.store import LEAST_BYTES, Pace, RangeFile, StoredObject, TooSlowError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 
 class Clock:
@@ -91,40 +92,88 @@ class Link:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr("pc2scan.remote.ranges.monotonic", clock)
+    monkeypatch.setattr("pc2scan.files.store.monotonic", clock)
     return clock
 
 
-def fetched(link: Link, target: Path) -> bytes:
-    add_stand_in(link, target, len(link.data))  # type: ignore[arg-type]
-    try:
-        on_demand[target](0, len(link.data))
-    finally:
-        del on_demand[target]
-    return target.read_bytes()
+def fetched(link: Link) -> bytes:
+    file = RangeFile(link, StoredObject(len(link.data), "1"))  # type: ignore[arg-type]
+    file.fetch(0, len(link.data))
+    with file.open() as opened:
+        return opened.read()
 
 
 DATA = bytes(range(251)) * 40_000
 
 
 @pytest.mark.parametrize("speed", [1_500, 20_000, 300_000, 1e7, 1e9])
-def test_ranges_arrive_on_a_link_of_any_honest_speed(speed: float, clock: Clock, tmp_path: Path) -> None:
+def test_ranges_arrive_on_a_link_of_any_honest_speed(speed: float, clock: Clock) -> None:
     link = Link(DATA, clock, lambda _: speed)
-    assert fetched(link, tmp_path / "a") == DATA
+    assert fetched(link) == DATA
     # The first request is as long as on a fast link; after it none is so long that it takes a minute.
     assert all(arrives for _, arrives in link.asked[1:])
     if speed >= 1e7:
         assert len(link.asked) == 1
 
 
-def test_ranges_arrive_on_a_link_that_becomes_slow(clock: Clock, tmp_path: Path) -> None:
+def test_ranges_arrive_on_a_link_that_becomes_slow(clock: Clock) -> None:
     link = Link(DATA * 8, clock, lambda seconds: 1e8 if seconds < 0.5 else 30_000)
-    assert fetched(link, tmp_path / "a") == DATA * 8
+    assert fetched(link) == DATA * 8
     assert [arrives for _, arrives in link.asked].count(False) == 1
 
 
-def test_a_link_below_a_kilobyte_a_second_is_an_error(clock: Clock, tmp_path: Path) -> None:
+def test_a_link_below_a_kilobyte_a_second_is_an_error(clock: Clock) -> None:
     link = Link(DATA * 8, clock, lambda seconds: 1e7 if seconds < 5 else 0.2)
     with pytest.raises(RecordingError, match="too slow to finish"):
-        fetched(link, tmp_path / "a")
+        fetched(link)
     assert clock.now <= 1000 + 5 + 2 * 60 + 60
+
+
+class Counted:
+    """A file whose ranges arrive at once; what was asked for is noted."""
+
+    shown = "memory://a.mcap"
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.asked: list[tuple[int, int]] = []
+        self.lock = Lock()
+
+    def bytes_at(self, start: int, stop: int) -> bytes:
+        with self.lock:
+            self.asked.append((start, stop))
+        sleep(0.001)
+        return self.data[start:stop]
+
+
+def test_many_threads_fetch_each_byte_once() -> None:
+    place = Counted(DATA)
+    file = RangeFile(place, StoredObject(len(DATA), "1"))  # type: ignore[arg-type]
+    random = Random(1)
+    places = [(offset := random.randrange(len(DATA)), random.randrange(len(DATA) - offset)) for _ in range(200)]
+
+    def read(place: tuple[int, int]) -> bool:
+        offset, length = place
+        with file.open() as opened:
+            opened.seek(offset)
+            return opened.read(length) == DATA[offset : offset + length]
+
+    with ThreadPoolExecutor(8) as pool:
+        assert all(pool.map(read, places))
+    assert sum(stop - start for start, stop in place.asked) <= len(DATA)
+
+
+def test_what_failed_is_fetched_again() -> None:
+    place = Counted(DATA)
+    file = RangeFile(place, StoredObject(len(DATA), "1"))  # type: ignore[arg-type]
+    bytes_at = place.bytes_at
+
+    def refuse(*_: int) -> bytes:
+        raise RecordingError("gone", path=place.shown)
+
+    place.bytes_at = refuse  # type: ignore[method-assign, assignment]
+    with pytest.raises(RecordingError, match="gone"):
+        file.fetch(0, 10)
+    place.bytes_at = bytes_at  # type: ignore[method-assign]
+    file.fetch(0, 10)
+    assert place.asked == [(0, LEAST_BYTES)]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pc2scan.errors import UsageError
-from pc2scan.pipeline.combine.options import Combining
+from pc2scan.pipeline.options import Combining
 from support.tables import rows
 
 

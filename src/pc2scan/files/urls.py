@@ -1,0 +1,377 @@
+"""Paths as users give them, which may be URLs: whatever reads or writes a path takes a URL. Every command imports it.
+
+A `UrlPath` shows itself without secrets, so results and messages name the URL. `pc2scan.files.store` has the store's
+side, and is loaded when anything is read or written there. ``file:`` URLs become ordinary paths: see `local_path`.
+"""
+
+from __future__ import annotations
+
+import os
+import posixpath
+import stat
+import zlib
+from collections.abc import Iterable
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pc2scan.arguments import value_and_type
+from pc2scan.errors import MissingError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterator
+    from typing import TypeAlias
+
+    from typing_extensions import Self
+
+    from .store import RemotePath, StoredObject
+
+    PathText: TypeAlias = str | PathLike[str]
+
+#: The library that fsspec needs for a scheme; empty if it needs none.
+LIBRARIES = {
+    "s3": "s3fs",
+    "s3a": "s3fs",
+    "gs": "gcsfs",
+    "gcs": "gcsfs",
+    "az": "adlfs",
+    "abfs": "adlfs",
+    "abfss": "adlfs",
+    "https": "aiohttp",
+    "http": "aiohttp",
+    "memory": "",
+}
+
+
+def is_url(path: str | PathLike[str] | None) -> bool:
+    """Return whether a path was given as a URL.
+
+    >>> is_url("s3://bucket/drive.mcap"), is_url("s3/drive.mcap"), is_url(None)
+    (True, False, False)
+    """
+    if path is None:
+        return False
+    # A Path has turned the two slashes of the URL into one.
+    scheme, _, rest = os.fspath(path).replace(os.sep, "/").partition(":")
+    return rest.startswith("/") and scheme in LIBRARIES
+
+
+def path_or_url(text: str | PathLike[str]) -> Path:
+    """Return the path that a text names: a `UrlPath` for a URL."""
+    if isinstance(text, UrlPath):
+        return text
+    return UrlPath(text) if is_url(text) else Path(text)
+
+
+def path_of(name: str, value: object) -> Path:
+    """Return a path that was given as text or as an object; see `path_text`."""
+    return value if isinstance(value, UrlPath) else path_or_url(path_text(name, value))
+
+
+def path_text(name: str, value: object) -> str:
+    """Return a path that was given as text or as an object, as text.
+
+    A leading ``~`` is the home folder, as in a shell, unless a file with that name exists. A ``file:`` URL is the path
+    that it names: see `local_path`.
+
+    Parameters
+    ----------
+    name
+        The name of the argument.
+    value
+        The argument.
+
+    Raises
+    ------
+    TypeError
+        If it is not a path.
+    UsageError
+        If it is empty.
+    """
+    text: object = os.fspath(value) if isinstance(value, str | PathLike) else value
+    if not isinstance(text, str):
+        hint = ", not an open file" if hasattr(value, "read") else ""
+        raise TypeError(f"{name} is {value_and_type(value)}, it must be a path: str or pathlib.Path{hint}")
+    if not text:
+        raise UsageError(f"{name} is an empty path")
+    text = local_path(text)
+    if text.startswith("~") and not os.path.lexists(text):
+        return os.path.expanduser(text)  # noqa: PTH111  # Path.expanduser fails where there is no such user
+    return text
+
+
+def local_path(text: str) -> str:
+    """Return the path that a ``file:`` URL names, as RFC 8089 defines it; any other text is returned as it is.
+
+    All code after this sees a path, so a file has no second kind of name.
+
+    >>> local_path("file:///data/a%20b.bag"), local_path("file://localhost/a.bag"), local_path("FILE:/a.bag")
+    ('/data/a b.bag', '/a.bag', '/a.bag')
+    >>> local_path("s3://bucket/a%20b.bag"), local_path("file:a.bag")
+    ('s3://bucket/a%20b.bag', 'file:a.bag')
+
+    Raises
+    ------
+    UsageError
+        If the URL names another machine, has a query or a fragment, or a character that no path can have.
+    """
+    scheme, _, rest = text.partition(":")
+    if scheme.lower() != "file" or not rest.startswith("/"):
+        return text
+    if rest.startswith("//"):
+        host, slash, path = rest[2:].partition("/")
+        _refuse_other_host(text, host)
+        rest = slash + path
+    if not rest:
+        raise UsageError("is a URL without a path", path=text, hint="with three slashes: file:///data/drive.bag")
+    if odd := next((sign for sign in "?#" if sign in rest), None):
+        raise UsageError(
+            f"is a URL with a {odd}, which begins no part of a file's name",
+            path=text,
+            hint=f"write %{ord(odd):02X} if it belongs to the name",
+        )
+    from urllib.parse import unquote_to_bytes  # noqa: PLC0415  # few paths are URLs
+
+    if odd := next((code for code in ("%00", "%2F") if code in rest.upper()), None):
+        raise UsageError(f"is a URL with {odd}, which no file's name can have", path=text)
+    found = "/" + os.fsdecode(unquote_to_bytes(os.fsencode(rest))).lstrip("/")
+    # On Windows a drive follows the slash: file:///C:/data, or file:///C|/data.
+    has_drive = os.name == "nt" and found[2:3] in {":", "|"}
+    return f"{found[1]}:{found[3:]}" if has_drive else found
+
+
+def _refuse_other_host(url: str, host: str) -> None:
+    """Raise if the host of a ``file:`` URL is not this machine."""
+    if host.lower() in {"", "localhost"}:
+        return
+    from socket import gethostname  # noqa: PLC0415  # few URLs name a host
+
+    if host.lower() != gethostname().lower():
+        raise UsageError(
+            f"is a file of another machine, {host}",
+            path=url,
+            hint="a path of this machine has three slashes: file:///data/drive.bag",
+        )
+
+
+def paths_in(name: str, values: PathText | Iterable[PathText]) -> list[Path]:
+    """Return the paths of an argument that takes one path or several.
+
+    Raises
+    ------
+    TypeError
+        If one of them is not a path.
+    UsageError
+        If there is none.
+    """
+    is_file = hasattr(values, "read")
+    if is_file or isinstance(values, str | bytes | PathLike) or not isinstance(values, Iterable):
+        return [path_of(name, values)]
+    paths = [path_of(name, value) for value in values]
+    if not paths:
+        raise UsageError(f"{name} is empty: no recording was given")
+    return paths
+
+
+def absolute(path: Path) -> Path:
+    """Return a path that is valid in other folders, too; links keep their names."""
+    return path if isinstance(path, UrlPath) else Path(os.path.abspath(path))  # noqa: PTH100
+
+
+def exists(path: Path) -> bool:
+    """Return whether anything has this path; a link that leads nowhere counts."""
+    return path.exists() if isinstance(path, UrlPath) else os.path.lexists(path)
+
+
+def is_dir(path: Path) -> bool:
+    """Return whether a path is a folder; False if that cannot be found out."""
+    # Not Path.is_dir, which raises for some.
+    return path.is_dir() if isinstance(path, UrlPath) else os.path.isdir(path)  # noqa: PTH112
+
+
+def is_file(path: Path) -> bool:
+    """Return whether a path is a file; False if that cannot be found out."""
+    return path.is_file() if isinstance(path, UrlPath) else os.path.isfile(path)  # noqa: PTH113
+
+
+def shown_url(url: str) -> str:
+    """Return a URL without its parts that may be secret: user and password, and over HTTP query and fragment.
+
+    In the other schemes ``?`` and ``#`` are characters of a name.
+
+    >>> shown_url("https://me:secret@example.org/drive.mcap?signature=1"), shown_url("s3://bucket/drive #1?.mcap")
+    ('https://example.org/drive.mcap', 's3://bucket/drive #1?.mcap')
+    """
+    scheme, _, rest = url.partition("://")
+    if scheme in ("http", "https"):
+        rest = rest.partition("#")[0].partition("?")[0]
+    host, slash, path = rest.partition("/")
+    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
+
+
+# Up to Python 3.11, Path itself has no subclasses, only these have.
+if TYPE_CHECKING:
+    from pathlib import PosixPath as _LocalPath
+elif os.name == "nt":
+    from pathlib import WindowsPath as _LocalPath
+else:
+    from pathlib import PosixPath as _LocalPath
+
+
+class UrlPath(_LocalPath):
+    """A file or a folder at a URL.
+
+    Its text is the URL without secrets; `os.fspath` returns the whole URL. Methods that read raise the errors of
+    `pc2scan.errors`, not OSErrors. Nothing is a link there.
+    """
+
+    #: What a listing has said of it; None if that is not known.
+    entry: StoredObject | None = None
+
+    @property
+    def url(self) -> str:
+        """The whole URL, with secrets."""
+        scheme, _, rest = super().__str__().replace(os.sep, "/").partition(":")
+        return f"{scheme}://{rest.lstrip('/')}"
+
+    def __str__(self) -> str:
+        return shown_url(self.url)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({str(self)!r})"
+
+    def __fspath__(self) -> str:
+        return self.url
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.url,)
+
+    @property
+    def name(self) -> str:
+        """The last part, over HTTP without the query."""
+        return str(self).rstrip("/").rpartition("/")[2]
+
+    @property
+    def scheme(self) -> str:
+        """The scheme, such as ``s3``."""
+        return self.url.partition(":")[0]
+
+    @property
+    def remote(self) -> RemotePath:
+        """The place in the store."""
+        from .store import RemotePath  # noqa: PLC0415  # loads fsspec
+
+        return RemotePath(self.url, str(self), LIBRARIES[self.scheme])
+
+    @property
+    def is_read_only(self) -> bool:
+        """Whether files there can only be read."""
+        return self.scheme in {"http", "https"}
+
+    @property
+    def identity(self) -> UrlPath:
+        """A path that is equal for URLs of one object, however they are written."""
+        scheme = {"s3a": "s3", "gcs": "gs", "abfs": "az", "abfss": "az"}.get(self.scheme, self.scheme)
+        return UrlPath(f"{scheme}:{posixpath.normpath(str(self).partition('://')[2])}".replace(":", ":/", 1))
+
+    def as_posix(self) -> str:
+        """Return the text."""
+        return str(self)
+
+    def absolute(self) -> Self:
+        """Return the path itself."""
+        return self
+
+    def resolve(self, strict: bool = False) -> Self:  # noqa: ARG002  # the signature of Path
+        """Return the path itself."""
+        return self
+
+    def relative_to(self, *other: Any) -> Path:  # type: ignore[override]  # what is relative is no URL
+        """Return the path below a folder."""
+        *folders, last = super().relative_to(*other).parts or ("",)
+        # Over HTTP, the last part may have a secret query.
+        return Path(*folders, self.name if last else "")
+
+    def known(self) -> StoredObject:
+        """Return what is there: from a listing, or else from the store.
+
+        Raises
+        ------
+        MissingError
+            If nothing is there.
+        """
+        return self.remote.entry() if self.entry is None else self.entry
+
+    def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:  # noqa: ARG002  # the signature of Path
+        """Return the size, and times that change with the version."""
+        found = self.known()
+        mode = stat.S_IFDIR | 0o755 if found.is_folder else stat.S_IFREG | 0o644
+        time = zlib.crc32(found.version.encode())
+        inode = zlib.crc32(os.fspath(self.identity).encode())
+        return os.stat_result((mode, inode, 0, 1, 0, 0, found.size, time, time, time))
+
+    lstat = stat
+
+    def states(self) -> tuple[tuple[str, int, int, int, int], ...]:
+        """Return what `pc2scan.files.source.state_of` returns of files; from the store, not from an earlier listing."""
+        found = self.remote.entry()
+        files = self.remote.children() if found.is_folder else {self.name: found}
+        return tuple((name, 0, file.size, zlib.crc32(file.version.encode()), 0) for name, file in files.items())
+
+    def exists(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
+        """Return whether anything is there."""
+        return self._found() is not None
+
+    def _found(self) -> StoredObject | None:
+        try:
+            return self.known()
+        except MissingError:
+            return None
+
+    def is_dir(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
+        """Return whether it is a folder."""
+        return (found := self._found()) is not None and found.is_folder
+
+    def is_file(self, *, follow_symlinks: bool = True) -> bool:  # noqa: ARG002  # the signature of Path
+        """Return whether it is a file."""
+        return (found := self._found()) is not None and not found.is_folder
+
+    def is_symlink(self) -> bool:
+        """Return False."""
+        return False
+
+    def readlink(self) -> Self:
+        """Raise: it is no link."""
+        raise OSError(22, "is not a link")
+
+    def iterdir(self) -> Generator[Self]:
+        """Yield what is in a folder."""
+        yield from self._children(self.remote.children())
+
+    def below(self) -> Iterator[Self]:
+        """Yield all files in a folder and the folders in it."""
+        return self._children(self.remote.below())
+
+    def matches(self, root: Path) -> Iterator[UrlPath]:
+        """Yield what this path matches as a pattern (``*``, ``**``, ``?``, ``[abc]``), below a folder without signs."""
+        assert isinstance(root, UrlPath)
+        return root._children(self.remote.matches(root.remote.key))  # noqa: SLF001
+
+    def _children(self, found: dict[str, StoredObject]) -> Iterator[Self]:
+        for name, entry in found.items():
+            child = self / name
+            child.entry = entry
+            yield child
+
+    def hold(self) -> object:
+        """Return what keeps the bytes that are fetched from a file, as long as it is referred to."""
+        return None if self.is_dir() else self.remote.ranges()
+
+    def open(self, mode: str = "r", *_: Any, **__: Any) -> Any:
+        """Open a file for reading, as bytes (``rb``)."""
+        assert mode == "rb"
+        return self.remote.ranges().open()
+
+    def read_bytes(self) -> bytes:
+        """Return the content of a small file."""
+        return self.remote.read()

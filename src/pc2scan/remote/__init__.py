@@ -1,1 +1,0 @@
-"""Reads and writes recordings at URLs (buckets, web servers) by fsspec."""

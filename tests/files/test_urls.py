@@ -1,0 +1,52 @@
+"""Which paths are URLs, what of them is shown, and how they behave as paths."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from pathlib import Path
+
+import pytest
+
+from pc2scan.files.urls import UrlPath, is_url, path_or_url
+
+
+@pytest.mark.parametrize("url", ["s3://bucket/a/b.mcap", "gs://b/c", "az://b/c", "https://h/x.bag?s=1", "memory://b/c"])
+def test_a_url_survives_a_path(url: str) -> None:
+    for path in (path_or_url(url), path_or_url(Path(url)), pickle.loads(pickle.dumps(path_or_url(url)))):
+        assert isinstance(path, UrlPath)
+        assert os.fspath(path) == url
+
+
+@pytest.mark.parametrize("path", ["s3", "a/s3://b", "./s3:/b", "C:/b", "ftp://h/b", "drive.mcap"])
+def test_other_paths_are_none(path: str) -> None:
+    local = Path(path).absolute() if path.startswith(".") else Path(path)
+    assert not is_url(local)
+    assert not isinstance(path_or_url(local), UrlPath)
+
+
+def test_secrets_are_not_shown() -> None:
+    path = path_or_url("https://me:secret@h:8/in/x.bag?token=1#f")
+    assert (str(path), path.name, path.suffix) == ("https://h:8/in/x.bag", "x.bag", ".bag")
+    assert "secret" not in f"{path} {path!r}"
+    assert path.relative_to(path.parent.parent) == Path("in/x.bag")
+    assert path.parent.relative_to(path.parent) == Path()
+    # A new name has no signature; the folder still has the password.
+    assert os.fspath(path.with_name("y.bag")) == "https://me:secret@h:8/in/y.bag"
+
+
+def test_paths_are_made_of_urls() -> None:
+    folder = path_or_url("s3://bucket/in")
+    for path in (
+        folder / "a.bag",
+        (folder / "b.bag").with_name("a.bag"),
+        (folder / "x" / "a.bag").parent.with_name("a.bag"),
+    ):
+        assert isinstance(path, UrlPath)
+        assert str(path) == "s3://bucket/in/a.bag"
+        assert (path.absolute(), path.resolve(), path.relative_to(folder)) == (path, path, Path("a.bag"))
+
+
+def test_one_object_has_one_identity() -> None:
+    urls = ["s3://b/x/../hall.bag", "s3a://b/hall.bag", "s3://b//hall.bag"]
+    assert {UrlPath(url).identity for url in urls} == {UrlPath("s3://b/hall.bag")}
