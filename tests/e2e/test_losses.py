@@ -18,7 +18,9 @@ import pytest
 from mcap.writer import Writer as McapLibraryWriter
 
 import pc2scan
+from fuzz.mutants.mcap import records as mcap_records
 from fuzz.mutants.mutate import fields_of
+from fuzz.mutants.rosbag1 import FIRST_LINE, raw_records
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError, ResultError, UsageError
 from support import SHARED, needs_shared, sampled
@@ -745,6 +747,31 @@ def test_a_recording_in_a_message_is_no_second_recording(tmp_path: Path) -> None
     source = write_rosbag1(tmp_path / "drive.bag", Recording((CHATTER,), tuple(items)))
     assert report_of("repair", source, "-o", tmp_path / "fixed.bag")[0] == 0
     assert len(rows_of(tmp_path / "fixed.bag")) == 3
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "mcap without chunks"])
+def test_a_recording_in_a_message_does_not_end_a_damaged_file(kind: str, tmp_path: Path) -> None:
+    """The recording's own index follows."""
+    suffix, version = ("bag", 1) if kind == "bag" else ("mcap", 2)
+    inner = tmp_path / f"inner.{suffix}"
+    form = Mcap(compression="none", chunked=kind == "mcap")
+    write_rosbag1(inner, drive(1)) if suffix == "bag" else write_mcap(inner, drive(1), form)
+    text = inner.read_bytes().decode("latin-1")
+    items = tuple(Item(CHATTER, T0 + n, {version: string(text, version)}) for n in range(9))
+    source, recording = tmp_path / f"drive.{suffix}", Recording((CHATTER,), items)
+    write_rosbag1(source, recording, "none") if suffix == "bag" else write_mcap(source, recording, form)
+    sound = rows_of(source)
+    data = source.read_bytes()
+    if suffix == "bag":
+        begins = [record.start for record in raw_records(data, len(FIRST_LINE), len(data))]
+    else:
+        begins = [start for _, start, _ in mcap_records(data, 8, len(data) - 8)]
+    # The records' lengths and kinds, behind the header.
+    for place in (begin + step for begin in begins[1:] for step in range(9)):
+        source.write_bytes(data[:place] + bytes([data[place] ^ 0x40]) + data[place + 1 :])
+        with closing(open_recording(source)) as reader:
+            assert len(list(reader.messages())) >= len(sound) - 1, place
+            assert not [damage.what for damage in reader.damage if "another recording" in damage.what]
 
 
 # --- The CRC of an MCAP file's data section ---

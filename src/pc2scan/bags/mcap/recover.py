@@ -352,7 +352,8 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog, *, ver
     else:
         indexed = summary.segments
     index.statistics = summary.statistics
-    gaps = list(_walk(file, index, summary.channels, end))
+    has_summary = summary.summarized or summary.statistics is not None
+    gaps = list(_walk(file, index, summary.channels, end, own=end if has_summary else 0))
     for identity, schema in summary.schemas.items():
         index.schemas.setdefault(identity, schema)
     for identity, channel in summary.channels.items():
@@ -379,10 +380,23 @@ def _ends_with_magic(file: RecordFile) -> bool:
     return file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
 
 
-def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: int) -> Iterator[_Gap]:
+def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: int, *, own: int) -> Iterator[_Gap]:
     """Walk over all records up to a byte; if that fails, continue at the next one, and yield the gap.
 
-    ``summarized`` are the channels in the summary.
+    Parameters
+    ----------
+    file, index, end
+        As for `RecordWalk`.
+    summarized
+        The channels in the summary.
+    own
+        Up to here everything belongs to this recording, because its summary follows: another one is part of a message.
+        0 if that is unknown.
+
+    Raises
+    ------
+    AnotherRecordingError
+        If another one begins where something is damaged.
     """
     position = len(MAGIC)
     while position < end:
@@ -400,7 +414,7 @@ def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: 
         chunk = chunk_in_front(file, failed, end)
         if chunk is not None:
             position = end_of_chunk(file, chunk, end, known)
-            refuse_another(file, failed, position)
+            refuse_another(file, max(failed, own), position)
             index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset), padding=0))
             index.all_counted = False
             if position < chunk.offset + chunk.length:
@@ -417,12 +431,13 @@ def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: 
             stop = payload_stop(file, previous, end)
             again = included_record(file, stop or previous + 1, failed, end, known)
             if again is not None:
+                refuse_another(file, max(stop or previous, own), again)
                 _forget(index, previous)
                 yield _Gap(stop or previous, again, error)
                 position = again
                 continue
         position = next_record(file, failed + 1, end, known)
-        refuse_another(file, previous or failed, position)
+        refuse_another(file, max(previous or failed, own), position)
         yield _Gap(failed, position, error)
 
 
@@ -489,8 +504,7 @@ def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int,
         the next chunk that the index does not have at all.
     """
     walked = McapIndex()
-    with suppress(AnotherRecordingError):
-        deque(_walk(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file)), maxlen=0)
+    deque(_walk(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file), own=file.size), maxlen=0)
     there = _chunks_by_identity(walked.segments)
     missing = _chunks_by_identity(segments)
     # Chunks at their places, then chunks elsewhere, and then chunks in the places of others or of none.

@@ -38,6 +38,7 @@ from .records import (
     parse_fields,
     time_field,
     uint32_field,
+    uint64_field,
 )
 
 if TYPE_CHECKING:
@@ -157,24 +158,30 @@ def next_record(
     return size
 
 
-def another_bag(file: BagFile, start: int, stop: int) -> int | None:
-    """Search a part of the file for the beginning of another bag: its first line, and its header."""
+def _index_place(file: BagFile) -> int:
+    """Return where the bag's own index is; 0 if it is not where the bag header places it."""
+    header = record_at(file.nearby, len(FIRST_LINE), file.size)
+    with suppress(FormatError):
+        place = 0 if header is None else uint64_field(header.fields, "index_pos")
+        index = record_at(file.nearby, place, file.size)
+        return place if index is not None and index.kind == CONNECTION else 0
+    return 0
+
+
+def refuse_another(file: BagFile, start: int, stop: int) -> None:
+    """Raise if another bag begins in this part of the file: its first line, and its header.
+
+    A bag in front of the index is part of a message.
+    """
     overlap = len(FIRST_LINE) - 1
-    for begin in range(start, stop, _WINDOW):
+    for begin in range(max(start, _index_place(file)), stop, _WINDOW):
         window = file.read(begin, min(_WINDOW + overlap, file.size - begin))
         at = window.find(FIRST_LINE)
         while at >= 0:
             record = record_at(file.nearby, begin + at + len(FIRST_LINE), file.size)
             if begin + at > 0 and record is not None and record.kind == BAG_HEADER:
-                return begin + at
+                raise AnotherRecordingError(begin + at)
             at = window.find(FIRST_LINE, at + 1)
-    return None
-
-
-def refuse_another(file: BagFile, start: int, stop: int) -> None:
-    """Raise if another bag begins in this part of the file."""
-    if (found := another_bag(file, start, stop)) is not None:
-        raise AnotherRecordingError(found)
 
 
 def refuse_more(file: BagFile, start: int) -> None:
