@@ -216,7 +216,7 @@ class SpanCheck:
     segments
         All segments of a file. Those with wrong times are replaced in this list.
     repeated
-        Returns the times in the index records after a chunk; None if there are none, or if they are malformed.
+        Returns the times in the index records after a chunk, by connection; None if they are malformed.
     contained
         Reads a chunk and returns the times of its messages; None if there are none, or if it is damaged.
     file, log
@@ -228,7 +228,7 @@ class SpanCheck:
     def __init__(
         self,
         segments: list[Segment],
-        repeated: Callable[[Segment], Span | None],
+        repeated: Callable[[Segment], dict[int, list[int]] | None],
         contained: Callable[[Segment], Span | None],
         file: SourceFile,
         log: DamageLog,
@@ -275,7 +275,8 @@ class SpanCheck:
         if segment.offset in self._compared:
             return True
         declared = first_ns, last_ns = (segment.start_ns, segment.end_ns)
-        repeated = self._repeated(segment)
+        stamps = [stamp for found in (self._repeated(segment) or {}).values() for stamp in found]
+        repeated = (min(stamps), max(stamps)) if stamps else None
         if repeated is None and unless_repeated:
             return True
         self._compared.add(segment.offset)

@@ -156,12 +156,7 @@ def _late(place: str) -> Callable[..., Any]:
     return call
 
 
-def _table(*entries: Format) -> dict[str, Format]:
-    return {entry.name: entry for entry in entries}
-
-
-#: Every format, by its name.
-FORMATS = _table(
+_ENTRIES = (
     Format(
         name="rosbag1",
         readable="ROS 1 bags",
@@ -226,6 +221,9 @@ FORMATS = _table(
         profiles=("ros1", "ros2"),
     ),
 )
+
+#: Every format, by its name.
+FORMATS = {entry.name: entry for entry in _ENTRIES}
 
 
 def destinations() -> dict[str, Format]:

@@ -35,6 +35,8 @@ class MergedReader(Reader):
     ----------
     readers
         At least one; `close` closes them.
+    path
+        Default: the first source's.
 
     Raises
     ------
@@ -48,7 +50,7 @@ class MergedReader(Reader):
     With a single reader, connections and their ids are unchanged. Otherwise the ids are new and start at 1.
     """
 
-    def __init__(self, readers: Sequence[Reader]) -> None:
+    def __init__(self, readers: Sequence[Reader], path: Path | None = None) -> None:
         if not readers:
             raise UsageError("no recording was given")
         _refuse_repeated(readers)
@@ -64,39 +66,23 @@ class MergedReader(Reader):
             ConnectionLimit(readers[0].path).add(count=len(connections))
             by_id = {connection.id: connection for connection in connections}
             maps = [{own: by_id[merged] for own, merged in numbers.items()} for numbers in ids]
-        self._connections = tuple(connections)
+        self.path = path or readers[0].path
+        #: In the order of the sources.
+        self.connections = tuple(connections)
+        self.summary = merge_summaries([reader.summary for reader in readers])
+        self.has_chunks = all(reader.has_chunks for reader in readers)
         self._maps = maps
         self._unchanged = len(readers) == 1
 
     def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
         """Replace connections by ones with more information and the same ids, and add some without messages."""
-        changed = [amended.get(connection.id, connection) for connection in self._connections]
+        changed = [amended.get(connection.id, connection) for connection in self.connections]
         completed = (*changed, *added)
-        self._unchanged = self._unchanged and completed == self._connections
-        self._connections = completed
+        self._unchanged = self._unchanged and completed == self.connections
+        self.connections = completed
         self._maps = [
             {own: amended.get(connection.id, connection) for own, connection in known.items()} for known in self._maps
         ]
-
-    @property
-    def path(self) -> Path:
-        """The first source's path."""
-        return self._readers[0].path
-
-    @property
-    def connections(self) -> Sequence[Connection]:
-        """All connections, in the order of the sources."""
-        return self._connections
-
-    @property
-    def summary(self) -> Summary:
-        """The summary of all sources."""
-        return merge_summaries([reader.summary for reader in self._readers])
-
-    @property
-    def has_chunks(self) -> bool:
-        """Whether all sources have chunks."""
-        return all(reader.has_chunks for reader in self._readers)
 
     @property
     def bytes_read(self) -> int:

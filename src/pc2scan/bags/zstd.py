@@ -20,9 +20,9 @@ from .reader import Reader
 from .units import LazyItems
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
+    from collections.abc import Collection, Iterable, Iterator
 
-    from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, RawMessage, Summary
+    from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, RawMessage
 
     from .damage import Damage
     from .formats import Format, ReadOptions
@@ -242,7 +242,7 @@ class ZstdReader(Reader):
     """
 
     def __init__(self, path: Path, inner: Format, options: ReadOptions) -> None:
-        self._path = path
+        self.path = path
         self._log = DamageLog(strict=options.strict)
         from pc2scan.files.places import private_folder  # noqa: PLC0415  # few recordings are packed
 
@@ -254,41 +254,22 @@ class ZstdReader(Reader):
             self._temporary.cleanup()
             raise
         summary = self._inner.summary
-        self._inner_size = summary.size_bytes
-        self._summary = summary._replace(
+        self.has_chunks = self._inner.has_chunks
+        self.connections = self._inner.connections
+        self.summary = summary._replace(
             compression=compressions(summary.compression),
             size_bytes=path.stat().st_size,
         )
 
     @property
-    def path(self) -> Path:
-        """The compressed file."""
-        return self._path
-
-    @property
-    def has_chunks(self) -> bool:
-        """Whether the recording in it has chunks."""
-        return self._inner.has_chunks
-
-    @property
-    def connections(self) -> Sequence[Connection]:
-        """All connections, in the container's order."""
-        return self._inner.connections
-
-    @property
-    def summary(self) -> Summary:
-        """The summary, made without reading messages; the size is that of the compressed file."""
-        return self._summary
-
-    @property
     def bytes_read(self) -> int:
         """The share of the compressed file that was read so far."""
-        return self._inner.bytes_read * self._summary.size_bytes // max(1, self._inner_size)
+        return self._inner.bytes_read * self.summary.size_bytes // max(1, self._inner.summary.size_bytes)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage: that of the compression first, then that of the recording in it."""
-        return (*self._log.found, *(place._replace(path=self._path) for place in self._inner.damage))
+        return (*self._log.found, *(place._replace(path=self.path) for place in self._inner.damage))
 
     def units(
         self,

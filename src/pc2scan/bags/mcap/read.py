@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunks import Segment
-    from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.salvage import SalvagedMessages
     from pc2scan.bags.units import Item, Loaded, Unit
@@ -91,11 +90,13 @@ class McapReader(Reader):
         With ``strict``, if it is cut off or contradicts itself. Damage inside chunks is found when they are read.
     """
 
+    has_chunks = True
+
     def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
+        self.path = path
         self._file = RecordFile(path)
         self._log = DamageLog(strict=strict)
         self._verify = verify
-        self._bytes_read = 0
         #: The connections by channel.
         self._known: dict[int, Connection] = {}
         #: Declarations in chunks that agree with those of the file.
@@ -113,10 +114,12 @@ class McapReader(Reader):
             if self._index.differing is not None:
                 self._log.note_index(self._file, self._index.differing[1], _twice(*self._index.differing))
             compare_counts(self._index, self._file, self._log)
-            self._known = {item.id: item for item in connections_of(self._index, self._file, self._log)}
+            #: In the order of the summary or, without one, of the file.
+            self.connections = tuple(connections_of(self._index, self._file, self._log))
+            self._known = {item.id: item for item in self.connections}
             self._spans = SpanCheck(
                 self._index.segments,
-                self._indexed_span,
+                self._repeated_times,
                 self._contained_span,
                 self._file,
                 self._log,
@@ -124,7 +127,7 @@ class McapReader(Reader):
             )
             sound = verify and not self._log.found
             self._data_crc = data_crc(self._file, self._index, self._log) if sound else None
-            self._summary = summary_of(self._index, self._file, self._log)
+            self.summary = summary_of(self._index, self._file, self._log)
         except BaseException:
             self._file.close()
             raise
@@ -144,28 +147,6 @@ class McapReader(Reader):
         from .recover import recover_index  # noqa: PLC0415  # only damaged files pay for it
 
         return recover_index(self._file, problem, self._log, verify=self._verify)
-
-    has_chunks = True
-
-    @property
-    def path(self) -> Path:
-        """The path of the file."""
-        return self._file.path
-
-    @property
-    def connections(self) -> Sequence[Connection]:
-        """A connection for each channel, in the order of the summary or, without one, of the file."""
-        return tuple(self._known.values())
-
-    @property
-    def summary(self) -> Summary:
-        """The summary, made without reading messages."""
-        return self._summary
-
-    @property
-    def bytes_read(self) -> int:
-        """Bytes of the segments loaded so far; those read twice count twice."""
-        return self._bytes_read
 
     def units(
         self,
@@ -381,19 +362,16 @@ class McapReader(Reader):
         head = self._file.read(chunk.record_offset, chunk.offset - chunk.record_offset)
         return chunk_at(head, 0, chunk.record_offset, self._file)
 
-    def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
-        """Return the log times of a chunk's messages by its message indexes, or by its header; see `SpanCheck`."""
+    def _repeated_times(self, segment: Segment) -> dict[int, list[int]] | None:
+        """Return the log times in a chunk's message indexes, or those in its header; see `SpanCheck`."""
         if not isinstance(segment, ChunkSegment):
-            return segment.start_ns, segment.end_ns
+            return {0: [segment.start_ns, segment.end_ns]}
         times = indexed_times(self._file, segment)
-        stamps = [stamp for found in times.values() for stamp in found] if times else []
-        if stamps:
-            return min(stamps), max(stamps)
-        if self._index.summarized:
+        if self._index.summarized and not any((times or {}).values()):
             with suppress(DamageError):
                 chunk = self._header(segment)
-                return chunk.start_ns, chunk.end_ns
-        return None
+                return {0: [chunk.start_ns, chunk.end_ns]}
+        return times
 
     def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
         """Read a chunk and return the log times of its messages."""
@@ -417,11 +395,6 @@ class McapReader(Reader):
         indexed = sum(map(len, times.values())) if times else None
         note_salvaged(self._log, problem, segment, offset, len(data), left, indexed, counted=self._is_counted)
         return left
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """The damage in the parts that were read."""
-        return self._log.found
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None

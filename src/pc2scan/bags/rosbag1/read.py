@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.chunks import Segment
-    from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.units import Item, Loaded, Unit
     from pc2scan.model import Buffer, ChunkRule, Connection
@@ -110,11 +109,12 @@ class Rosbag1Reader(Reader):
         With ``strict``, if it has no index or contradicts itself; while messages are read, if a chunk does.
     """
 
+    has_chunks = True
+
     def __init__(self, path: Path, *, strict: bool = False) -> None:
-        self._path = path
+        self.path = path
         self._log = DamageLog(strict=strict)
         self._file = BagFile(path)
-        self._bytes_read = 0
         #: The latest description of each connection in a chunk, and whether the index has the same: some recorders
         #: repeat connections in every chunk.
         self._compared: dict[int, tuple[bytes | None, bytes, bool]] = {}
@@ -128,11 +128,19 @@ class Rosbag1Reader(Reader):
                 error = f"connection {identity} has messages, and only chunks describe it"
                 self._log.note(self._file.damage_error(error), key=("unlisted", identity), messages_lost=0)
             self._spans = SpanCheck(
-                self._index.segments, self._indexed_span, self._contained_span, self._file, self._log, trusted=False
+                self._index.segments,
+                partial(indexed_times, self._file),
+                self._contained_span,
+                self._file,
+                self._log,
+                trusted=False,
             )
         except BaseException:
             self.close()
             raise
+        #: In the order of the index; those that only chunks describe come last.
+        self.connections = tuple(self._index.connections.values())
+        self.summary = summary_of(self._index, self._file.size)
 
     def _found_index(self) -> BagIndex:
         """Index the bag, by its own index or without it."""
@@ -149,38 +157,6 @@ class Rosbag1Reader(Reader):
         from .recover import recover_index  # noqa: PLC0415  # only damaged bags pay for it
 
         return recover_index(self._file, problem, self._log)
-
-    has_chunks = True
-
-    @property
-    def path(self) -> Path:
-        """The path of the file."""
-        return self._path
-
-    @property
-    def connections(self) -> Sequence[Connection]:
-        """All connections, in the order of the index; those that only chunks describe come last."""
-        return tuple(self._index.connections.values())
-
-    @property
-    def summary(self) -> Summary:
-        """The summary, made from the index."""
-        segments = self._index.segments
-        counts = [connection.message_count for connection in self.connections]
-        return Summary(
-            container="rosbag1",
-            storage="",
-            compression=tuple(sorted({segment.compression for segment in segments})),
-            size_bytes=self._file.size,
-            message_count=None if None in counts else sum(filter(None, counts)),
-            start_ns=min((segment.start_ns for segment in segments), default=None),
-            end_ns=max((segment.end_ns for segment in segments), default=None),
-        )
-
-    @property
-    def bytes_read(self) -> int:
-        """Stored bytes of the chunks that the latest call of `messages` has read so far."""
-        return min(self._bytes_read, self._file.size)
 
     def units(
         self,
@@ -293,11 +269,6 @@ class Rosbag1Reader(Reader):
                 what = f"connection {identity}, {index}, has another definition or header in a chunk"
             self._log.note_index(self._file, segment.offset, what)
 
-    def _indexed_span(self, segment: Segment) -> tuple[int, int] | None:
-        times = indexed_times(self._file, segment)
-        stamps = [stamp for found in times.values() for stamp in found] if times else []
-        return (min(stamps), max(stamps)) if stamps else None
-
     def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
         try:
             return contained_span(self._file, segment)
@@ -331,14 +302,24 @@ class Rosbag1Reader(Reader):
         by_index = partial(indexed_times, self._file)
         return count_messages(self._file.size, self._index.segments, by_index, connections, start_ns, stop_ns)
 
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """The damage in the parts that were read."""
-        return self._log.found
-
     def close(self) -> None:
         """Release the file. Messages that were handed out stay valid."""
         self._file.close()
+
+
+def summary_of(index: BagIndex, size: int) -> Summary:
+    """Return the summary of a bag of this size, bytes."""
+    segments = index.segments
+    counts = [connection.message_count for connection in index.connections.values()]
+    return Summary(
+        container="rosbag1",
+        storage="",
+        compression=tuple(sorted({segment.compression for segment in segments})),
+        size_bytes=size,
+        message_count=None if None in counts else sum(filter(None, counts)),
+        start_ns=min((segment.start_ns for segment in segments), default=None),
+        end_ns=max((segment.end_ns for segment in segments), default=None),
+    )
 
 
 def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segment, frozenset[int]]:
