@@ -49,12 +49,14 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
 def _cloud(data: bytes) -> None:
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
-    from pc2scan.pipeline.conversion import converter
+    from pc2scan.pipeline.conversion import steps_of
     from pc2scan.tf.placing import Placer
 
     content, serialization = _serialization(data)
     conversion = CloudToScan(ProjectionParams(min_height=-9.0), Placer())
-    converter([conversion], "/points", serialization, "", [conversion.encoder("cdr")])(content)
+    value: object = content
+    for step in steps_of([conversion], "/points", serialization, "", [conversion.encoder("cdr")]):
+        value = step(value)
 
 
 def _scan(data: bytes) -> None:

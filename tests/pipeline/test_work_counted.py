@@ -219,7 +219,7 @@ def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrin
     converted = ConvertedMessage(b"scan", PointCounts(), False)
     report = TopicReport("/points", "", None, "")
     output = Output(report, 0)
-    route = OpenRoute(connection, None, lambda _: [converted], outputs=[output], shrinks_from=shrinks_from)
+    route = OpenRoute(connection, None, [lambda _: converted], outputs=[output], shrinks_from=shrinks_from)
     route.passing_handle = 1 if passes else -1
     message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
     done = engine._work({1: route}, message)

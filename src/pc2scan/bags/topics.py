@@ -41,7 +41,8 @@ def find_topic(requested: str, types: dict[str, set[str]], candidates: list[str]
         if name in types:
             if not types[name].isdisjoint(kinds):
                 return name
-            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {' or '.join(kinds)}", hint=there)
+            wanted = " or ".join(usual_types(kinds))
+            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {wanted}", hint=there)
     near = did_you_mean(requested, candidates)
     raise TopicError(f"no topic {requested} in the recording", hint=f"{near} {there}".strip())
 
@@ -125,8 +126,14 @@ def fill_glob(topic: str, pattern: str, target: str) -> str:
 
 
 def short_types(kinds: Iterable[str]) -> str:
-    """Return types without their packages, for a message."""
-    return " or ".join(kind.rsplit("/", 1)[-1] for kind in kinds)
+    """Return types without their packages, for a message; see `usual_types`."""
+    return " or ".join(dict.fromkeys(kind.rsplit("/", 1)[-1] for kind in usual_types(kinds)))
+
+
+def usual_types(kinds: Iterable[str]) -> list[str]:
+    """Return the types of ROS itself, or all if there are none: messages would be long with those of each vendor."""
+    kinds = list(kinds)
+    return [kind for kind in kinds if kind.startswith("sensor_msgs/")] or kinds
 
 
 def by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import heapq
 from array import array
+from bisect import bisect_left
 from collections import deque
 from contextlib import closing
 from functools import partial
@@ -440,3 +441,33 @@ def _evict(heap: list[_OpenUnit], max_open_bytes: int) -> None:
             return
         entry.items = None
         total -= entry.size
+
+
+class FirstTimes:
+    """The earliest log times of the messages so far: a chunk may have later messages before earlier ones.
+
+    Parameters
+    ----------
+    most
+        How many messages are wanted.
+    """
+
+    __slots__ = ("_most", "_times")
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._times: list[int] = []
+
+    def may_have(self, log_time_ns: int) -> bool:
+        """Add a message; return whether it may be among the first ones. False is certain. On any thread.
+
+        Equal log times count once, because a chunk may be loaded again. If two threads add messages at once, one is not
+        added, and more messages may be among the first.
+        """
+        times = self._times
+        number = bisect_left(times, log_time_ns)
+        if number == self._most:
+            return False
+        if number == len(times) or times[number] != log_time_ns:
+            self._times = [*times[:number], log_time_ns, *times[number:]][: self._most]
+        return True

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.imu import ImuRequest
 
     from .parameters import ResolvedParams
-    from .stages.beams import BeamFilter
+    from .stages.beam_filters import BeamFilter
     from .stages.filters import Filter
 
 #: The largest number of messages that one scan may be made of.
@@ -171,7 +171,7 @@ class ScanSpec:
         Filters of points, which are applied before the projection, in order.
     remove
         Filters of beams, which are applied after the projection, in order: ``Shadows`` and ``Speckles`` of
-        `pc2scan.pipeline.stages.beams`.
+        `pc2scan.pipeline.stages.beam_filters`.
     keep_used
         A topic for the points that give the scans their ranges; empty: none.
     """
@@ -214,7 +214,7 @@ class ScanSpec:
 
             read["filters"] = (*filters_from(values, found.params.min_height), *values.get("filters", ()))
         if "remove" in values:
-            from .stages.beams import beam_filter  # noqa: PLC0415  # few scans are filtered
+            from .stages.beam_filters import beam_filter  # noqa: PLC0415  # few scans are filtered
 
             read["remove"] = tuple(map(beam_filter, values["remove"]))
         return cls(params=found.params, origins=found.origin, reverse=found.reverse, **read, **more)

@@ -64,9 +64,9 @@ class OpenRecording(NamedTuple):
     @property
     def first_scans(self) -> Sequence[tuple[TopicReport, Buffer]]:
         """The first scan of each output, with the output's entry in the report."""
-        outputs = (output for route in self.routes.values() for output in route.outputs if output.sample)
+        outputs = (output for route in self.routes.values() for output in route.outputs if output.first)
         return [
-            (output.report, output.sample)
+            (output.report, output.first)
             for output in outputs
             if output.report.spec is not None and output.report.spec.made_type == LASERSCAN
         ]
@@ -163,7 +163,7 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
         except UnwritableError as err:
             # Its scans are not written, either: both are of a time that the destination cannot store.
             return dict.fromkeys(range(-1, len(item.results)), err)
-    for place, (output, result) in enumerate(item.results):
+    for number, (output, result) in enumerate(item.results):
         if not isinstance(result, ConvertedMessage) or output.handle < 0:
             continue
         try:
@@ -176,7 +176,7 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
                 levels.write(result.level, log_time_ns, publish_time_ns, writer)
             writer.write(output.handle, log_time_ns, result.message, publish_time_ns, sequence)
         except UnwritableError as err:
-            refused = {**(refused or {}), place: err}
+            refused = {**(refused or {}), number: err}
     return refused or NOTHING_REFUSED
 
 
@@ -185,7 +185,7 @@ def _chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Wr
     untouched = frozenset(
         route.connection.id
         for route in routes.values()
-        if route.convert is None and route.encode is None and route.passing_handle == route.connection.id
+        if not route.steps and route.reencode is None and route.passing_handle == route.connection.id
     )
     return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1])
 

@@ -287,7 +287,8 @@ def _target(
     check_to(path, output.to)
     # None for a source without ROS messages.
     ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
-    storage, compression = default_storage(path, summaries) if not is_named else None, None
+    storage = None if is_named else default_storage(path, summaries)
+    compression = None
     if options.repair:
         storage, compression = source_form(path, summaries)
     names_directory = output.to is not None and destinations()[output.to].is_directory

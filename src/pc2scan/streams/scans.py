@@ -193,10 +193,10 @@ class Scans(Stream[Scan]):
         selection: Selection,
         conversion: ConvertOptions | None = None,
         *,
-        needs_transforms: bool = False,
+        keep_transforms: bool = False,
     ) -> None:
         self._conversion = conversion
-        self._needs_transforms = needs_transforms
+        self._keep_transforms = keep_transforms
         self.transforms: TransformBuffer | None = None
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
@@ -232,7 +232,7 @@ class Scans(Stream[Scan]):
             span_of(reader, options),
             stack,
             early.append,
-            needs_transforms=self._needs_transforms,
+            keep_transforms=self._keep_transforms,
         )
         self.transforms = prepared.transforms
         report.add(prepared.warnings, prepared.notes)

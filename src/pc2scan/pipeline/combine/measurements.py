@@ -109,7 +109,7 @@ class CombinationObservers(NamedTuple):
 
 
 def source_observers(
-    combination: Combination, connections: Sequence[Connection], frames: Placer | None, span: Span
+    combination: Combination, connections: Sequence[Connection], placer: Placer | None, span: Span
 ) -> CombinationObservers:
     """Return the observers of what scans of several messages need.
 
@@ -117,7 +117,7 @@ def source_observers(
     ----------
     connections
         The connections of the combination's sources.
-    frames
+    placer
         See `pc2scan.pipeline.measurements.cloud_observers`.
     span
         The cut.
@@ -137,7 +137,7 @@ def source_observers(
         from pc2scan.pipeline.measurements import cloud_observers  # noqa: PLC0415  # only if something is to be measured
 
         others = [each for found in clouds.values() for each in found]
-        measured = cloud_observers(others, spec, frames, span.start_ns, span.stop_ns)
+        measured = cloud_observers(others, spec, placer, span.start_ns, span.stop_ns)
     if not (
         len(topics) > 1
         or asked.every_ns
@@ -157,7 +157,7 @@ def source_observers(
 
 
 def measure_sources(
-    reader: Reader, combination: Combination, observers: CombinationObservers, frames: Placer
+    reader: Reader, combination: Combination, observers: CombinationObservers, placer: Placer
 ) -> tuple[Measurements, Callable[[], Grouper[Contribution]] | None, list[str], list[str]]:
     """Measure what scans of several messages need.
 
@@ -191,7 +191,7 @@ def measure_sources(
     if spec.needs_measuring:
         from pc2scan.pipeline.measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
-        timing, notes = measure(observers.clouds, spec, frames)
+        timing, notes = measure(observers.clouds, spec, placer)
         kept = [note for note in notes if note.startswith(f"{topics[0]}: ")]
         notes = kept
     flat = [topic for topic in topics if any(each.ros_type == LASERSCAN for each in observers.connections[topic])]
