@@ -56,6 +56,10 @@ class Destination(NamedTuple):
         Of a rosbag2 directory: 8 or 9.
     chunk_compressions
         Compressions that chunks copied from the source may have: the given one, else all of the container.
+    format
+        The table's entry of the container.
+    file_format
+        The table's entry of the files: of a directory the storage's, else the container's.
     """
 
     path: Path
@@ -65,16 +69,8 @@ class Destination(NamedTuple):
     profile: str
     metadata_version: int
     chunk_compressions: frozenset[str]
-
-    @property
-    def format(self) -> Format:
-        """The table's entry of the container."""
-        return FORMATS[self.container]
-
-    @property
-    def file_format(self) -> Format:
-        """The table's entry of the files: of a directory the storage's, else the container's."""
-        return FORMATS[self.storage or self.container]
+    format: Format
+    file_format: Format
 
     @property
     def chunks(self) -> str:
@@ -182,6 +178,8 @@ def plan_destination(
         profile=profile or "",
         metadata_version=metadata_version,
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
+        format=entry,
+        file_format=files,
     )
 
 

@@ -294,84 +294,7 @@ def merge_by_time(
     RecordingError
         If units that overlap would have to be loaded again and again.
     """
-    return _merge(loading(_announce(units), callback), callback, max_open_bytes, path)
-
-
-def _announce(units: Iterable[Unit]) -> Iterator[Unit]:
-    """Yield the units, and announce their extents to the system ahead of their turn.
-
-    Units that follow each other are announced by one call, because every call lets other threads take the
-    interpreter's lock.
-    """
-    source = iter(units)
-    coming: deque[Unit] = deque()
-    announced = 0
-    while True:
-        if announced <= _ANNOUNCED_BYTES // 2:
-            extents: list[Extent] = []
-            while announced < _ANNOUNCED_BYTES and (unit := next(source, None)) is not None:
-                coming.append(unit)
-                if unit.extent is None:
-                    break
-                announced += unit.extent.length
-                _append(extents, unit.extent)
-            for file, offset, length in extents:
-                file.expect(offset, length)
-        if not coming:
-            return
-        due = coming.popleft()
-        announced -= due.extent.length if due.extent else 0
-        yield due
-        # The unit may hold rows of a database, which must not stay in memory while the next one is made.
-        unit = None
-        del due
-
-
-def _append(extents: list[Extent], following: Extent) -> None:
-    """Append an extent, or extend the last one if it follows that."""
-    if extents:
-        file, offset, length = extents[-1]
-        if file is following.file and 0 <= following.offset - offset - length <= _GAP_BYTES:
-            extents[-1] = Extent(file, offset, following.offset + following.length - offset)
-            return
-    extents.append(following)
-
-
-class _OpenUnit:
-    """A loaded unit on the heap, keyed by its next item's log time, then by its place."""
-
-    __slots__ = ("items", "key", "position", "size", "unit", "whole")
-
-    def __init__(self, unit: Unit, found: Loaded[Any], max_open_bytes: int) -> None:
-        self.unit = unit
-        self.size = unit.size
-        if isinstance(found, LazyItems):
-            self.size = found.size
-        elif not isinstance(found, StoredChunk):
-            if unit.size > max_open_bytes:
-                # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
-                self.size = min(unit.size, sum(item.size for item in found))
-            self.size += ITEM_BYTES * len(found)
-        self.position = 0
-        #: None if they were dropped, and for a whole chunk.
-        self.items: list[Any] | LazyItems[Any] | None = None
-        self.whole: StoredChunk | None = None
-        if isinstance(found, StoredChunk):
-            self.whole = found
-            self.key = (found.span_ns()[0], unit.place)
-        else:
-            self.items = found
-            self.key = (found[0].log_time_ns, unit.place)
-
-    def __lt__(self, other: _OpenUnit) -> bool:
-        return self.key < other.key
-
-
-def _merge(
-    handles: Generator[Handle], callback: Callable[[RawMessage], Any], max_open_bytes: int, path: Path | None
-) -> Generator[Any]:
-    """Merge units that are loaded in the order in which they are due."""
-    with closing(handles):
+    with closing(loading(_announce(units), callback)) as handles:
         heap: list[_OpenUnit] = []
         coming = next(handles, None)
         total = again = 0
@@ -428,6 +351,71 @@ def _merge(
                 _evict(heap, max_open_bytes)
             # The generator's frame must not keep a used unit in memory while the next one is loaded.
             del items, current
+
+
+def _announce(units: Iterable[Unit]) -> Iterator[Unit]:
+    """Yield the units, and announce their extents to the system ahead of their turn.
+
+    Units that follow each other are announced by one call, because every call lets other threads take the
+    interpreter's lock.
+    """
+    source = iter(units)
+    coming: deque[Unit] = deque()
+    announced = 0
+    while True:
+        if announced <= _ANNOUNCED_BYTES // 2:
+            extents: list[Extent] = []
+            while announced < _ANNOUNCED_BYTES and (unit := next(source, None)) is not None:
+                coming.append(unit)
+                if unit.extent is None:
+                    break
+                file, offset, length = unit.extent
+                announced += length
+                last = extents[-1] if extents else None
+                if last and last.file is file and 0 <= offset - last.offset - last.length <= _GAP_BYTES:
+                    extents[-1] = Extent(file, last.offset, offset + length - last.offset)
+                else:
+                    extents.append(unit.extent)
+            for file, offset, length in extents:
+                file.expect(offset, length)
+        if not coming:
+            return
+        due = coming.popleft()
+        announced -= due.extent.length if due.extent else 0
+        yield due
+        # The unit may hold rows of a database, which must not stay in memory while the next one is made.
+        unit = None
+        del due
+
+
+class _OpenUnit:
+    """A loaded unit on the heap, keyed by its next item's log time, then by its place."""
+
+    __slots__ = ("items", "key", "position", "size", "unit", "whole")
+
+    def __init__(self, unit: Unit, found: Loaded[Any], max_open_bytes: int) -> None:
+        self.unit = unit
+        self.size = unit.size
+        if isinstance(found, LazyItems):
+            self.size = found.size
+        elif not isinstance(found, StoredChunk):
+            if unit.size > max_open_bytes:
+                # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
+                self.size = min(unit.size, sum(item.size for item in found))
+            self.size += ITEM_BYTES * len(found)
+        self.position = 0
+        #: None if they were dropped, and for a whole chunk.
+        self.items: list[Any] | LazyItems[Any] | None = None
+        self.whole: StoredChunk | None = None
+        if isinstance(found, StoredChunk):
+            self.whole = found
+            self.key = (found.span_ns()[0], unit.place)
+        else:
+            self.items = found
+            self.key = (found[0].log_time_ns, unit.place)
+
+    def __lt__(self, other: _OpenUnit) -> bool:
+        return self.key < other.key
 
 
 def _evict(heap: list[_OpenUnit], max_open_bytes: int) -> None:

@@ -23,12 +23,11 @@ from .records import (
     FormatError,
     field_of,
     kind_of,
+    number_field,
     parse_connection,
     records_of,
     text_of,
     time_field,
-    uint32_field,
-    uint64_field,
 )
 
 if TYPE_CHECKING:
@@ -92,9 +91,9 @@ def read_index(file: BagFile) -> BagIndex:
     sets: dict[frozenset[int], frozenset[int]] = {}
     for _ in range(chunk_count):
         fields, start, position = file.record(position, CHUNK_INFO)
-        if (version := uint32_field(fields, "ver")) != 1:
+        if (version := number_field(fields, "ver")) != 1:
             raise FormatError(f"a chunk info has version {version}, only 1 can be read")
-        entries = uint32_field(fields, "count")
+        entries = number_field(fields, "count")
         if 8 * entries != position - start:
             raise FormatError(f"a chunk info of {position - start} bytes declares {entries} counts of 8 bytes")
         numbers = struct.unpack(f"<{2 * entries}I", file.nearby(start, 8 * entries))
@@ -102,7 +101,7 @@ def read_index(file: BagFile) -> BagIndex:
             counts[identity] = counts.get(identity, 0) + count
         ids = frozenset(numbers[::2])
         if ids:
-            place = uint64_field(fields, "chunk_pos")
+            place = number_field(fields, "chunk_pos", 8)
             times = (time_field(fields, "start_time"), time_field(fields, "end_time"))
             located.append((place, *times, sets.setdefault(ids, ids), sum(numbers[1::2])))
 
@@ -120,7 +119,8 @@ def read_index(file: BagFile) -> BagIndex:
         elif span := contained_span(file, segment):
             segments.append(replace(segment, start_ns=span[0], end_ns=span[1]))
     unlisted = frozenset(counts) - connections.keys()
-    _find_connections(file, segments, set(unlisted), found)
+    if unlisted:
+        _find_connections(file, segments, set(unlisted), found)
     return BagIndex(
         {key: replace(connection, message_count=counts[key]) for key, connection in connections.items()},
         segments,
@@ -147,12 +147,12 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
             path=file.path,
             hint="decrypt it with ROS 1: rosbag decrypt FILE",
         )
-    index_pos = uint64_field(fields, "index_pos")
+    index_pos = number_field(fields, "index_pos", 8)
     if index_pos == 0:
         raise FormatError("there is none, the bag was never closed (index_pos is 0)")
     if index_pos > file.size:
         raise FormatError(f"the index should be at byte {index_pos}, the file has {file.size} bytes")
-    return index_pos, uint32_field(fields, "conn_count"), uint32_field(fields, "chunk_count")
+    return index_pos, number_field(fields, "conn_count"), number_field(fields, "chunk_count")
 
 
 def chunk_segment(chunk_pos: int, fields: Mapping[bytes, bytes], start: int, stop: int) -> Segment:
@@ -162,7 +162,7 @@ def chunk_segment(chunk_pos: int, fields: Mapping[bytes, bytes], start: int, sto
         raise FormatError(
             f"the chunk at byte {chunk_pos} is compressed with {compression!r}, allowed are {', '.join(COMPRESSIONS)}"
         )
-    size = uint32_field(fields, "size")
+    size = number_field(fields, "size")
     return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)
 
 
@@ -202,9 +202,9 @@ def indexed_times(file: BagFile, segment: Segment, ids: frozenset[int] | None = 
     try:
         while missing:
             fields, start, position = file.record(position, INDEX_DATA)
-            if uint32_field(fields, "ver") != 1 or _ENTRY.size * uint32_field(fields, "count") != position - start:
+            if number_field(fields, "ver") != 1 or _ENTRY.size * number_field(fields, "count") != position - start:
                 return None
-            identity = uint32_field(fields, "conn")
+            identity = number_field(fields, "conn")
             if ids is None or identity in ids:
                 missing.discard(identity)
                 entries = _ENTRY.iter_unpack(file.nearby(start, position - start))
@@ -222,7 +222,7 @@ def _find_connections(file: BagFile, segments: Sequence[Segment], missing: set[i
         if not missing:
             return
         for fields, body in records_of(file, segment):
-            if kind_of(fields) == CONNECTION and (identity := uint32_field(fields, "conn")) in missing:
+            if kind_of(fields) == CONNECTION and (identity := number_field(fields, "conn")) in missing:
                 found.add(fields, body)
                 missing.discard(identity)
     if missing:

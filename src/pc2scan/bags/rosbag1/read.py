@@ -36,10 +36,10 @@ from .records import (
     decompress_chunk,
     kind_of,
     message_at,
+    number_field,
     parse_connection,
     record_in,
     time_field,
-    uint32_field,
 )
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ class Rosbag1Reader(Reader):
         FormatError
             If the record does not describe a connection.
         """
-        identity = uint32_field(fields, "conn")
+        identity = number_field(fields, "conn")
         topic, header = fields.get(b"topic"), bytes(body)
         compared = self._compared.get(identity)
         if compared is not None and compared[:2] == (topic, header):
@@ -480,7 +480,7 @@ def _scan_stretch(
                 continue
             if kind_of(fields) != MESSAGE:
                 raise FormatError(f"a record of kind {kind_of(fields)} is in it, allowed are messages and connections")
-            identity = uint32_field(fields, "conn")
+            identity = number_field(fields, "conn")
             stamp = time_field(fields, "time")
         try:
             connection = wanted[identity]
@@ -520,7 +520,7 @@ def _lazy_messages(
             fields, _, position = record_in(data, position)
             if kind_of(fields) != MESSAGE:
                 continue
-            identity, stamp = uint32_field(fields, "conn"), time_field(fields, "time")
+            identity, stamp = number_field(fields, "conn"), time_field(fields, "time")
         if wanted[identity] is not None and start_ns <= stamp < stop_ns:
             times.append(stamp)
             places.append(origin)

@@ -103,16 +103,9 @@ def field_of(fields: Mapping[bytes, bytes], name: str, size: int | None = None) 
     return value
 
 
-def uint32_field(fields: Mapping[bytes, bytes], name: str) -> int:
-    """Return a field with a number of 32 bits."""
-    value: int = UINT32.unpack(field_of(fields, name, 4))[0]
-    return value
-
-
-def uint64_field(fields: Mapping[bytes, bytes], name: str) -> int:
-    """Return a field with a number of 64 bits."""
-    value: int = UINT64.unpack(field_of(fields, name, 8))[0]
-    return value
+def number_field(fields: Mapping[bytes, bytes], name: str, size: int = 4) -> int:
+    """Return a field with an unsigned number of so many bytes."""
+    return int.from_bytes(field_of(fields, name, size), "little")
 
 
 def time_field(fields: Mapping[bytes, bytes], name: str) -> int:
@@ -144,7 +137,7 @@ def parse_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection:
         metadata["latching"] = texts["latching"]
     definition = header.get(b"message_definition")
     return Connection(
-        id=uint32_field(fields, "conn"),
+        id=number_field(fields, "conn"),
         topic=topic,
         msgtype=text_of(field_of(header, "type")),
         serialization="ros1",
@@ -296,4 +289,4 @@ def message_at(data: memoryview, known: Mapping[int, Connection], place: int) ->
     """Return the message of a known connection that begins at a place of a chunk."""
     fields, start, stop = record_in(data, place)
     stamp_ns = time_field(fields, "time")
-    return RawMessage(known[uint32_field(fields, "conn")], stamp_ns, data[start:stop], stamp_ns)
+    return RawMessage(known[number_field(fields, "conn")], stamp_ns, data[start:stop], stamp_ns)

@@ -35,10 +35,9 @@ from .records import (
     FormatError,
     borrow_payload,
     message_at,
+    number_field,
     parse_fields,
     time_field,
-    uint32_field,
-    uint64_field,
 )
 
 if TYPE_CHECKING:
@@ -162,7 +161,7 @@ def _index_place(file: BagFile) -> int:
     """Return where the bag's own index is; 0 if it is not where the bag header places it."""
     header = record_at(file.nearby, len(FIRST_LINE), file.size)
     with suppress(FormatError):
-        place = 0 if header is None else uint64_field(header.fields, "index_pos")
+        place = 0 if header is None else number_field(header.fields, "index_pos", 8)
         index = record_at(file.nearby, place, file.size)
         return place if index is not None and index.kind == CONNECTION else 0
     return 0
@@ -305,7 +304,7 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
             if not loose.counts or record.stop - loose_start > _RUN_SIZE:
                 end_run(position)
                 loose_start = position
-            loose.add(uint32_field(record.fields, "conn"), time_field(record.fields, "time"))
+            loose.add(number_field(record.fields, "conn"), time_field(record.fields, "time"))
         else:
             end_run(position)
             if record.kind == INDEX_DATA:
@@ -344,10 +343,10 @@ def _note_record(file: BagFile, found: _RecoveredRecords, position: int, record:
 
 def _with_entries(index: _MessageRun | None, file: BagFile, record: BagRecord) -> _MessageRun | None:
     """Add the entries of an index record: times and places of a connection's messages, 12 bytes each."""
-    count = uint32_field(record.fields, "count")
-    if index is None or 12 * count != record.stop - record.start or uint32_field(record.fields, "ver") != 1:
+    count = number_field(record.fields, "count")
+    if index is None or 12 * count != record.stop - record.start or number_field(record.fields, "ver") != 1:
         return None
-    connection = uint32_field(record.fields, "conn")
+    connection = number_field(record.fields, "conn")
     entries = file.nearby(record.start, record.stop - record.start)
     for seconds, nanoseconds, _ in struct.iter_unpack("<III", entries):
         index.add(connection, seconds * SECOND_NS + nanoseconds)
@@ -408,7 +407,7 @@ def _find_times(file: BagFile, found: _RecoveredRecords, log: DamageLog) -> None
             if not record.fields:
                 continue
             if record.kind == MESSAGE:
-                stamps.add(uint32_field(record.fields, "conn"), time_field(record.fields, "time"))
+                stamps.add(number_field(record.fields, "conn"), time_field(record.fields, "time"))
             elif record.kind == CONNECTION:
                 with suppress(FormatError):
                     found.connections.add(record.fields, data[record.start : record.stop])
@@ -466,7 +465,7 @@ def salvage_messages(chunk: bytes, known: Mapping[int, Connection], span: tuple[
         if not record.fields:
             lost += record.stop - record.start
         elif record.kind == MESSAGE:
-            if uint32_field(record.fields, "conn") not in known:
+            if number_field(record.fields, "conn") not in known:
                 unknown_channel += 1
                 continue
             times.append(time_field(record.fields, "time"))
