@@ -15,7 +15,7 @@ from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import RawMessage, Summary, declared_counts
 
 from .database import SQLITE_ERRORS, Database
-from .tables import SOUND, message_row, read_tables, shown_value
+from .index import SOUND, message_row, read_tables, shown_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
