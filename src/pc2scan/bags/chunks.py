@@ -246,17 +246,11 @@ class SpanCheck:
         self._ordered: list[Segment] = []
         for segment in [s for s in segments if s.start_ns > s.end_ns or s.end_ns == 0]:
             self._confirm(segment)
-        if segments and not trusted:
-            self._confirm_end(min(segments, key=attrgetter("start_ns")), "start_ns", backwards=False)
-            self._confirm_end(max(segments, key=attrgetter("end_ns")), "end_ns", backwards=True)
-
-    def _confirm_end(self, first: Segment, key: str, *, backwards: bool) -> None:
-        """Compare the first or the last chunk; if its times are wrong, others until they are right."""
-        if self._confirm(first, unless_repeated=True):
-            return
-        for segment in sorted(self._segments, key=attrgetter(key), reverse=backwards):
-            if self._confirm(segment, unless_repeated=True):
-                return
+        for key, backwards in () if trusted else (("start_ns", False), ("end_ns", True)):
+            # The first or the last one; if its times are wrong, the next one.
+            for segment in sorted(segments, key=attrgetter(key), reverse=backwards):
+                if self._confirm(segment, unless_repeated=True):
+                    break
 
     def compare_beside(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> None:
         """Compare the chunks next to a cut that may have messages of these connections (None: of any)."""

@@ -60,6 +60,8 @@ class Destination(NamedTuple):
         The table's entry of the container.
     file_format
         The table's entry of the files: of a directory the storage's, else the container's.
+    ros_version
+        Of its messages: 1 or 2.
     """
 
     path: Path
@@ -71,6 +73,7 @@ class Destination(NamedTuple):
     chunk_compressions: frozenset[str]
     format: Format
     file_format: Format
+    ros_version: int
 
     @property
     def chunks(self) -> str:
@@ -87,12 +90,6 @@ class Destination(NamedTuple):
         """Return whether the source is in this kind of container, so that messages of any serialisation fit."""
         entry = FORMATS.get(source.container)
         return entry is not None and self.container == (entry.written_as or entry.name)
-
-    @property
-    def ros_version(self) -> int:
-        """The ROS version of its messages: 1 or 2."""
-        profiles = self.format.profiles
-        return 1 if profiles and self.profile == profiles[0] else self.format.ros_version
 
     @property
     def serialization(self) -> str:
@@ -180,6 +177,7 @@ def plan_destination(
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
         format=entry,
         file_format=files,
+        ros_version=1 if entry.profiles and profile == entry.profiles[0] else entry.ros_version,
     )
 
 
