@@ -1,7 +1,8 @@
-"""Common parts of containers with chunks: segments, their times, and which chunks may be copied as a whole."""
+"""Common parts of containers with chunks: segments, which of them are read, and which may be copied as a whole."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from bisect import bisect_left
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from pc2scan.errors import stamp_text
 from pc2scan.model import declared_counts
 
+from .reader import Reader
 from .units import Extent, Unit, sort_units
 
 if TYPE_CHECKING:
@@ -20,13 +22,15 @@ if TYPE_CHECKING:
     from pc2scan.files.source import SourceFile
     from pc2scan.model import ChunkRule, Connection, RawMessage
 
-    from .damage import DamageLog
     from .units import Item, Loaded
 
     Span = tuple[int, int]
 
 #: Reading fewer uncompressed bytes takes less time than handing them to another thread.
 _WORTH_A_THREAD = 1 << 20
+
+#: The least number of bytes that an index has for a message.
+_ENTRY_BYTES = 12
 
 #: Chunks smaller than this, uncompressed, are not copied: their messages are collected in larger ones.
 MIN_WHOLE_BYTES = 256 << 10
@@ -141,50 +145,6 @@ class LoadSegment(Protocol):
         ...
 
 
-#: The least number of bytes that an index has for a message.
-_ENTRY_BYTES = 12
-
-
-def count_messages(
-    size: int,
-    segments: Iterable[Segment],
-    indexed_times: Callable[[Segment, frozenset[int]], dict[int, list[int]] | None],
-    connections: Collection[Connection],
-    start_ns: int | None,
-    stop_ns: int | None,
-) -> dict[int, int]:
-    """Count messages: by the counts that the file declares, or by its index if there are none or for a cut.
-
-    Parameters
-    ----------
-    size
-        Bytes of the file.
-    indexed_times
-        Returns the log times of a chunk's messages by connection, for connections with these ids; None if the index
-        does not have all of them.
-    connections, start_ns, stop_ns
-        As for `pc2scan.bags.reader.Reader.counts`.
-    """
-    declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
-    ids = frozenset(connection.id for connection in connections) - declared.keys()
-    if not ids:
-        return declared
-    counts = dict.fromkeys(ids, 0)
-    entries = 0
-    for segment in segments:
-        if not segment.may_hold(ids, start_ns, stop_ns):
-            continue
-        times = None if segment.connection_ids is None else indexed_times(segment, ids)
-        entries += sum(map(len, (times or {}).values()))
-        # Chunks of a hostile file may share their index records, which would take quadratic time.
-        if times is None or entries * _ENTRY_BYTES > size:
-            return declared
-        for identity, stamps in times.items():
-            inside = (stamp for stamp in stamps if start_ns is None or start_ns <= stamp)
-            counts[identity] += sum(stop_ns is None or stamp < stop_ns for stamp in inside)
-    return declared | counts
-
-
 def segment_units(
     segments: Iterable[Segment], load: LoadSegment, alone: Collection[Segment], file: SourceFile
 ) -> list[Unit]:
@@ -203,63 +163,56 @@ def segment_units(
     )
 
 
-class SpanCheck:
-    """Corrects the log times that an index has for chunks, where they would hide messages, and notes that.
+class ChunkedReader(Reader):
+    """Reads a file with chunks. The log times that its index has for them are corrected where they would hide messages.
 
     A cut reads only chunks within its times. Comparing all chunks would take longer than the cut itself, so only some
     are compared: the first and the last chunk, from which ``start`` and ``end`` count, the chunks next to a cut, and
     those with impossible times. The index records after a chunk repeat the times of its messages. If these differ from
     the index, the chunk itself is read, and is right.
-
-    Parameters
-    ----------
-    segments
-        All segments of a file. Those with wrong times are replaced in this list.
-    repeated
-        Returns the times in the index records after a chunk, by connection; None if they are malformed.
-    contained
-        Reads a chunk and returns the times of its messages; None if there are none, or if it is damaged.
-    file, log
-        The file, and its damage.
-    trusted
-        Whether a checksum verifies the declared times. Only impossible ones are compared then.
     """
 
-    def __init__(
-        self,
-        segments: list[Segment],
-        repeated: Callable[[Segment], dict[int, list[int]] | None],
-        contained: Callable[[Segment], Span | None],
-        file: SourceFile,
-        log: DamageLog,
-        *,
-        trusted: bool,
-    ) -> None:
-        self._segments = segments
-        self._repeated = repeated
-        self._contained = contained
-        self._file = file
-        self._log = log
-        self._trusted = trusted
+    has_chunks = True
+    _file: SourceFile
+    #: The segments of the index; those with wrong times are replaced.
+    _segments: list[Segment]
+    #: Whether a checksum verifies the times in the index. Only impossible ones are compared then.
+    _are_times_verified = False
+    #: Returns the log times of a chunk's messages by connection, for connections with these ids (None: all), from the
+    #: index records after it; None if these do not have all, or are malformed.
+    _indexed_times: Callable[[Segment, frozenset[int] | None], dict[int, list[int]] | None]
+
+    @abstractmethod
+    def _contained_span(self, segment: Segment) -> Span | None:
+        """Read a chunk and return the times of its messages; None if there are none, or if it is damaged."""
+
+    def _repeated_span(self, segment: Segment) -> Span | None:
+        """Return the times in the index records after a chunk; None if there are none, or if they are malformed."""
+        stamps = [stamp for found in (self._indexed_times(segment, None) or {}).values() for stamp in found]
+        return (min(stamps), max(stamps)) if stamps else None
+
+    def _confirm_ends(self) -> None:
+        """Compare impossible times, and those of the first and the last chunk; subclasses call it when they open."""
+        segments = self._segments
         self._compared: set[int] = set()
         self._places: dict[int, int] = {}
         self._ordered: list[Segment] = []
         for segment in [s for s in segments if s.start_ns > s.end_ns or s.end_ns == 0]:
             self._confirm(segment)
-        for key, backwards in () if trusted else (("start_ns", False), ("end_ns", True)):
+        for key, backwards in () if self._are_times_verified else (("start_ns", False), ("end_ns", True)):
             # The first or the last one; if its times are wrong, the next one.
             for segment in sorted(segments, key=attrgetter(key), reverse=backwards):
                 if self._confirm(segment, unless_repeated=True):
                     break
 
-    def compare_beside(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> None:
-        """Compare the chunks next to a cut that may have messages of these connections (None: of any)."""
-        if self._trusted or (start_ns is None and stop_ns is None):
-            return
-        self._ordered = self._ordered or sorted(self._segments, key=attrgetter("offset"))
-        for segment in list(beside_cut(self._ordered, start_ns, stop_ns)):
-            if segment.may_hold(ids, None, None):
-                self._confirm(segment)
+    def _segments_with(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> list[Segment]:
+        """Return the segments that may have messages of these connections (None: of any) in a cut."""
+        if not (self._are_times_verified or (start_ns is None and stop_ns is None)):
+            self._ordered = self._ordered or sorted(self._segments, key=attrgetter("offset"))
+            for segment in list(beside_cut(self._ordered, start_ns, stop_ns)):
+                if segment.may_hold(ids, None, None):
+                    self._confirm(segment)
+        return [segment for segment in self._segments if segment.may_hold(ids, start_ns, stop_ns)]
 
     def _confirm(self, segment: Segment, *, unless_repeated: bool = False) -> bool:
         """Compare a segment's times once; return whether they are right.
@@ -269,14 +222,13 @@ class SpanCheck:
         if segment.offset in self._compared:
             return True
         declared = first_ns, last_ns = (segment.start_ns, segment.end_ns)
-        stamps = [stamp for found in (self._repeated(segment) or {}).values() for stamp in found]
-        repeated = (min(stamps), max(stamps)) if stamps else None
+        repeated = self._repeated_span(segment)
         if repeated is None and unless_repeated:
             return True
         self._compared.add(segment.offset)
         if repeated == declared:
             return True
-        actual = self._contained(segment)
+        actual = self._contained_span(segment)
         if actual is None:
             actual = (min(declared), max(declared))
         hides = actual[0] < first_ns or last_ns < actual[1]
@@ -295,6 +247,29 @@ class SpanCheck:
         self._segments[self._places[segment.offset]] = replace(segment, start_ns=actual[0], end_ns=actual[1])
         self._ordered = []
         return False
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """Count by the declared counts, or by the index records after chunks if there are none, or for a cut."""
+        declared = declared_counts(connections) if start_ns is None and stop_ns is None else {}
+        ids = frozenset(connection.id for connection in connections) - declared.keys()
+        if not ids:
+            return declared
+        counts = dict.fromkeys(ids, 0)
+        entries = 0
+        for segment in self._segments:
+            if not segment.may_hold(ids, start_ns, stop_ns):
+                continue
+            times = None if segment.connection_ids is None else self._indexed_times(segment, ids)
+            entries += sum(map(len, (times or {}).values()))
+            # Chunks of a hostile file may share their index records, which would take quadratic time.
+            if times is None or entries * _ENTRY_BYTES > self._file.size:
+                return declared
+            for identity, stamps in times.items():
+                inside = (stamp for stamp in stamps if start_ns is None or start_ns <= stamp)
+                counts[identity] += sum(stop_ns is None or stamp < stop_ns for stamp in inside)
+        return declared | counts
 
 
 def beside_cut(ordered: Sequence[Segment], start_ns: int | None, stop_ns: int | None) -> Iterator[Segment]:

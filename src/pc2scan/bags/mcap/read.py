@@ -9,10 +9,9 @@ from operator import attrgetter
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import SpanCheck, count_messages, isolated_chunks, segment_units
+from pc2scan.bags.chunks import ChunkedReader, isolated_chunks, segment_units
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.bags.qos import latches
-from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunks import Segment
     from pc2scan.bags.formats import ReadOptions
+    from pc2scan.bags.reader import Reader
     from pc2scan.bags.salvage import SalvagedMessages
     from pc2scan.bags.units import Item, Loaded, Unit
     from pc2scan.model import Buffer, ChunkRule, RawMessage
@@ -66,7 +66,7 @@ class _Selection(NamedTuple):
     blindly: frozenset[int]
 
 
-class McapReader(Reader):
+class McapReader(ChunkedReader):
     """Reads an open MCAP file; see `pc2scan.bags.reader.Reader`.
 
     Each channel becomes a connection: two channels of one topic stay two. Types, definitions and metadata are
@@ -90,7 +90,7 @@ class McapReader(Reader):
         With ``strict``, if it is cut off or contradicts itself. Damage inside chunks is found when they are read.
     """
 
-    has_chunks = True
+    _file: RecordFile
 
     def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
         self.path = path
@@ -117,14 +117,10 @@ class McapReader(Reader):
             #: In the order of the summary or, without one, of the file.
             self.connections = tuple(connections_of(self._index, self._file, self._log))
             self._known = {item.id: item for item in self.connections}
-            self._spans = SpanCheck(
-                self._index.segments,
-                self._repeated_times,
-                self._contained_span,
-                self._file,
-                self._log,
-                trusted=self._index.verified,
-            )
+            self._segments = self._index.segments
+            self._indexed_times = partial(indexed_times, self._file)
+            self._are_times_verified = self._index.verified
+            self._confirm_ends()
             sound = verify and not self._log.found
             self._data_crc = data_crc(self._file, self._index, self._log) if sound else None
             self.summary = summary_of(self._index, self._file, self._log)
@@ -167,8 +163,7 @@ class McapReader(Reader):
         if ids is not None and not ids:
             return []
         rule = rule if rule and rule.container == "mcap" else None
-        self._spans.compare_beside(ids, start_ns, stop_ns)
-        segments = [s for s in self._index.segments if s.may_hold(ids, start_ns, stop_ns)]
+        segments = self._segments_with(ids, start_ns, stop_ns)
         alone = isolated_chunks(segments, rule, start_ns, stop_ns) if rule else frozenset()
         blindly: frozenset[int] = frozenset()
         if rule and alone and not self._verify and not self._packs(segments[0]):
@@ -362,16 +357,17 @@ class McapReader(Reader):
         head = self._file.read(chunk.record_offset, chunk.offset - chunk.record_offset)
         return chunk_at(head, 0, chunk.record_offset, self._file)
 
-    def _repeated_times(self, segment: Segment) -> dict[int, list[int]] | None:
-        """Return the log times in a chunk's message indexes, or those in its header; see `SpanCheck`."""
+    def _repeated_span(self, segment: Segment) -> tuple[int, int] | None:
+        """Return the times in the message indexes after a chunk, or in its header."""
         if not isinstance(segment, ChunkSegment):
-            return {0: [segment.start_ns, segment.end_ns]}
-        times = indexed_times(self._file, segment)
-        if self._index.summarized and not any((times or {}).values()):
+            return segment.start_ns, segment.end_ns
+        if span := super()._repeated_span(segment):
+            return span
+        if self._index.summarized:
             with suppress(DamageError):
                 chunk = self._header(segment)
-                return {0: [chunk.start_ns, chunk.end_ns]}
-        return times
+                return chunk.start_ns, chunk.end_ns
+        return None
 
     def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
         """Read a chunk and return the log times of its messages."""
@@ -395,13 +391,6 @@ class McapReader(Reader):
         indexed = sum(map(len, times.values())) if times else None
         note_salvaged(self._log, problem, segment, offset, len(data), left, indexed, counted=self._is_counted)
         return left
-
-    def counts(
-        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
-    ) -> dict[int, int]:
-        """Count by the statistics, or for a cut by message indexes; see `pc2scan.bags.reader.Reader`."""
-        by_index = partial(indexed_times, self._file)
-        return count_messages(self._file.size, self._index.segments, by_index, connections, start_ns, stop_ns)
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield attachments in the order of the file; each is read when it is needed."""

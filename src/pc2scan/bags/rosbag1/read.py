@@ -12,9 +12,8 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import SpanCheck, count_messages, isolated_chunks, segment_units
+from pc2scan.bags.chunks import ChunkedReader, isolated_chunks, segment_units
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
-from pc2scan.bags.reader import Reader
 from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems, map_items
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC
@@ -48,6 +47,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.chunks import Segment
     from pc2scan.bags.formats import ReadOptions
+    from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Item, Loaded, Unit
     from pc2scan.model import Buffer, ChunkRule, Connection
 
@@ -87,7 +87,7 @@ class _Selection(NamedTuple):
     needed: Mapping[Segment, frozenset[int]]
 
 
-class Rosbag1Reader(Reader):
+class Rosbag1Reader(ChunkedReader):
     """Reads an open ROS 1 bag.
 
     Opening reads the index and the headers of the chunks. Chunks are read and decompressed one at a time,
@@ -109,7 +109,7 @@ class Rosbag1Reader(Reader):
         With ``strict``, if it has no index or contradicts itself; while messages are read, if a chunk does.
     """
 
-    has_chunks = True
+    _file: BagFile
 
     def __init__(self, path: Path, *, strict: bool = False) -> None:
         self.path = path
@@ -117,7 +117,7 @@ class Rosbag1Reader(Reader):
         self._file = BagFile(path)
         #: The latest description of each connection in a chunk, and whether the index has the same: some recorders
         #: repeat connections in every chunk.
-        self._compared: dict[int, tuple[bytes | None, bytes, bool]] = {}
+        self._described: dict[int, tuple[bytes | None, bytes, bool]] = {}
         try:
             try:
                 self._index = self._found_index()
@@ -127,14 +127,9 @@ class Rosbag1Reader(Reader):
             for identity in sorted(self._index.unlisted):
                 error = f"connection {identity} has messages, and only chunks describe it"
                 self._log.note(self._file.damage_error(error), key=("unlisted", identity), messages_lost=0)
-            self._spans = SpanCheck(
-                self._index.segments,
-                partial(indexed_times, self._file),
-                self._contained_span,
-                self._file,
-                self._log,
-                trusted=False,
-            )
+            self._segments = self._index.segments
+            self._indexed_times = partial(indexed_times, self._file)
+            self._confirm_ends()
         except BaseException:
             self.close()
             raise
@@ -170,8 +165,7 @@ class Rosbag1Reader(Reader):
         ids = None if connections is None else frozenset(connection.id for connection in connections)
         wanted = {key: item if ids is None or key in ids else None for key, item in self._index.connections.items()}
         self._bytes_read = 0
-        self._spans.compare_beside(ids, start_ns, stop_ns)
-        due = [segment for segment in self._index.segments if segment.may_hold(ids, start_ns, stop_ns)]
+        due = self._segments_with(ids, start_ns, stop_ns)
         alone = isolated_chunks(due, rule, start_ns, stop_ns) if rule else frozenset()
         needed = first_uses(due, start_ns) if alone else {}
         selection = _Selection(wanted, start_ns, stop_ns, rule, needed)
@@ -253,7 +247,7 @@ class Rosbag1Reader(Reader):
         """
         identity = number_field(fields, "conn")
         topic, header = fields.get(b"topic"), bytes(body)
-        compared = self._compared.get(identity)
+        compared = self._described.get(identity)
         if compared is not None and compared[:2] == (topic, header):
             described[identity] = compared[2]
             return
@@ -261,7 +255,7 @@ class Rosbag1Reader(Reader):
         described[identity] = known is not None and known == replace(copy, message_count=known.message_count)
         if known is None:
             return
-        self._compared[identity] = topic, header, described[identity]
+        self._described[identity] = topic, header, described[identity]
         if not described[identity]:
             index, content = (f"{item.topic!r:.80} ({item.msgtype:.80})" for item in (known, copy))
             what = f"connection {identity} is {index} in the one, and {content} in the other"
@@ -294,13 +288,6 @@ class Rosbag1Reader(Reader):
         note_salvaged(self._log, error, segment, segment.offset, len(chunk), left, indexed, counted=is_counted)
         ids = {key for key, connection in selection.wanted.items() if connection is not None}
         return left.select(ids, selection.start_ns, selection.stop_ns)
-
-    def counts(
-        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
-    ) -> dict[int, int]:
-        """Count by the index, or for a cut by the chunks' index records; see `pc2scan.bags.reader.Reader`."""
-        by_index = partial(indexed_times, self._file)
-        return count_messages(self._file.size, self._index.segments, by_index, connections, start_ns, stop_ns)
 
     def close(self) -> None:
         """Release the file. Messages that were handed out stay valid."""
