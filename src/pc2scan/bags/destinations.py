@@ -44,10 +44,10 @@ class Destination(NamedTuple):
     ----------
     path
         The path.
-    container
-        The name of a format: ``rosbag1``, ``mcap`` or ``rosbag2`` (a directory).
-    storage
-        Of a rosbag2 directory: ``mcap`` or ``sqlite3``; else empty.
+    format
+        The table's entry of the container.
+    file_format
+        The table's entry of the files: of a directory the storage's, else the container's.
     compression
         ``none``, ``bz2``, ``lz4`` or ``zstd``.
     profile
@@ -56,23 +56,17 @@ class Destination(NamedTuple):
         Of a rosbag2 directory: 8 or 9.
     chunk_compressions
         Compressions that chunks copied from the source may have: the given one, else all of the container.
-    format
-        The table's entry of the container.
-    file_format
-        The table's entry of the files: of a directory the storage's, else the container's.
     ros_version
         Of its messages: 1 or 2.
     """
 
     path: Path
-    container: str
-    storage: str
+    format: Format
+    file_format: Format
     compression: str
     profile: str
     metadata_version: int
     chunk_compressions: frozenset[str]
-    format: Format
-    file_format: Format
     ros_version: int
 
     @property
@@ -89,7 +83,7 @@ class Destination(NamedTuple):
     def same_kind(self, source: Summary) -> bool:
         """Return whether the source is in this kind of container, so that messages of any serialisation fit."""
         entry = FORMATS.get(source.container)
-        return entry is not None and self.container == (entry.written_as or entry.name)
+        return entry is not None and self.format.name == (entry.written_as or entry.name)
 
     @property
     def serialization(self) -> str:
@@ -169,14 +163,12 @@ def plan_destination(
     files = FORMATS[storage] if storage else entry
     return Destination(
         path=path,
-        container=entry.name,
-        storage=storage or "",
+        format=entry,
+        file_format=files,
         compression=_one_of("compression", compression or files.default_compression, files.compressions, path),
         profile=profile or "",
         metadata_version=metadata_version,
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
-        format=entry,
-        file_format=files,
         ros_version=1 if entry.profiles and profile == entry.profiles[0] else entry.ros_version,
     )
 
@@ -329,14 +321,14 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
     options = WriteOptions(
         name=name,
         compression=destination.compression,
-        storage=destination.storage,
+        storage=destination.file_format.name if destination.format.storages else "",
         profile=destination.profile,
         metadata_version=destination.metadata_version,
         cut=cut,
     )
     writer = destination.format.open_writer
     assert writer is not None  # a destination without one is never planned
-    if cut is None or destination.storage:
+    if cut is None or destination.format.storages:
         return writer(staged_path, options)
     from pc2scan.files.places import part_name  # noqa: PLC0415  # most recordings are one file
 

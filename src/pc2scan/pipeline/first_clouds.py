@@ -34,10 +34,6 @@ class SharedSample(NamedTuple):
     clouds: TopicClouds
     sample: CloudSample
 
-    def add(self, counts: PointCounts) -> None:
-        """Add the cloud, in the order of writing."""
-        self.clouds.add(self.sample, counts)
-
 
 class Candidate(NamedTuple):
     """A cloud that may be among the first ones, as long as its message is in memory."""

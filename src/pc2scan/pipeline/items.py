@@ -6,7 +6,6 @@ import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.topics import is_latched
 from pc2scan.errors import MessageError
 
 if TYPE_CHECKING:
@@ -66,11 +65,6 @@ class OpenRoute:
     def writes(self) -> bool:
         """Whether something becomes of its messages; otherwise they are only counted."""
         return self.passing_handle >= 0 or bool(self.outputs)
-
-    @property
-    def lasts(self) -> bool:
-        """Whether its messages are latched, so that those from before the cut are still valid in it."""
-        return is_latched(self.connection)
 
 
 class Item(NamedTuple):

@@ -50,11 +50,6 @@ class RouteTask(NamedTuple):
     targets: tuple[str, ...]
     combination: Combination | None = None
 
-    @property
-    def key(self) -> ScanSpec | Combination:
-        """The output, or the combination, that messages are converted for."""
-        return self.combination or self.spec
-
 
 class Route(NamedTuple):
     """Where the messages of one source connection go.

@@ -101,7 +101,12 @@ def prepare(
     firsts = FirstClouds(asked.source_frame, read_later, warn)
     needs_survey = reads_transforms or asked.static or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
-        return Preparation({spec: _unmeasured(spec, firsts) for spec in plan.specs}, span, firsts)
+        placer = Placer()
+        unmeasured: dict[ScanSpec | Combination, Conversion] = {
+            spec: _to_clouds(spec, placer) if spec.reverse else _to_scans(spec, placer, None, None, firsts)
+            for spec in plan.specs
+        }
+        return Preparation(unmeasured, span, firsts)
     from .survey import Survey  # noqa: PLC0415  # most conversions return above
 
     notes: list[str] = []
@@ -222,11 +227,6 @@ def _robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Sp
         reader = as_one(open_recordings(sources, stack, verify=options.verify))
         return read_robot_transforms(reader, options.frames, span.first_ns)
     return None
-
-
-def _unmeasured(spec: ScanSpec, firsts: FirstClouds) -> Conversion:
-    """Return the conversion of an output that needs nothing but the message."""
-    return _to_clouds(spec, Placer()) if spec.reverse else _to_scans(spec, Placer(), None, None, firsts)
 
 
 def _to_clouds(spec: ScanSpec, placer: Placer) -> Conversion:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.formats import chunk_format
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.options import FrameOptions
 
     from .combine.combiner import Combiner
-    from .conversion import Conversion, Step
     from .items import Item, OpenRoute, Output
     from .levelling import LevelFrames
     from .options import ConvertOptions
@@ -95,10 +93,10 @@ def open_recording(
     if copying and writer is not None:
         writer.keep_ids(reader.connections)
     topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
-    opened = open_routes(plan.routes, prepared.conversions, partial(_encoder, target), topics)
+    opened = open_routes(plan.routes, prepared.conversions, topics)
     entries = opened.entries
     added = topics.add(_static_connection(target)) if frames.write_static else None
-    levels = _level_frames(reader, plan, topics, options)
+    levels = _level_frames(reader, topics, options) if any(spec.level for spec in plan.specs) else None
     handles = [] if writer is None else topics.declare(writer, opened.by_id.values())
     if levels is not None:
         entries.append(levels.report)
@@ -121,15 +119,8 @@ def open_recording(
     return OpenRecording(routes, opened.combiners, entries, levels, rule, warnings)
 
 
-def _encoder(target: Destination, conversion: Conversion, _: Connection) -> Step:
-    """Return the last step of results that are written to a recording."""
-    return conversion.encoder(target.serialization)
-
-
-def _level_frames(reader: Reader, plan: Plan, topics: RecordingTopics, options: ConvertOptions) -> LevelFrames | None:
-    """Return the writer of the level frames' transforms; None if no scan is level."""
-    if not any(spec.level for spec in plan.specs):
-        return None
+def _level_frames(reader: Reader, topics: RecordingTopics, options: ConvertOptions) -> LevelFrames:
+    """Return the writer of the level frames' transforms."""
     from .levelling import LevelFrames, tf_connection  # noqa: PLC0415  # only where scans are level
 
     connection = tf_connection(reader, options.frames, topics.target)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.topics import is_static
+from pc2scan.bags.topics import is_latched, is_static
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import steps_of
@@ -15,10 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
 
     from .combine.combiner import Combiner
-    from .conversion import Conversion, Step
+    from .conversion import Conversion, ConvertedMessage, Step
     from .declarations import RecordingTopics
     from .options import ScanSpec
     from .plan import Combination, Route, RouteTask
@@ -45,8 +45,8 @@ class Routes(NamedTuple):
 def open_routes(
     routes: Iterable[Route],
     conversions: Mapping[ScanSpec | Combination, Conversion],
-    last: Callable[[Conversion, Connection], Step],
     topics: RecordingTopics | None = None,
+    last: Callable[[str, ConvertedMessage], ConvertedMessage] | None = None,
 ) -> Routes:
     """Prepare the work on the messages of each connection.
 
@@ -56,10 +56,11 @@ def open_routes(
         The plan.
     conversions
         The conversion of each output.
-    last
-        Returns the consumer's last step with the results of a conversion, for messages of a connection.
     topics
-        The topics of the recording that results are written to; None: no message passes as it is.
+        The topics of the recording that results are written to: the last step serialises these. None: no message passes
+        as it is.
+    last
+        Without a recording, the last step: takes the serialisation of the source and a result.
     """
     opening = _Opening(topics)
     opened: dict[int, OpenRoute] = {}
@@ -75,8 +76,12 @@ def open_routes(
         if not route.tasks:
             made.report = opening.shared(passing or TopicReport(connection.topic, connection.ros_type, None, "skipped"))
             continue
-        chosen = [conversions[task.key] for task in route.tasks]
-        steps = [last(conversion, connection) for conversion in chosen]
+        chosen = [conversions[task.combination or task.spec] for task in route.tasks]
+        if last is None:
+            assert topics is not None  # either is given
+            steps = [conversion.encoder(topics.target.serialization) for conversion in chosen]
+        else:
+            steps = [partial(last, connection.serialization)] * len(chosen)
         combiners = [
             None if task.combination is None else opening.combiner_of(task.combination, conversion, step)
             for task, conversion, step in zip(route.tasks, chosen, steps, strict=True)
@@ -169,7 +174,7 @@ def count_skipped(
     skipped = [route for route in routes.values() if not route.writes]
     counted = reader.counts([route.connection for route in skipped], start_ns, stop_ns) if skipped else {}
     # What was latched before the cut would have been written, too.
-    lasting = [route.connection for route in skipped if route.lasts]
+    lasting = [route.connection for route in skipped if is_latched(route.connection)]
     earlier = reader.counts(lasting, None, start_ns) if lasting and start_ns is not None else {}
     for route in skipped:
         (entry,) = route.reports

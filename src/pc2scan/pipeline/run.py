@@ -97,7 +97,7 @@ def run(
         reader, readers, plan = open_plan(sources, options, stack)
         target = _target(files, reader, readers, options, output)
         report.destination = str(target.path)
-        report.container, report.ros_version = target.container, target.ros_version
+        report.container, report.ros_version = target.format.name, target.ros_version
         report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
         if readers[1:]:
             from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
@@ -159,7 +159,7 @@ def run(
 def open_plan(
     sources: Sequence[Path], options: ConvertOptions, stack: ExitStack
 ) -> tuple[Reader, Sequence[Reader], Plan]:
-    """Open the sources, each and all as one, and plan the conversion.
+    """Open the sources, each and all as one, and plan the conversion; errors about missing topics mention damage.
 
     Parameters
     ----------
@@ -169,7 +169,16 @@ def open_plan(
     refuse_unusable(options)
     readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
     reader = as_one(readers)
-    return reader, readers, _plan(reader, options)
+    damage = reader.damage
+    if options.repair and damage and not reader.connections:
+        raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
+    try:
+        return reader, readers, make_plan(reader.connections, options)
+    except TopicError as err:
+        if damage:
+            note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
+            err.hint = f"{err.hint}; {note}" if err.hint else note
+        raise
 
 
 def report_failure(
@@ -260,20 +269,6 @@ def _refuse_missing_destination(sources: Sequence[Path], destination: Path | Non
     raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
 
 
-def _plan(reader: Reader, options: ConvertOptions) -> Plan:
-    """Plan the conversion; if a recording is damaged, errors about missing topics mention it."""
-    damage = reader.damage
-    if options.repair and damage and not reader.connections:
-        raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
-    try:
-        return make_plan(reader.connections, options)
-    except TopicError as err:
-        if damage:
-            note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
-            err.hint = f"{err.hint}; {note}" if err.hint else note
-        raise
-
-
 def _target(
     files: RunFiles, reader: Reader, readers: Sequence[Reader], options: ConvertOptions, output: OutputOptions
 ) -> Destination:
@@ -301,7 +296,7 @@ def _target(
         source_ros_version=ros_version,
         is_directory=not is_named or output.storage is not None or names_directory,
     )
-    files.numbered = output.cut is not None and not target.storage
+    files.numbered = output.cut is not None and not target.format.storages
     # A recording without ROS messages has no ROS profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
         return target._replace(profile=summaries[0].profile)

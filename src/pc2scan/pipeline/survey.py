@@ -198,7 +198,11 @@ def combination_sources(plan: Plan, combination: Combination) -> list[Connection
 
 def converted_alone(plan: Plan, spec: ScanSpec) -> list[Connection]:
     """Return the connections whose messages become scans by themselves."""
-    return [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
+    return [
+        route.connection
+        for route in plan.routes
+        if any(task.spec is spec and task.combination is None for task in route.tasks)
+    ]
 
 
 def _deskew_observers(spec: ScanSpec, sources: Sequence[Connection], span: Span) -> DeskewObservers:

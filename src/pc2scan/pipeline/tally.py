@@ -106,7 +106,7 @@ class Tally:
                         output.first = result.message
                     entry.count(result)
                 if result.sample is not None:
-                    result.sample.add(result.counts)
+                    result.sample.clouds.add(result.sample.sample, result.counts)
                     # Several outputs may have one result.
                     result.sample = None
             elif isinstance(result, MessageError) or number in refused:

@@ -119,7 +119,7 @@ class CloudFacts:
             return True
         if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
             return False
-        return self.spec.level or not first.tilt_by_transform
+        return self.spec.level or first.floor_tilted_by_transform is None
 
     @property
     def are_nearly_empty(self) -> bool:
