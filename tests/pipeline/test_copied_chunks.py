@@ -143,7 +143,7 @@ class Counts:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.done: list[str] = []
         for module, name, what in (
-            (mcap_chunks, "_decompress", "decompressed"),
+            (mcap_chunks, "decompress_chunk", "decompressed"),
             (rosbag1_reader, "decompress_chunk", "decompressed"),
             (rosbag1_reader, "borrow_payload", "decompressed"),
             (mcap_reader, "scan_messages", "split"),

@@ -155,21 +155,11 @@ def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -
 
 
 def decompress_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:
-    """Decompress a chunk's records, and compare their CRC; see `payload`."""
-    unpacked = memoryview(_decompress(data, chunk, file))
-    if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
-        raise file.damage(
-            f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",
-        )
-    return unpacked
-
-
-def _decompress(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buffer:
-    """Decompress a chunk's payload into exactly the declared size."""
+    """Decompress a chunk's records into exactly the declared size, and compare their CRC; see `payload`."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"
     if size == 0 == len(data):
-        return b""
+        return memoryview(b"")
     if size > (allowed := allowed_bytes(file.size)):
         raise file.damage(
             f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
@@ -186,7 +176,9 @@ def _decompress(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buff
         raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
     if len(unpacked) != size:
         raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
-    return unpacked
+    if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
+        raise file.damage(f"{where} has CRC {actual:08x}, recorded is {chunk.crc:08x}")
+    return memoryview(unpacked)
 
 
 # --- Chunks that are copied as a whole ---

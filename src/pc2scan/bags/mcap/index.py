@@ -510,41 +510,47 @@ def find_declarations(
     chunks = [segment for segment in index.segments if isinstance(segment, ChunkSegment)]
     chunks.sort(key=lambda chunk: chunk.offset)
     used = frozenset[int]().union(*(s.connection_ids for s in index.segments if s.connection_ids))
-    all_used_known = all(segment.connection_ids is not None for segment in index.segments)
-
-    def complete() -> bool:
-        """Whether every channel with messages and every schema of a channel is known."""
-        channels = index.channels
-        if index.statistics is not None:
-            enough = len(channels) >= index.statistics.channel_count
-        else:
-            enough = index.channels_listed or all_used_known
-        return (
-            enough
-            and used <= channels.keys()
-            and all(c.schema_id in index.schemas for c in channels.values() if c.schema_id)
-        )
-
-    def promising(chunk: ChunkSegment) -> bool:
-        ids = chunk.connection_ids
-        return not index.channels_listed if ids is None else not ids <= index.channels.keys()
-
-    def declare_from(chunk: ChunkSegment) -> None:
-        for opcode, content in records_of(chunk):
-            try:
-                index.declare(opcode, content, chunk.offset, file)
-            except DamageError as err:
-                log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
-
+    all_used_known = index.channels_listed or all(segment.connection_ids is not None for segment in index.segments)
     rest = []
     for chunk in chunks:
-        if complete():
+        if _are_all_declared(index, used, all_used_known=all_used_known):
             return
-        if promising(chunk):
-            declare_from(chunk)
+        ids = chunk.connection_ids
+        if not index.channels_listed if ids is None else not ids <= index.channels.keys():
+            _declare_from(chunk, file, index, records_of, log)
         else:
             rest.append(chunk)
     for chunk in rest:
-        if complete():
+        if _are_all_declared(index, used, all_used_known=all_used_known):
             return
-        declare_from(chunk)
+        _declare_from(chunk, file, index, records_of, log)
+
+
+def _are_all_declared(index: McapIndex, used: frozenset[int], *, all_used_known: bool) -> bool:
+    """Whether every channel with messages and every schema of a channel is known.
+
+    ``used`` are the channels with messages, as far as message indexes have them; ``all_used_known`` tells whether they
+    have all, or whether the summary lists all channels.
+    """
+    channels = index.channels
+    enough = all_used_known if index.statistics is None else len(channels) >= index.statistics.channel_count
+    return (
+        enough
+        and used <= channels.keys()
+        and all(c.schema_id in index.schemas for c in channels.values() if c.schema_id)
+    )
+
+
+def _declare_from(
+    chunk: ChunkSegment,
+    file: RecordFile,
+    index: McapIndex,
+    records_of: Callable[[ChunkSegment], Iterable[tuple[int, Buffer]]],
+    log: DamageLog,
+) -> None:
+    """Add the channels and schemas that a chunk declares."""
+    for opcode, content in records_of(chunk):
+        try:
+            index.declare(opcode, content, chunk.offset, file)
+        except DamageError as err:
+            log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))

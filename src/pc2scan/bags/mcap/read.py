@@ -394,11 +394,33 @@ class McapReader(ChunkedReader):
 
     def attachments(self) -> Iterator[Attachment]:
         """Yield attachments in the order of the file; each is read when it is needed."""
-        return attachments_of(self._file, self._index, self._log, verify=self._verify)
+        for offset in sorted(self._index.attachments):
+            content = self._file.record(offset, Opcode.ATTACHMENT)
+            try:
+                record = parse(records.AttachmentRecord, content, offset, self._file)
+                # The CRC follows the data, which follow two times, two strings and their own length.
+                texts = len(record.name.encode()) + len(record.media_type.encode())
+                covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
+            except DamageError as err:
+                self._log.note(err, offset=offset, bytes_lost=len(content))
+                continue
+            if self._verify and record.crc and (actual := crc32(memoryview(content)[:covered])) != record.crc:
+                self._log.note(
+                    self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {record.crc:08x}"),
+                    offset=offset,
+                )
+            yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
 
     def metadata(self) -> Iterator[Metadata]:
         """Yield metadata records in the order of the file."""
-        return metadata_of(self._file, self._index, self._log)
+        for offset in sorted(self._index.metadata):
+            content = self._file.record(offset, Opcode.METADATA)
+            try:
+                record = parse(records.MetadataRecord, content, offset, self._file)
+            except DamageError as err:
+                self._log.note(err, offset=offset, bytes_lost=len(content))
+                continue
+            yield Metadata(record.name, record.metadata)
 
     def close(self) -> None:
         """Release the file."""
@@ -444,6 +466,14 @@ def _connection(channel: records.Channel, schema: records.Schema | None, index: 
     )
     qos = metadata.get("offered_qos_profiles", "")
     ros1 = serialization == "ros1"
+    statistics = index.statistics
+    if statistics is None:
+        count = index.counts[channel.id] if index.all_counted else None
+    elif statistics.message_count and not statistics.channel_message_counts:
+        # Writers may omit the counts by channel.
+        count = None
+    else:
+        count = statistics.channel_message_counts.get(channel.id, 0)
     return Connection(
         id=channel.id,
         topic=channel.topic,
@@ -455,19 +485,9 @@ def _connection(channel: records.Channel, schema: records.Schema | None, index: 
         latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
         qos=qos,
         metadata=metadata,
-        message_count=_message_count(channel.id, index),
+        message_count=count,
         schema_id=channel.schema_id,
     )
-
-
-def _message_count(channel_id: int, index: McapIndex) -> int | None:
-    statistics = index.statistics
-    if statistics is None:
-        return index.counts[channel_id] if index.all_counted else None
-    # Writers may omit the counts by channel.
-    if statistics.message_count and not statistics.channel_message_counts:
-        return None
-    return statistics.channel_message_counts.get(channel_id, 0)
 
 
 def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
@@ -514,38 +534,6 @@ def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
         if found < declared:
             error = file.damage(f"the statistics count {declared} {kind}, {found} were found")
             log.note(error, key=kind, messages_lost=lost)
-
-
-def attachments_of(file: RecordFile, index: McapIndex, log: DamageLog, *, verify: bool) -> Iterator[Attachment]:
-    """Yield attachments in the order of the file; each is read when it is needed."""
-    for offset in sorted(index.attachments):
-        content = file.record(offset, Opcode.ATTACHMENT)
-        try:
-            record = parse(records.AttachmentRecord, content, offset, file)
-            # The CRC follows the data, which follow two times, two strings and their own length.
-            texts = len(record.name.encode()) + len(record.media_type.encode())
-            covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
-        except DamageError as err:
-            log.note(err, offset=offset, bytes_lost=len(content))
-            continue
-        if verify and record.crc and (actual := crc32(memoryview(content)[:covered])) != record.crc:
-            log.note(
-                file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {record.crc:08x}"),
-                offset=offset,
-            )
-        yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
-
-
-def metadata_of(file: RecordFile, index: McapIndex, log: DamageLog) -> Iterator[Metadata]:
-    """Yield metadata records in the order of the file."""
-    for offset in sorted(index.metadata):
-        content = file.record(offset, Opcode.METADATA)
-        try:
-            record = parse(records.MetadataRecord, content, offset, file)
-        except DamageError as err:
-            log.note(err, offset=offset, bytes_lost=len(content))
-            continue
-        yield Metadata(record.name, record.metadata)
 
 
 def shared_channels(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
