@@ -205,15 +205,6 @@ def refuse_more(file: BagFile, start: int) -> None:
 _RUN_SIZE = 4 << 20
 
 
-@dataclass(slots=True)
-class _RecoveredRecords:
-    """The results of the pass over the file."""
-
-    connections: Connections
-    segments: list[Segment] = field(default_factory=list)
-    gaps: list[tuple[int, int, str]] = field(default_factory=list)
-
-
 class _MessageRun:
     """The log times and connections of consecutive messages."""
 
@@ -226,6 +217,33 @@ class _MessageRun:
             self.first_ns = self.last_ns = stamp_ns
         self.first_ns, self.last_ns = min(self.first_ns, stamp_ns), max(self.last_ns, stamp_ns)
         self.counts[connection] = self.counts.get(connection, 0) + 1
+
+
+@dataclass(slots=True)
+class _RecoveredRecords:
+    """The results of the pass over the file, and the messages outside chunks that it is among."""
+
+    connections: Connections
+    segments: list[Segment] = field(default_factory=list)
+    gaps: list[tuple[int, int, str]] = field(default_factory=list)
+    loose: _MessageRun = field(default_factory=_MessageRun)
+    loose_start: int = 0
+
+    def add_message(self, position: int, record: BagRecord) -> None:
+        """Add a message outside chunks."""
+        if not self.loose.counts or record.stop - self.loose_start > _RUN_SIZE:
+            self.end_run(position)
+            self.loose_start = position
+        self.loose.add(number_field(record.fields, "conn"), time_field(record.fields, "time"))
+
+    def end_run(self, position: int) -> None:
+        """Make a segment of the messages outside chunks, if there are any, that end here."""
+        run = self.loose
+        if run.counts:
+            size = position - self.loose_start
+            ids = frozenset(run.counts)
+            self.segments.append(Segment(self.loose_start, size, "none", size, 0, run.first_ns, run.last_ns, ids))
+            self.loose = _MessageRun()
 
 
 def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagIndex:
@@ -254,59 +272,20 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
         raise problem
     found = _RecoveredRecords(Connections(file))
     position = _next_after_header(file)
-    loose = _MessageRun()
-    loose_start = position
     # The index records after the last chunk; None if they cannot be used.
     index: _MessageRun | None = None
     previous: tuple[int, BagRecord] | None = None
-
-    def end_run(at: int) -> None:
-        nonlocal loose
-        if loose.counts:
-            size = at - loose_start
-            found.segments.append(
-                Segment(loose_start, size, "none", size, 0, loose.first_ns, loose.last_ns, frozenset(loose.counts))
-            )
-        loose = _MessageRun()
-
     while position < file.size:
         record = record_at(file.nearby, position, file.size)
-        whole = record is not None and record.stop <= file.size
-        if record is None or not whole:
-            end_run(position)
-            index = None
-            since = position if previous is None else previous[0]
-            # The record before it may have a wrong length: it may include others, or be too short.
-            if previous is not None and record is None:
-                if previous[1].kind != CHUNK:
-                    again = next_record(file.nearby, previous[0] + 1, file.size, ANYWHERE, position)
-                    if again < position:
-                        previous, position = None, again
-                        continue
-                elif not _is_sound(file, found, previous[1]):
-                    position = next_record(file.nearby, previous[1].start, file.size, OUTSIDE_CHUNKS)
-                    refuse_another(file, since, position)
-                    _set_end(found, previous[1], position)
-                    previous = None
-                    continue
-            if record is not None and record.kind == CHUNK:
-                again = next_record(file.nearby, record.start, file.size, OUTSIDE_CHUNKS)
-                refuse_another(file, since, again)
-                _add_chunk(file, found, position, again)
-                previous, position = None, again
-                continue
-            again = next_record(file.nearby, position + 1, file.size, ANYWHERE)
-            refuse_another(file, since, again)
-            found.gaps.append((position, again, "no record begins here"))
-            previous, position = None, again
+        if record is None or record.stop > file.size:
+            found.end_run(position)
+            position = _next_after_damage(file, found, position, record, previous)
+            index = previous = None
             continue
         if record.kind == MESSAGE:
-            if not loose.counts or record.stop - loose_start > _RUN_SIZE:
-                end_run(position)
-                loose_start = position
-            loose.add(number_field(record.fields, "conn"), time_field(record.fields, "time"))
+            found.add_message(position, record)
         else:
-            end_run(position)
+            found.end_run(position)
             if record.kind == INDEX_DATA:
                 index = _with_entries(index, file, record)
             else:
@@ -316,11 +295,52 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
                 noted = record.kind == CHUNK and found.segments and found.segments[-1].offset == record.start
                 index = _MessageRun() if noted else None
         previous, position = (position, record), record.stop
-    end_run(file.size)
+    found.end_run(file.size)
     _find_times(file, found, log)
     _note(file, found, problem, log)
     connections = {key: replace(item, message_count=None) for key, item in sorted(found.connections.by_id.items())}
     return BagIndex(connections, [segment for segment in found.segments if segment.end_ns])
+
+
+def _next_after_damage(
+    file: BagFile,
+    found: _RecoveredRecords,
+    position: int,
+    record: BagRecord | None,
+    previous: tuple[int, BagRecord] | None,
+) -> int:
+    """Return where to continue if no whole record is at a position.
+
+    Parameters
+    ----------
+    found
+        Gets a chunk that is cut off, or the gap.
+    position, record
+        The place; the record that begins there and reaches beyond the file, or None if none begins there.
+    previous
+        The place of the record before it, and that record; None if it is unknown.
+    """
+    since = position if previous is None else previous[0]
+    # The record before it may have a wrong length: it may include others, or be too short.
+    if previous is not None and record is None:
+        if previous[1].kind != CHUNK:
+            again = next_record(file.nearby, previous[0] + 1, file.size, ANYWHERE, position)
+            if again < position:
+                return again
+        elif not _is_sound(file, found, previous[1]):
+            again = next_record(file.nearby, previous[1].start, file.size, OUTSIDE_CHUNKS)
+            refuse_another(file, since, again)
+            _set_end(found, previous[1], again)
+            return again
+    if record is not None and record.kind == CHUNK:
+        again = next_record(file.nearby, record.start, file.size, OUTSIDE_CHUNKS)
+        refuse_another(file, since, again)
+        _add_chunk(file, found, position, again)
+        return again
+    again = next_record(file.nearby, position + 1, file.size, ANYWHERE)
+    refuse_another(file, since, again)
+    found.gaps.append((position, again, "no record begins here"))
+    return again
 
 
 def _next_after_header(file: BagFile) -> int:
