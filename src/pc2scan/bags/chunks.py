@@ -271,6 +271,10 @@ class ChunkedReader(Reader):
                 counts[identity] += sum(stop_ns is None or stamp < stop_ns for stamp in inside)
         return declared | counts
 
+    def close(self) -> None:
+        """Release the file. Messages that were handed out stay valid."""
+        self._file.close()
+
 
 def beside_cut(ordered: Sequence[Segment], start_ns: int | None, stop_ns: int | None) -> Iterator[Segment]:
     """Find the segments next to a cut: outside of it, with the segment before or after them inside.

@@ -422,10 +422,6 @@ class McapReader(ChunkedReader):
                 continue
             yield Metadata(record.name, record.metadata)
 
-    def close(self) -> None:
-        """Release the file."""
-        self._file.close()
-
 
 def _twice(what: str, offset: int) -> str:
     return f"{what} is declared again, and differently, at byte {offset}"

@@ -289,10 +289,6 @@ class Rosbag1Reader(ChunkedReader):
         ids = {key for key, connection in selection.wanted.items() if connection is not None}
         return left.select(ids, selection.start_ns, selection.stop_ns)
 
-    def close(self) -> None:
-        """Release the file. Messages that were handed out stay valid."""
-        self._file.close()
-
 
 def summary_of(index: BagIndex, size: int) -> Summary:
     """Return the summary of a bag of this size, bytes."""
