@@ -22,18 +22,24 @@ if TYPE_CHECKING:
 
 _METADATA_VERSIONS = (8, 9)
 
+_NOT_WRITTEN = "this format is not written"
+
 #: Suffixes of formats that are not written; a directory of such a name would be confusing.
 _REFUSED_SUFFIXES = {
     **dict.fromkeys((".db3", ".sqlite3", ".db"), "rosbag2 keeps .db3 files in a directory: name that directory"),
-    **dict.fromkeys((".yaml", ".yml"), "metadata.yaml is written inside a directory: name that directory"),
+    **dict.fromkeys(
+        (".yaml", ".yml"),
+        "pc2scan map writes maps with such names; metadata.yaml is written inside a directory: name that directory",
+    ),
+    **dict.fromkeys((".html", ".htm"), "pc2scan view writes a page"),
+    **dict.fromkeys((".png", ".svg"), "pc2scan plot draws clouds, pc2scan map --png scans"),
+    **dict.fromkeys((".csv", ".npz", ".tum", ".clf"), "pc2scan export writes such files"),
+    **dict.fromkeys((".pcd", ".bin"), "pc2scan export writes them, into a folder"),
     **dict.fromkeys(
         (".zip", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".tar", ".lz4", ".zst", ".zstd"),
         "recordings are compressed inside: `compression` chooses how",
     ),
-    **dict.fromkeys(
-        (".active", ".pcap", ".pcd", ".ply", ".las", ".laz", ".csv", ".json", ".txt", ".npy", ".npz"),
-        "this format is not written",
-    ),
+    **dict.fromkeys((".active", ".pcap", ".ply", ".las", ".laz", ".json", ".txt", ".npy"), _NOT_WRITTEN),
 }
 
 
@@ -135,9 +141,10 @@ def plan_destination(
         )
     suffix = path.suffix.lower()
     written = _formats_by_suffix()
-    if suffix not in written and (suffix in _REFUSED_SUFFIXES or (_is_like_a_file(suffix) and not is_directory)):
+    refused = {entry.suffix: _NOT_WRITTEN for entry in FORMATS.values()} | _REFUSED_SUFFIXES
+    if suffix not in written and (suffix in refused or (_is_like_a_file(suffix) and not is_directory)):
         names = ", ".join(f"NAME{known}" for known in written if known)
-        why = _REFUSED_SUFFIXES.get(suffix, "a directory of this name would look like a file; `to=rosbag2` makes it")
+        why = refused.get(suffix, "a directory of this name would look like a file; `to=rosbag2` makes it")
         raise DestinationError(
             f"{suffix} is not a destination", path=path, hint=f"{why}. Use {names}, or NAME for a rosbag2 directory"
         )
@@ -275,7 +282,7 @@ def default_storage(path: Path, summaries: Sequence[Summary]) -> str | None:
     if not _format_of(path).storages:
         return None
     first = summaries[0]
-    return first.container if FORMATS[first.container].written_as else first.storage or None
+    return first.container if first.container in _format_of(path).storages else first.storage or None
 
 
 def source_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str | None]:

@@ -11,7 +11,7 @@ from threading import RLock
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakValueDictionary, ref
 
-from pc2scan.errors import RecordingError
+from pc2scan.errors import RecordingError, UsageError
 
 from .system import BINARY, read_at
 from .urls import UrlPath
@@ -27,6 +27,10 @@ _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
 #: Bytes of a file at a URL that are copied at a time.
 _COPIED_BYTES = 8 << 20
+
+#: The first bytes of the file that Git LFS has in place of one that was not fetched; and what to type.
+LFS_POINTER = b"version https://"
+LFS_HINT = "git lfs pull fetches it"
 
 #: Endings of the files that SQLite keeps beside a database while it is written.
 _LOGS = ("-wal", "-journal")
@@ -91,10 +95,27 @@ def copy_file(path: Path, target: Path) -> None:
 
 
 def open_text(path: Path) -> TextIOWrapper:
-    """Open a file of UTF-8 text as `open_bytes` does."""
-    if isinstance(path, UrlPath):
-        return TextIOWrapper(path.open("rb"), encoding="utf-8")
-    return open(path, encoding="utf-8", opener=_open_regular)
+    """Open a file of UTF-8 text as `open_bytes` does; an error for what Git LFS has in place of it."""
+    file = open_bytes(path)
+    try:
+        refuse_pointer(file.read(len(LFS_POINTER)), path)
+        file.seek(0)
+    except BaseException:
+        file.close()
+        raise
+    return TextIOWrapper(file, encoding="utf-8")
+
+
+def refuse_pointer(data: bytes, path: Path) -> None:
+    """Raise if these first bytes of a text file are those of a Git LFS pointer.
+
+    Raises
+    ------
+    UsageError
+        If they are.
+    """
+    if data.startswith(LFS_POINTER):
+        raise UsageError("is a Git LFS pointer, not the file itself", path=path, hint=LFS_HINT)
 
 
 def _open_regular(path: str, flags: int) -> int:

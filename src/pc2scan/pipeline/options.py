@@ -78,6 +78,8 @@ class Combining(NamedTuple):
         The length of an interval that becomes one scan, nanoseconds; 0: each message of the leading topic becomes one.
     rebin
         Whether LaserScans are converted instead of clouds.
+    is_bare
+        Whether ``accumulate`` was typed as a whole number without a unit, which may be meant as a number of clouds.
     """
 
     lead: str = ""
@@ -86,6 +88,7 @@ class Combining(NamedTuple):
     count: int = 0  # type: ignore[assignment]  # instead of the tuple's method
     every_ns: int = 0
     rebin: bool = False
+    is_bare: bool = False
 
     @classmethod
     def of(
@@ -119,7 +122,8 @@ class Combining(NamedTuple):
             span_ns = nanoseconds_of("accumulate", accumulate, "; or a number of clouds (10clouds)")
         every_ns = 0 if every is None else nanoseconds_of("every", every)
         window_ns = None if window is None else nanoseconds_of("window", window)
-        return cls(lead, window_ns, span_ns, count, every_ns, rebin)
+        is_bare = isinstance(accumulate, str) and accumulate.strip().isdecimal()
+        return cls(lead, window_ns, span_ns, count, every_ns, rebin, is_bare)
 
     @property
     def accumulates(self) -> bool:

@@ -238,7 +238,10 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     if spec.combining.rebin and (clouds := [kind for kind in CLOUDS if kind in there]):
         return f"it has {short_types(clouds)} topics; without `rebin` they become scans"
     if not spec.reverse and LASERSCAN in there:
-        return "it has LaserScan topics; `reverse=True` turns those into clouds, `rebin=True` into other scans"
+        return (
+            "its LaserScans can be used as they are, and pc2scan check judges them; `rebin=True` makes other scans of "
+            "them, `reverse=True` clouds"
+        )
     return None
 
 
