@@ -171,7 +171,8 @@ def _ros1_frames(data: bytes) -> None:
     """Whatever is packed can be read by ROS 1."""
     import lz4.frame
 
-    from pc2scan.bags.rosbag1.chunks import compress_lz4, is_readable_lz4
+    from pc2scan.bags.rosbag1.read import is_readable_lz4
+    from pc2scan.bags.rosbag1.write import compress_lz4
 
     is_readable_lz4(b"\x04\x22\x4d\x18" + data)
     frame = compress_lz4(data)

@@ -62,6 +62,8 @@ class Destination(NamedTuple):
         Of a rosbag2 directory: 8 or 9.
     chunk_compressions
         Compressions that chunks copied from the source may have: the given one, else all of the container.
+    ros_version
+        Of its messages: 1 or 2.
     """
 
     path: Path
@@ -71,6 +73,7 @@ class Destination(NamedTuple):
     profile: str
     metadata_version: int
     chunk_compressions: frozenset[str]
+    ros_version: int
 
     @property
     def chunks(self) -> str:
@@ -87,12 +90,6 @@ class Destination(NamedTuple):
         """Return whether the source is in this kind of container, so that messages of any serialisation fit."""
         entry = FORMATS.get(source.container)
         return entry is not None and self.format.name == (entry.written_as or entry.name)
-
-    @property
-    def ros_version(self) -> int:
-        """The ROS version of its messages: 1 or 2."""
-        profiles = self.format.profiles
-        return 1 if profiles and self.profile == profiles[0] else self.format.ros_version
 
     @property
     def serialization(self) -> str:
@@ -179,6 +176,7 @@ def plan_destination(
         profile=profile or "",
         metadata_version=metadata_version,
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
+        ros_version=1 if entry.profiles and profile == entry.profiles[0] else entry.ros_version,
     )
 
 

@@ -108,7 +108,7 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     name, _, packed = sniff(path).partition("+")
     options = ReadOptions(verify=verify, strict=strict)
     if packed:
-        from .zstd_reader import ZstdReader  # noqa: PLC0415  # few recordings need it
+        from .zstd import ZstdReader  # noqa: PLC0415  # few recordings need it
 
         return ZstdReader(path, FORMATS[name], options)
     reader = FORMATS[name].open_reader(path, options)

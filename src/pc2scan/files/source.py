@@ -249,8 +249,6 @@ class SourceFile:
     ----------
     path
         The file.
-    start
-        Where in the file the recording begins; offsets count from here.
 
     Raises
     ------
@@ -258,22 +256,19 @@ class SourceFile:
         If it cannot be opened; while reading, if the system refuses or the file has become shorter.
     """
 
-    def __init__(self, path: Path, start: int = 0) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.start = start
-        #: Where in the file another recording follows this one.
-        self.next_start: int | None = None
         #: Fetches bytes before they are read; None for a local file.
         self._fetch: Callable[[int, int], None] | None = None
         self._descriptor = -1
         self._buffers = _shared.setdefault("", BufferPool())
         if isinstance(path, UrlPath):
             ranges = path.remote.ranges()
-            self._fetch, self._descriptor, self.size = ranges.fetch, ranges.descriptor(), ranges.size - start
+            self._fetch, self._descriptor, self.size = ranges.fetch, ranges.descriptor(), ranges.size
             return
         try:
             self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
-            self.size = os.fstat(self._descriptor).st_size - start
+            self.size = os.fstat(self._descriptor).st_size
         except OSError as err:
             self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
@@ -281,11 +276,9 @@ class SourceFile:
     def end_at(self, size: int) -> None:
         """End the recording after this many bytes, where another one begins."""
         self.size = size
-        self.next_start = self.start + size
 
     def expect(self, offset: int, length: int) -> None:
         """Tell the system to read these bytes ahead, if it can."""
-        offset += self.start
         # If the last byte is cached already, the call is skipped: it would look up each page.
         with suppress(OSError, AttributeError):
             if os.preadv(self._descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
@@ -305,10 +298,6 @@ class SourceFile:
         """Return an error that names this file."""
         return RecordingError(message, path=self.path, hint=hint)
 
-    def with_location(self, message: str) -> str:
-        """Add to a message with offsets where in the file the recording begins."""
-        return f"in the recording from byte {self.start} on, {message}" if self.start else message
-
     def damage(self, message: str) -> Exception:
         """Return the error for missing or wrong bytes; formats override it."""
         return self.error(message)
@@ -317,7 +306,6 @@ class SourceFile:
         """Read exactly ``length`` bytes."""
         if offset + length > self.size:
             raise self._outside(offset, length)
-        offset += self.start
         if self._fetch is not None:
             self._fetch(offset, length)
         try:
@@ -356,7 +344,6 @@ class SourceFile:
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         view = memoryview(borrowed.buffer)[:length]
-        offset += self.start
         if self._fetch is not None:
             self._fetch(offset, length)
         done = 0
@@ -380,6 +367,6 @@ class SourceFile:
 
     def _truncation_error(self, offset: int) -> RecordingError:
         return self.error(
-            f"ended at byte {offset} while it was read; it had {self.start + self.size} bytes when opened",
+            f"ended at byte {offset} while it was read; it had {self.size} bytes when opened",
             "wait until the recording is complete",
         )

@@ -14,9 +14,8 @@ from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast
 
-from pc2scan.bags.latching import NewestItems, is_latched, is_static
-from pc2scan.bags.lazy_items import LazyItems
-from pc2scan.bags.units import Handle, Unit, load_when_due, merge_by_time
+from pc2scan.bags.topics import NewestItems, is_latched, is_static
+from pc2scan.bags.units import Handle, LazyItems, Unit, load_when_due, merge_by_time
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import RawMessage, StoredChunk, own_data, own_message

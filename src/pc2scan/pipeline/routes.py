@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.latching import is_latched, is_static
+from pc2scan.bags.topics import is_latched, is_static
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import steps_of

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.latching import is_static
 from pc2scan.bags.observers import observe
+from pc2scan.bags.topics import is_static
 from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import RobotTransforms, TransformReading, tf_connections
 
