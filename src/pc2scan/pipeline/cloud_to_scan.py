@@ -68,13 +68,10 @@ class Beams:
         angles = layout.angle_min, layout.angle_max, layout.angle_increment
         self._geometry = (*angles, measured.time_increment, measured.scan_time, params.range_min, range_max)
 
-    def message(self, sequence: int, stamp_ns: int, frame_id: str, scan: ProjectedScan) -> LaserScan:
-        """Return the message of projected points."""
-        return LaserScan(sequence, stamp_ns, frame_id, *self._geometry, scan.ranges, scan.intensities)
-
-    def is_empty(self, scan: ProjectedScan) -> bool:
-        """Return whether no beam has a return."""
-        return scan.ranges.tobytes() == self._no_returns
+    def message(self, sequence: int, stamp_ns: int, frame_id: str, scan: ProjectedScan) -> tuple[LaserScan, bool]:
+        """Return the message of projected points, and whether no beam has a return."""
+        message = LaserScan(sequence, stamp_ns, frame_id, *self._geometry, scan.ranges, scan.intensities)
+        return message, scan.ranges.tobytes() == self._no_returns
 
 
 class CloudToScan(Conversion):
@@ -174,8 +171,7 @@ class CloudToScan(Conversion):
         if first_beam_ns:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + first_beam_ns)
-        message = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
-        empty = beams.is_empty(scan)
+        message, empty = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
         candidate = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)

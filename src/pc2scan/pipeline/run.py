@@ -93,7 +93,8 @@ def run(
             # Of a cut, or in a dry run, only some ranges are read.
             is_whole = not output.dry_run and options.start is None and options.end is None
             stack.enter_context(reading_urls(at_urls if is_whole else (), output.scratch))
-        _refuse_missing_destination(sources, destination, output)
+        if len(sources) > 1 and destination is None and output.folder is None:
+            _refuse_missing_destination(sources)
         reader, readers, plan = open_plan(sources, options, stack)
         target = _target(files, reader, readers, options, output)
         report.destination = str(target.path)
@@ -261,10 +262,10 @@ def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> 
     return span
 
 
-def _refuse_missing_destination(sources: Sequence[Path], destination: Path | None, output: OutputOptions) -> None:
+def _refuse_missing_destination(sources: Sequence[Path]) -> None:
     """Raise if the last of several sources does not exist: it may be meant as the destination, as with `cp`."""
     *others, last = sources
-    if not others or destination or output.folder or exists(last) or not all(map(exists, others)):
+    if exists(last) or not all(map(exists, others)):
         return
     raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
 

@@ -400,8 +400,7 @@ class MessagesToScan(Conversion):
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
             scan = self._projector.together(parts)
-        message = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
-        empty = self._beams.is_empty(scan)
+        message, empty = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
         shared = self._rebin(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
