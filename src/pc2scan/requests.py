@@ -16,7 +16,7 @@ from .options.table import PARAMETERS
 from .pipeline.options import ConvertOptions, ScanSpec, TopicRequest
 from .pipeline.param_sources import resolve_sources
 from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
-from .tf.options import FrameOptions
+from .tf.placing import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
