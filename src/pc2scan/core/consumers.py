@@ -370,20 +370,15 @@ def _amcl(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> V
     kept = _kept_pose("amcl", placed, angle=False)
     if kept.outcome != "accepted" or not has_angles(scan) or not scan.beams:
         return kept
-    return _added_once(scan.angle_min, scan.angle_increment, scan.beams)
-
-
-@lru_cache(maxsize=64)
-def _added_once(angle_min: float, angle_increment: float, beams: int) -> Verdict:
-    """Return the verdict of AMCL on its increment: the difference of two angles, of which one is a sum of floats."""
-    increment = float32(angle_min + angle_increment) - angle_min
-    rounding = math.remainder(increment - angle_increment, _TWO_PI) if math.isfinite(increment) else math.inf
+    # AMCL's increment is the difference of two angles, of which one is a sum of floats.
+    increment = float32(scan.angle_min + scan.angle_increment) - scan.angle_min
+    rounding = math.remainder(increment - scan.angle_increment, _TWO_PI) if math.isfinite(increment) else math.inf
     return _off(
         "amcl",
-        angle_increment,
-        (beams - 1) * rounding if beams > 1 else 0.0,
+        scan.angle_increment,
+        (scan.beams - 1) * rounding if scan.beams > 1 else 0.0,
         "the increment is the float32 sum angle_min + angle_increment, less angle_min",
-        f"angle_increment {angle_increment:.9g}, read as {increment:.9g} for {beams} ranges",
+        f"angle_increment {scan.angle_increment:.9g}, read as {increment:.9g} for {scan.beams} ranges",
         "a rounding that adds up to less than half an increment",
         "fewer beams: give `beams`, or a larger `angle_increment`",
         least=_DRIFTED,

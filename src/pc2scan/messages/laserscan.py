@@ -101,11 +101,11 @@ def decode_laserscan(data: Buffer, serialization: str) -> LaserScan:
 def _frame_and_geometry(frame_id: str, geometry: bytes, serialization: str) -> bytes:
     """Encode the fields between a scan's stamp and its ranges: usually the same in all scans of a topic."""
     # The stamp takes eight bytes in CDR, so that alignment can count from here.
-    packer = Packer(serialization)
+    packer = Packer(serialization, is_part=True)
     packer.string(frame_id)
     packer.align(4)
     packer.raw(geometry)
-    return packer.body()
+    return packer.finish()
 
 
 def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:

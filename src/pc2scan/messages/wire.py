@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 MAX_CACHED_BYTES = 1 << 10
 
 
+#: CDR's encapsulation header.
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+
+
 @cache
 def _compile(code: str) -> tuple[struct.Struct, int]:
     """Compile codes; returns the alignment of the last one, too."""
@@ -136,6 +140,13 @@ def seconds_of(stamp_ns: int, *, ros1: bool) -> tuple[int, int]:
 class Packer:
     """Writes primitives in order; the inverse of `Cursor`, always little-endian.
 
+    Parameters
+    ----------
+    serialization
+        ``ros1`` or ``cdr``.
+    is_part
+        Whether a part of a message is written, which has no encapsulation header.
+
     Attributes
     ----------
     ros1
@@ -144,9 +155,10 @@ class Packer:
 
     __slots__ = ("_parts", "_size", "ros1")
 
-    def __init__(self, serialization: str) -> None:
+    def __init__(self, serialization: str, *, is_part: bool = False) -> None:
         self.ros1 = serialization == "ros1"
-        self._parts: list[Buffer] = []
+        self._parts: list[Buffer] = [] if self.ros1 or is_part else [_LITTLE_ENDIAN]
+        #: Bytes after the encapsulation header.
         self._size = 0
 
     def align(self, size: int) -> None:
@@ -192,10 +204,6 @@ class Packer:
             self.write("I", sequence)
         self.write("II" if self.ros1 else "iI", *seconds_of(stamp_ns, ros1=self.ros1))
 
-    def body(self) -> bytes:
-        """Return what was appended."""
-        return b"".join(self._parts)
-
     def finish(self) -> bytes:
         """Return the message, in ROS 2 with CDR's encapsulation header."""
-        return self.body() if self.ros1 else b"".join((b"\x00\x01\x00\x00", *self._parts))
+        return b"".join(self._parts)
