@@ -99,8 +99,8 @@ def _wire(data: bytes) -> None:
     cursor = Cursor(*_serialization(data))
     cursor.header()
     cursor.string()
-    cursor.float32s(2)
-    cursor.take(cursor.uint32())
+    cursor.read("2f")
+    cursor.take(*cursor.read("I"))
 
 
 def _schema(data: bytes) -> None:

@@ -29,7 +29,7 @@ from pc2scan.files.places import output_folder
 from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.model import MAX_ROSBAG2_NS
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 from pc2scan.threads import Threads, cores
 
 from .checks import request_warnings, result_findings
