@@ -280,7 +280,8 @@ def _target(
         mark = "_repaired" if options.repair else "_scan"
         files.destination = default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
     path = files.destination
-    check_to(path, output.to)
+    if output.to is not None:
+        check_to(path, output.to)
     # None for a source without ROS messages.
     ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
     storage = None if is_named else default_storage(path, summaries)
