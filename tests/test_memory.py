@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from benchmarks.clouds import FORMS, write_recording
-from pc2scan import memory
+from pc2scan import threads
 from pc2scan.cli import main
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ for _ in range(50):
     del parts
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - faults)
 """
-KEEPS = "from pc2scan.memory import keep_freed_memory\nassert keep_freed_memory()"
+KEEPS = "from pc2scan.threads import keep_freed_memory\nassert keep_freed_memory()"
 CONVERTS = "import pc2scan; pc2scan.convert(*sys.argv[1:], jobs=2)"
 
 
@@ -55,7 +55,7 @@ def test_a_hosts_allocator_stays_as_it_is(tmp_path: Path) -> None:
 
 def test_the_command_keeps_freed_memory(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     calls: list[int] = []
-    monkeypatch.setattr(memory, "keep_freed_memory", lambda: calls.append(1))
+    monkeypatch.setattr(threads, "keep_freed_memory", lambda: calls.append(1))
     monkeypatch.setattr(sys, "argv", ["pc2scan", "--version"])
     monkeypatch.setattr(gc, "set_threshold", lambda _: None)
     monkeypatch.setattr(gc, "freeze", lambda: None)
@@ -74,4 +74,4 @@ def test_other_c_libraries_are_left_alone(missing: str, monkeypatch: pytest.Monk
         return SimpleNamespace(**{"mallopt" if missing == "glibc" else "gnu_get_libc_version": 1})
 
     monkeypatch.setattr(ctypes, "CDLL", library)
-    assert not memory.keep_freed_memory()
+    assert not threads.keep_freed_memory()

@@ -55,10 +55,10 @@ if TYPE_CHECKING:
     from .api import view as view
     from .batch.summary import BatchReport as BatchReport
     from .compare.result import Difference as Difference
-    from .core.counts import PointCounts as PointCounts
     from .core.params import ProjectionParams as ProjectionParams
     from .core.project import ProjectedScan as ProjectedScan
     from .core.project import project as project
+    from .core.rule import PointCounts as PointCounts
     from .core.unproject import UnprojectParams as UnprojectParams
     from .errors import Pc2ScanError as Pc2ScanError
     from .errors import RecordingWarning as RecordingWarning
@@ -101,7 +101,7 @@ _HOMES = {
     "Page": "look.view",
     "Pc2ScanError": "errors",
     "Plotted": "look.plot",
-    "PointCounts": "core.counts",
+    "PointCounts": "core.rule",
     "ProjectedScan": "core.project",
     "ProjectionParams": "core.params",
     "RecordingWarning": "errors",

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, ForwardRef, Literal, Union, get_args, get_orig
 
 from .batch.summary import BatchReport
 from .compare.result import Difference
-from .core.counts import PointCounts
+from .core.rule import PointCounts
 from .errors import Pc2ScanError
 from .export.report import ExportReport
 from .golden.result import GoldenReport

@@ -47,8 +47,8 @@ from pc2scan.batch.processes import run_jobs
 from pc2scan.batch.run import run_batch
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
-from pc2scan.memory import keep_freed_memory
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
+from pc2scan.threads import keep_freed_memory
 from support.builders import write_mcap
 from support.worlds.drives import drive_recording
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.counts import PointCounts
+from pc2scan.core.rule import PointCounts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

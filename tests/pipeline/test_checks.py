@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.floor import CloudSample
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.rigid import Rigid
+from pc2scan.core.rule import PointCounts
 from pc2scan.model import Summary
 from pc2scan.options.call import Options
 from pc2scan.pipeline import checks

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from pc2scan.bags.units import Unit
-from pc2scan.core.counts import PointCounts
+from pc2scan.core.rule import PointCounts
 from pc2scan.model import Connection, RawMessage, StoredChunk
 from pc2scan.pipeline import engine
 from pc2scan.pipeline.conversion import ConvertedMessage

@@ -16,8 +16,8 @@ from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.rosbag1 import read as rosbag1_reader
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.bags.rosbag1.write import Rosbag1Writer
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.project import Projector
+from pc2scan.core.rule import PointCounts
 from pc2scan.files import source as files
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from typer.main import get_command
 
 from pc2scan.cli.app import application
-from pc2scan.cli.screen import Screen
+from pc2scan.cli.render import Screen
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

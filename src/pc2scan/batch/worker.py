@@ -19,7 +19,7 @@ import time
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.memory import keep_freed_memory
+from pc2scan.threads import keep_freed_memory
 from pc2scan.version import __version__
 
 from .jobs import convert_one

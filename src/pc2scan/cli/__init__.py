@@ -21,10 +21,10 @@ def main() -> None:
         # No threads for NumPy's linear algebra: nothing here uses them, and to start them takes longer than to convert
         # a small recording.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        from pc2scan.memory import keep_freed_memory
+        from pc2scan.threads import keep_freed_memory
 
         from .app import application
-        from .screen import Screen, StdoutError
+        from .render import Screen, StdoutError
 
         keep_freed_memory()
         # A stream is None if the process was started without it.

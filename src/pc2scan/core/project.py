@@ -27,10 +27,9 @@ import numpy as np
 from pc2scan.errors import ParameterError
 
 from . import kernel
-from .counts import PointCounts
 from .params import ProjectionParams
 from .points import Columns, coordinates_of, values_of
-from .rule import rule_of
+from .rule import PointCounts, rule_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.points import NUMBER
 from pc2scan.core.project import Projector
+from pc2scan.core.rule import PointCounts
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2

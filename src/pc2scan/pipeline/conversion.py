@@ -12,8 +12,8 @@ from pc2scan.errors import MessageError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from pc2scan.core.counts import PointCounts
     from pc2scan.core.params import ProjectionParams
+    from pc2scan.core.rule import PointCounts
     from pc2scan.model import Buffer
     from pc2scan.tf.placing import LevelTransform
 

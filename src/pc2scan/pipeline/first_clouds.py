@@ -20,8 +20,8 @@ from .checks.clouds import CloudFacts, KnownTransforms
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pc2scan.core.counts import PointCounts
     from pc2scan.core.points import Points
+    from pc2scan.core.rule import PointCounts
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement
 

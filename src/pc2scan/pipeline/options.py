@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.topics import is_glob, new_topic
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.rule import PointCounts
 from pc2scan.errors import ParameterError, UsageError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN

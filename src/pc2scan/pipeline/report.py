@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 from pc2scan.bags.formats import FORMATS
-from pc2scan.core.counts import PointCounts
-from pc2scan.core.rule import REJECTIONS, Rejection
+from pc2scan.core.rule import REJECTIONS, PointCounts, Rejection
 from pc2scan.errors import leading
 from pc2scan.options.table import PARAMETERS
 from pc2scan.options.values import in_words

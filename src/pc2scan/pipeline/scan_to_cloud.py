@@ -6,8 +6,8 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.rigid import Rigid
+from pc2scan.core.rule import PointCounts
 from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan

@@ -15,7 +15,7 @@ import numpy as np
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
-from pc2scan.core.counts import PointCounts
+from pc2scan.core.rule import PointCounts
 from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pc2scan.core.counts import PointCounts
+from pc2scan.core.rule import PointCounts
 from pc2scan.messages.laserscan import LaserScan
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.stages.beam_filters import RemoveStage, Shadows, Speckles, beam_filter

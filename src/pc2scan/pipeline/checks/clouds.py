@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.floor import FEWEST_POINTS, tolerances
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.rule import PointCounts
 from pc2scan.pipeline.parameters import preset_of
 from pc2scan.text import agreeing, counted
 

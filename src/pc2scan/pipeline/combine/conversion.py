@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.counts import PointCounts
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.project import PointsPart, ProjectedScan, contiguous
 from pc2scan.core.rigid import Rigid
+from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.files.source import ReadBuffer, retain
 from pc2scan.messages.clouds import CLOUDS
