@@ -337,7 +337,7 @@ def test_a_result_whose_beginning_nobody_heard_of_is_known(tmp_path: Path) -> No
         raise KeyboardInterrupt
         yield
 
-    with patch("pc2scan.batch.executors.run_jobs", execute), pytest.raises(KeyboardInterrupt):
+    with patch("pc2scan.batch.run.run_jobs", execute), pytest.raises(KeyboardInterrupt):
         pc2scan.batch(drives, out, **KEYWORDS)
     assert manifest_of(out) == {}
     assert len(list(out.glob("*_scan.bag"))) == 1

@@ -17,7 +17,7 @@ from pc2scan.files.places import working_names
 from pc2scan.files.source import open_bytes
 from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, is_url, local_path, path_or_url
 
-from .identity import Identity, identity_of
+from .manifest import Identity, identity_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
