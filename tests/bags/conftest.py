@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.bags.mcap import chunks as mcap_chunks
-from pc2scan.bags.mcap import reader as mcap_reader
+from pc2scan.bags.mcap import read as mcap_reader
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.chunks import Segment
     from pc2scan.bags.mcap.records import RecordFile
     from pc2scan.files.source import BorrowedBytes
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pc2scan.bags import damage
-from pc2scan.bags.chunked.segments import Segment, times_around
+from pc2scan.bags.chunks import Segment, times_around
 from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.result import json_value

@@ -24,7 +24,8 @@ def test_name_and_options_decide_the_format(
     name: str, options: dict[str, Any], expected: tuple[str, str, str, str, int]
 ) -> None:
     found = plan(name, **options)
-    assert (found.container, found.storage, found.compression, found.profile, found.ros_version) == expected
+    storage = found.file_format.name if found.format.storages else ""
+    assert (found.format.name, storage, found.compression, found.profile, found.ros_version) == expected
     assert found.path == Path(name)
 
 
@@ -37,7 +38,7 @@ def test_impossible_destinations_are_refused(name: str, options: dict[str, Any],
 
 
 def test_a_directory_may_have_the_name_of_a_file() -> None:
-    assert plan("k.mp4", is_directory=True).container == "rosbag2"
+    assert plan("k.mp4", is_directory=True).format.name == "rosbag2"
 
 
 def summary(container: str, storage: str = "") -> Summary:
@@ -54,7 +55,7 @@ def test_the_default_is_beside_the_source(
     found = default_destination([Path(source), Path("elsewhere/y.bag")], [of, summary("rosbag1")])
     assert found == Path(expected)
     assert default_storage(found, [of]) == storage
-    container = plan_destination(found, storage=storage, source_ros_version=2).container
+    container = plan_destination(found, storage=storage, source_ros_version=2).format.name
     assert container == {"sqlite3": "rosbag2"}.get(of.container, of.container)
 
 

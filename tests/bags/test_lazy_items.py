@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import pytest
 import zstandard
 
-from pc2scan.bags import lazy_items, units
-from pc2scan.bags.lazy_items import LazyItems
-from pc2scan.bags.mcap import messages as mcap_messages
-from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags import units
+from pc2scan.bags.mcap import chunks as mcap_chunks
+from pc2scan.bags.mcap import records as mcap_records
+from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
-from pc2scan.bags.units import Extent, Unit, merge_by_time
+from pc2scan.bags.rosbag1 import read as rosbag1_reader
+from pc2scan.bags.units import Extent, LazyItems, Unit, merge_by_time
 from pc2scan.errors import RecordingError
 from pc2scan.model import StoredChunk
 from support import mcap_files, rosbag1_files
@@ -101,7 +101,7 @@ def test_the_messages_are_the_same(
         made.append(self)
 
     monkeypatch.setattr(LazyItems, "__init__", init)
-    for module in (lazy_items, mcap_messages, rosbag1_chunks):
+    for module in (units, mcap_chunks, mcap_records, rosbag1_reader):
         monkeypatch.setattr(module, "MAX_LISTED_ITEMS", 7)
     assert read(path, *cut) == expected
     assert any(len(each) > 7 for each in made)

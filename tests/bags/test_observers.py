@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.bags.observers import FirstTimes, Observer, observe
+from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.opening import open_recording
+from pc2scan.bags.units import FirstTimes
 from pc2scan.errors import DecodeError
 from pc2scan.model import Connection, RawMessage
 from support.builders import CONTENT, SOURCES

@@ -40,8 +40,8 @@ from benchmarks.clouds import (
     write_two,
 )
 from benchmarks.work import LAYOUTS, convert_two, deskewing_tasks, params_of, straightforward
-from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.bags.mcap.read import McapReader
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.batch.processes import run_jobs
 from pc2scan.batch.run import BatchOptions, run_batch
 from pc2scan.core.kernel import COMPILED

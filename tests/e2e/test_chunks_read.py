@@ -10,7 +10,7 @@ import pytest
 
 import pc2scan
 from pc2scan.bags.mcap import chunks as mcap_chunks
-from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
+from pc2scan.bags.rosbag1 import records as rosbag1_records
 from pc2scan.core.rigid import Rigid
 from support.worlds.moving import Drive, Lidar, write_imu, write_world
 
@@ -76,7 +76,7 @@ def decompressed(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
 
         return counting
 
-    for module in (mcap_chunks, rosbag1_chunks):
+    for module in (mcap_chunks, rosbag1_records):
         monkeypatch.setattr(module, "decompress", counted(module.decompress))
     return counts
 

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import pc2scan
-from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording
 from pc2scan.cli.app import application
 from pc2scan.core.points import Points

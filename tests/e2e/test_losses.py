@@ -18,7 +18,9 @@ import pytest
 from mcap.writer import Writer as McapLibraryWriter
 
 import pc2scan
+from fuzz.mutants.mcap import records as mcap_records
 from fuzz.mutants.mutate import fields_of
+from fuzz.mutants.rosbag1 import FIRST_LINE, raw_records
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import DamageError, ResultError, UsageError
 from support import SHARED, needs_shared, sampled
@@ -356,10 +358,8 @@ DESCRIBED = {
     "md5sum": (b"md5sum=992ce8a1687cec8c8bd883ec73ca41d1", b"md5sum=992ce8a1687cec8c8bd883ec73ca41d2"),
 }
 STATISTICS = {
-    ("message_start_time", T0 + SECOND): "the statistics have log times",
-    ("message_end_time", T0 + 1): "the statistics have log times",
-    ("channel_count", 90): "the statistics count 90 channels",
-    ("schema_count", 1): "the statistics count 1 schemas",
+    ("message_start_time", T0 + SECOND): "the index and the content disagree: the statistics have log times",
+    ("message_end_time", T0 + 1): "the index and the content disagree: the statistics have log times",
     ("chunk_count", 90): "the statistics count 90 chunks",
 }
 ONE_MORE = "/chatter: 9 declared, 8 found; /imu: 9 declared, 10 found"
@@ -369,7 +369,7 @@ OTHERWISE: dict[str, Otherwise] = {
         f"a connection's {what} {place}": Otherwise(
             partial(uncovered, kind="bag"),
             partial(changed, before=DESCRIBED[what][0], after=DESCRIBED[what][1], last=last),
-            ("contradicts the index: connection", "no message is known to be missing"),
+            ("the index and the content disagree: connection", "no message is known to be missing"),
             named=False,
         )
         for what in DESCRIBED
@@ -385,17 +385,16 @@ OTHERWISE: dict[str, Otherwise] = {
         )
         for part in ("summary", "data", "chunk")
     },
-    # Its connection's id is another one that there is. The index behind the chunk contradicts it too, which costs
-    # nothing.
+    # Its connection's id is another one that there is.
     "a message's connection in a bag": Otherwise(
         partial(uncovered, kind="bag"),
         first_chatter_is_imu_in_a_bag,
         ("51 messages, 51 were found", "/chatter: 9 declared, 8 found", "/imu: 9 declared, 10 found"),
-        (0, 1),
+        (1,),
         named=False,
     ),
     "a message's channel in MCAP": Otherwise(
-        partial(uncovered, kind="mcap"), first_chatter_is_imu_in_mcap, (ONE_MORE,), (0, 1), named=False
+        partial(uncovered, kind="mcap"), first_chatter_is_imu_in_mcap, (ONE_MORE,), (1,), named=False
     ),
     "a row's topic": Otherwise(rosbag2, first_chatter_is_imu_in_a_database, (ONE_MORE,), (1,), named=False),
     **{
@@ -404,14 +403,11 @@ OTHERWISE: dict[str, Otherwise] = {
         )
         for (field, value), said in STATISTICS.items()
     },
-    **{
-        f"{kind}: {field}": Otherwise(with_extras, index_says(kind, field, value), ("the summary",))
-        for kind, field, value in (("MetadataIndex", "name", "other"), ("AttachmentIndex", "data_size", 1))
-    },
     "more messages than a bag declares": Otherwise(
         lambda folder: write_rosbag1(folder / "drive.bag", drive(1)),
         lambda path: changed(path, struct.pack("<II", 4, 3), struct.pack("<II", 4, 2), last=True),
-        ("2 declared, 3 found",),
+        ("2 declared, 3 found", "the index and the content disagree: the chunk with data .* counted are "),
+        (0, 0),
     ),
     **{
         f"counts by topic of {storage}": Otherwise(
@@ -442,8 +438,8 @@ def test_what_is_said_twice_and_otherwise_is_reported(name: str, tmp_path: Path)
     assert report_of("repair", source, "-o", targets[0])[0] == 0
     sound = rows_of(source)
     case.alter(source)
-    # Who reads nothing but messages learns nothing of these.
-    if not name.startswith(("MetadataIndex", "AttachmentIndex", "more messages")):
+    # Who does not count the messages of each topic learns nothing of these.
+    if not name.startswith("a message's"):
         with pytest.raises(DamageError):
             read(source, strict=True)
     status, stderr, report = report_of("repair", source, "-o", targets[1])
@@ -455,6 +451,34 @@ def test_what_is_said_twice_and_otherwise_is_reported(name: str, tmp_path: Path)
     assert found == sound if case.named else [row[1:] for row in found] == [row[1:] for row in sound]
     if source.is_file() and case.named and name != "more messages than a bag declares":
         assert targets[1].read_bytes() == targets[0].read_bytes()
+
+
+#: What no reader needs: the content has it, or shows it.
+NEEDLESS = {
+    ("Statistics", "channel_count"): 90,
+    ("Statistics", "schema_count"): 1,
+    ("MetadataIndex", "name"): "other",
+    ("AttachmentIndex", "data_size"): 1,
+}
+
+
+@pytest.mark.parametrize(("kind", "field"), NEEDLESS)
+def test_what_only_an_index_has_wrong_changes_nothing(kind: str, field: str, tmp_path: Path) -> None:
+    source = with_extras(tmp_path)
+    targets = [tmp_path / f"{when}.mcap" for when in ("before", "after")]
+    assert report_of("repair", source, "-o", targets[0])[0] == 0
+    altered_index(source, kind, lambda record: setattr(record, field, NEEDLESS[kind, field]))
+    assert report_of("repair", source, "-o", targets[1])[0] == 0
+    assert targets[1].read_bytes() == targets[0].read_bytes()
+
+
+def test_an_index_that_disagrees_is_reported_once(tmp_path: Path) -> None:
+    """Each of its chunks describes the connection."""
+    source = uncovered(tmp_path, "bag", 20)
+    changed(source, *DESCRIBED["definition"], last=True)
+    _, stderr, report = report_of("repair", source, "-o", tmp_path / "out.bag")
+    assert lost(report) == [0]
+    assert stderr.count("the index and the content disagree") == 1
 
 
 def test_an_empty_storage_identifier_of_missing_files(tmp_path: Path) -> None:
@@ -647,7 +671,7 @@ def cut_of(path: Path, start: float | None, end: float | None) -> tuple[list[Row
                 return rows, bool(reader.damage)
         for damage in report.damage:
             assert "of log time" in damage.what or (
-                "the index has log times" in damage.what and damage.messages_lost == 0
+                "the index and the content disagree: it has log times" in damage.what and damage.messages_lost == 0
             )
         return rows_of(target), bool(report.damage)
 
@@ -655,10 +679,10 @@ def cut_of(path: Path, start: float | None, end: float | None) -> tuple[list[Row
 # --- Recordings that follow each other in one file ---
 
 
-def joined(tmp_path: Path, kind: str, share: float = 1) -> tuple[Path, list[Row], int]:
-    """What ``cat a b`` makes of two recordings, of the first of which there is a share.
+def joined(tmp_path: Path, kind: str, share: float = 1) -> tuple[Path, list[list[Row]], int]:
+    """Write what ``cat a b`` makes of two recordings, of the first of which there is a share.
 
-    Returns the messages of both, and where the second one begins. Its ids mean other topics, and it is later.
+    Returns the file, the messages of each, and where the second one begins. Its ids mean other topics, and it is later.
     """
     first = drive(3)
     later = [replace(item, log_time_ns=item.log_time_ns + 100 * SECOND) for item in first.items]
@@ -672,7 +696,7 @@ def joined(tmp_path: Path, kind: str, share: float = 1) -> tuple[Path, list[Row]
             write_mcap(path, recording, Mcap(compression="lz4"))
             if kind.endswith("without a summary"):
                 without_summary(path, path)
-        rows += rows_of(path)
+        rows.append(rows_of(path))
         parts.append(path.read_bytes())
     place = int(len(parts[0]) * share)
     target = tmp_path / f"both.{suffix}"
@@ -683,43 +707,37 @@ def joined(tmp_path: Path, kind: str, share: float = 1) -> tuple[Path, list[Row]
 KINDS = ("bag-none", "bag-lz4", "mcap", "mcap without a summary")
 
 
+@pytest.mark.parametrize("more", [0, 0.25, 1])
 @pytest.mark.parametrize("kind", KINDS)
-def test_both_recordings_of_one_file_are_read(kind: str, tmp_path: Path) -> None:
-    source, rows, place = joined(tmp_path, kind)
+def test_a_second_recording_in_a_file_is_reported_and_not_read(kind: str, more: float, tmp_path: Path) -> None:
+    """Nor is a third one, of which there may be a part."""
+    source, (first, second), place = joined(tmp_path, kind)
+    both = source.read_bytes()
+    source.write_bytes(both + both[: int(place * more)])
     target = tmp_path / f"fixed{source.suffix}"
     status, stderr, report = report_of("repair", source, "-o", target)
     assert status == 3
-    assert f"byte {place}: another recording begins at byte {place}" in stderr
-    assert lost(report) == [0]
-    assert rows_of(target) == rows
+    (damage,) = report["damage"]
+    assert (damage["offset"], damage["bytes_lost"]) == (place, source.stat().st_size - place)
+    assert f"another recording begins at byte {place} and is not read: tail -c +{place + 1} makes a file" in stderr
+    assert rows_of(target) == first
     assert run("convert", source, "-o", tmp_path / "strict.mcap", "--strict").status == 1
-    assert f"{len(rows)} messages" in run("info", source).stdout
+    assert f"{len(first)} messages" in run("info", source).stdout
+    if not more:
+        rest = tmp_path / f"rest{source.suffix}"
+        rest.write_bytes(both[place:])
+        assert rows_of(rest) == second
 
 
 @pytest.mark.parametrize(("kind", "share"), sampled(product(KINDS, [0.5, 0.9, 0.99]), 5))
-def test_the_second_recording_is_whole_though_the_first_is_cut(kind: str, share: float, tmp_path: Path) -> None:
-    source, rows, _ = joined(tmp_path, kind, share)
-    target = tmp_path / f"fixed{source.suffix}"
-    assert report_of("repair", source, "-o", target)[0] == 3
-    found = rows_of(target)
-    middle = T0 + 50 * SECOND
-    assert [row for row in found if row[1] > middle] == [row for row in rows if row[1] > middle]
-    first = {row for row in found if row[1] < middle}
+def test_a_second_recording_ends_the_first_that_is_cut(kind: str, share: float, tmp_path: Path) -> None:
+    source, (first, _), place = joined(tmp_path, kind, share)
+    with closing(open_recording(source)) as reader:
+        found = [(message.connection.topic, message.log_time_ns, bytes(message.data)) for message in reader.messages()]
+        assert any(damage.what.startswith(f"another recording begins at byte {place}") for damage in reader.damage)
     # The library describes connections at the end of a bag only.
-    assert first or (kind.startswith("bag") and share < 0.9)
-    assert first <= set(rows)
-
-
-@pytest.mark.parametrize("kind", ["bag-lz4", "mcap"])
-def test_three_recordings_of_which_the_last_is_cut(kind: str, tmp_path: Path) -> None:
-    source, rows, _ = joined(tmp_path, kind)
-    once = source.read_bytes()
-    source.write_bytes(once + once[: len(once) // 4])
-    target = tmp_path / f"fixed{source.suffix}"
-    assert report_of("repair", source, "-o", target)[0] == 3
-    found = rows_of(target)
-    assert len(found) > len(rows)
-    assert set(found) == set(rows)
+    assert found or (kind.startswith("bag") and share < 0.9)
+    assert set(found) <= set(first)
 
 
 def test_a_recording_in_a_message_is_no_second_recording(tmp_path: Path) -> None:
@@ -729,6 +747,31 @@ def test_a_recording_in_a_message_is_no_second_recording(tmp_path: Path) -> None
     source = write_rosbag1(tmp_path / "drive.bag", Recording((CHATTER,), tuple(items)))
     assert report_of("repair", source, "-o", tmp_path / "fixed.bag")[0] == 0
     assert len(rows_of(tmp_path / "fixed.bag")) == 3
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "mcap without chunks"])
+def test_a_recording_in_a_message_does_not_end_a_damaged_file(kind: str, tmp_path: Path) -> None:
+    """The recording's own index follows."""
+    suffix, version = ("bag", 1) if kind == "bag" else ("mcap", 2)
+    inner = tmp_path / f"inner.{suffix}"
+    form = Mcap(compression="none", chunked=kind == "mcap")
+    write_rosbag1(inner, drive(1)) if suffix == "bag" else write_mcap(inner, drive(1), form)
+    text = inner.read_bytes().decode("latin-1")
+    items = tuple(Item(CHATTER, T0 + n, {version: string(text, version)}) for n in range(9))
+    source, recording = tmp_path / f"drive.{suffix}", Recording((CHATTER,), items)
+    write_rosbag1(source, recording, "none") if suffix == "bag" else write_mcap(source, recording, form)
+    sound = rows_of(source)
+    data = source.read_bytes()
+    if suffix == "bag":
+        begins = [record.start for record in raw_records(data, len(FIRST_LINE), len(data))]
+    else:
+        begins = [start for _, start, _ in mcap_records(data, 8, len(data) - 8)]
+    # The records' lengths and kinds, behind the header.
+    for place in (begin + step for begin in begins[1:] for step in range(9)):
+        source.write_bytes(data[:place] + bytes([data[place] ^ 0x40]) + data[place + 1 :])
+        with closing(open_recording(source)) as reader:
+            assert len(list(reader.messages())) >= len(sound) - 1, place
+            assert not [damage.what for damage in reader.damage if "another recording" in damage.what]
 
 
 # --- The CRC of an MCAP file's data section ---

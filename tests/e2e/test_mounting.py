@@ -360,3 +360,26 @@ def test_check_finds_scans_in_a_frame_that_is_not_level(recorded: Callable[..., 
     done = run("convert", recorded(20), "-o", tmp_path / "c.mcap", *common, "0.1", *frames, "--write-static-tf")
     assert done.status == 0
     assert "tilted" not in run("check", tmp_path / "c.mcap").stdout
+
+
+@pytest.mark.parametrize("place", sampled(PLACES, 4))
+@pytest.mark.parametrize(("roll", "pitch"), [(1.5, 0.0), (-3.0, 2.0), (0.0, 6.0), (12.0, -5.0)])
+def test_a_transform_that_tilts_a_level_lidar_is_reported(
+    roll: float, pitch: float, place: str, recorded: Callable[..., Path], tmp_path: Path
+) -> None:
+    """A mount that is typed or recorded wrongly; its twin is a lidar that is tilted, with a transform that says so."""
+    height = PLACES[place].heights[0]
+    tf = (transform("base_link", "lidar", (roll, pitch, 25), (0.2, 0, height)),)
+    words = ("--target-frame", "base_link", *WIDE)
+    where: dict[str, Any] = {"place": place, "height": height, "tf": tf}
+    sound = run("convert", recorded(roll, pitch, **where), "-o", tmp_path / "sound.mcap", *words)
+    assert "is tilted by" not in sound.stderr
+    wrong = recorded(**where)
+    done = run("convert", wrong, "-o", tmp_path / "wrong.mcap", *words)
+    found = re.search(r"'base_link' is tilted by ([\d.]+) deg", done.stderr)
+    assert found is not None, done.stderr
+    up = transform("", "", (roll, pitch, 0), (0, 0, 0))
+    assert float(found[1]) == pytest.approx(math.degrees(2 * math.asin(math.hypot(up[6], up[7]))), abs=0.6)
+    cure, *_ = re.findall("--static-tf '([^']+)'", done.stderr)
+    *_, cured_roll, cured_pitch, yaw = map(float, cure.split()[2:])
+    assert (cured_roll, cured_pitch, yaw) == pytest.approx((0, 0, math.radians(25)), abs=math.radians(0.6))

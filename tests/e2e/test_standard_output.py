@@ -189,9 +189,7 @@ def test_a_wrapped_command_is_still_one_for_the_shell(folder: str, options: str,
     # As a shell reads it.
     words = shlex.split(command.replace("\\\n", ""))
     made = str(tmp_path / folder / "hall_scan")
-    assert words == (
-        ["ros2", "bag", "play", made, "--clock"] if options else ["rosbag", "play", "--clock", f"{made}.bag"]
-    )
+    assert words == ["pc2scan", "check", made if options else f"{made}.bag"]
 
 
 @pytest.mark.slow

@@ -49,12 +49,14 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
 def _cloud(data: bytes) -> None:
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
-    from pc2scan.pipeline.conversion import converter
+    from pc2scan.pipeline.conversion import steps_of
     from pc2scan.tf.placing import Placer
 
     content, serialization = _serialization(data)
     conversion = CloudToScan(ProjectionParams(min_height=-9.0), Placer())
-    converter([conversion], "/points", serialization, "", [conversion.encoder("cdr")])(content)
+    value: object = content
+    for step in steps_of([conversion], "/points", serialization, "", [conversion.encoder("cdr")]):
+        value = step(value)
 
 
 def _scan(data: bytes) -> None:
@@ -169,7 +171,8 @@ def _ros1_frames(data: bytes) -> None:
     """Whatever is packed can be read by ROS 1."""
     import lz4.frame
 
-    from pc2scan.bags.rosbag1.chunks import compress_lz4, is_readable_lz4
+    from pc2scan.bags.rosbag1.read import is_readable_lz4
+    from pc2scan.bags.rosbag1.write import compress_lz4
 
     is_readable_lz4(b"\x04\x22\x4d\x18" + data)
     frame = compress_lz4(data)

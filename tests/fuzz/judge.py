@@ -169,7 +169,7 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
     if made.edit.role == "record" and not _lost(expected, found):
         # A record that is there twice, or elsewhere, costs nothing.
         return Outcome.undetectable
-    if operation.options is None:
+    if operation.options is None or operation.options.start is not None:
         # Counts of messages are only compared where all are passed on.
         (folder / "repaired").mkdir()
         return attempt(made, REPAIR, folder / "repaired")
@@ -185,6 +185,9 @@ def _run(operation: Operation, options: ConvertOptions, source: Path, folder: Pa
     with watched(size_of(source)):
         report = run([source], destination, options, OutputOptions())
         status = report.exit_status
+    disagree = Counter(damage.path for damage in report.damage if "the index and the content disagree" in damage.what)
+    if disagree.total() > len(disagree):
+        raise Finding(f"an index that disagrees is reported {disagree.total()} times, of {len(disagree)} files")
     left = [path.name for path in destination.parent.iterdir()]
     if status == 1:
         if left:

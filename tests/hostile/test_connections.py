@@ -12,7 +12,7 @@ import zstandard
 from mcap.records import Schema
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.rosbag2.reader import Rosbag2Reader
+from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.errors import RecordingError
 from support import mcap_files, rosbag1_files
 from support.bounded import run_bounded
@@ -30,9 +30,8 @@ MOST = 8
 LONG = 4_000_000
 
 
-def records(count: int, first: int = 0) -> bytes:
-    numbers = range(first, first + count)
-    return b"".join(rosbag1_files.connection_record(number, callerid=b"/%d" % number) for number in numbers)
+def records(count: int) -> bytes:
+    return b"".join(rosbag1_files.connection_record(number, callerid=b"/%d" % number) for number in range(count))
 
 
 def indexed_bag(path: Path, count: int) -> Path:
@@ -51,14 +50,6 @@ def bag_that_was_never_closed(path: Path, count: int) -> Path:
 def bag_that_describes_them_in_a_chunk(path: Path, count: int) -> Path:
     payload = records(count) + b"".join(rosbag1_files.message(5, identity=number) for number in range(count))
     return rosbag1_files.simple_bag(path / "a.bag", payload, counts=dict.fromkeys(range(count), 1), connections=())
-
-
-def bags_behind_each_other(path: Path, count: int) -> Path:
-    parts = (
-        rosbag1_files.bag_header(rosbag1_files.FIRST_CHUNK, size, 0) + records(size, first)
-        for first, size in ((0, 4), (4, count - 4))
-    )
-    return given(path / "a.bag", b"".join(parts))
 
 
 def mcap_file(path: Path, count: int) -> Path:
@@ -106,7 +97,6 @@ KINDS: list[Callable[[Path, int], Path]] = [
     bag_without_index,
     bag_that_was_never_closed,
     bag_that_describes_them_in_a_chunk,
-    bags_behind_each_other,
     mcap_file,
     mcap_chunk,
     cut_mcap_file,
@@ -153,7 +143,7 @@ def test_a_directory_of_too_many_topics_is_not_opened_whole(tmp_path: Path, monk
 def test_messages_of_more_topics_than_are_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their topics are not described: each would be damage of its own."""
     monkeypatch.setattr("pc2scan.files.limits.MAX_CONNECTIONS", MOST)
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.tables.MAX_CONNECTIONS", MOST)
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.index.MAX_CONNECTIONS", MOST)
     source = database(tmp_path, MOST)
     with closing(sqlite3.connect(source)) as opened, opened:
         opened.execute("UPDATE messages SET topic_id = 100 WHERE id = 3")

@@ -197,3 +197,43 @@ def test_scans_of_real_sensors_are_accepted(name: str) -> None:
             "luminar_highway.bag": {"stamps-far", "no-transforms"},
         }[name]
     )
+
+
+#: The transforms of a recording, the kind of what is wrong, and what cures it: each has a cure of its own.
+CURES: dict[str, tuple[tuple[tuple[str, str], ...], bool, str, str]] = {
+    "no mount": (
+        (("odom", "base_link"),),
+        False,
+        "frame-unknown",
+        "`static_tf='base_link laser X Y Z ROLL PITCH YAW'`",
+    ),
+    "a namespace": (
+        (("robot1/odom", "robot1/base_link"), ("robot1/base_link", "laser")),
+        False,
+        "no-odometry-frame",
+        "`odom_frame=robot1/odom`",
+    ),
+    "no odometry": ((("base_link", "laser"),), True, "no-odometry-frame", "record the robot's odometry on /tf"),
+    "another name": (
+        (("world", "base_link"), ("base_link", "laser")),
+        False,
+        "no-odometry-frame",
+        "names the right one",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CURES)
+def test_each_trouble_with_frames_has_its_own_cure(case: str, tmp_path: Path) -> None:
+    tree, static, kind, cure = CURES[case]
+    found = only(check(write(tmp_path / "a.mcap", *scans(3), tree=tree, static=static)))
+    (about,) = (each for each in found.findings if each.kind == kind)
+    assert cure in about.hint
+    assert ("nothing moves in them" in about.text) == (case == "no odometry")
+
+
+def test_transforms_of_another_clock_are_named(tmp_path: Path) -> None:
+    late = [replace(scan, stamp_ns=scan.stamp_ns + 90 * 10**9) for scan in scans(3)]
+    found = only(check(write(tmp_path / "a.mcap", *late, static=False, delay=-90 * 10**9)))
+    (missing,) = (each for each in found.findings if each.kind == "no-transform")
+    assert "do the clocks differ?" in missing.hint

@@ -14,17 +14,17 @@ from mcap.records import Channel, Schema
 from mcap.writer import Writer as LibraryWriter
 
 import pc2scan
-from pc2scan.bags.chunked import segments
+from pc2scan.bags import chunks
 from pc2scan.bags.mcap import chunks as mcap_chunks
-from pc2scan.bags.mcap import reader as mcap_reader
-from pc2scan.bags.mcap import writer as mcap_writer
-from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.mcap.writer import McapWriter
-from pc2scan.bags.rosbag1 import reader as rosbag1_reader
-from pc2scan.bags.rosbag1 import writer as rosbag1_writer
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
-from pc2scan.bags.rosbag1.writer import Rosbag1Writer
-from pc2scan.bags.rosbag2.writer import Rosbag2Writer
+from pc2scan.bags.mcap import read as mcap_reader
+from pc2scan.bags.mcap import write as mcap_writer
+from pc2scan.bags.mcap.read import McapReader
+from pc2scan.bags.mcap.write import McapWriter
+from pc2scan.bags.rosbag1 import read as rosbag1_reader
+from pc2scan.bags.rosbag1 import write as rosbag1_writer
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
+from pc2scan.bags.rosbag1.write import Rosbag1Writer
+from pc2scan.bags.rosbag2.write import Rosbag2Writer
 from pc2scan.errors import DamageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -51,7 +51,7 @@ PARAMS = pc2scan.ProjectionParams(min_height=-2, max_height=2)
 @pytest.fixture(autouse=True)
 def small_chunks_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """Chunks of a few kB are worth copying here, lest the recordings be large."""
-    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 20_000)
+    monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 20_000)
 
 
 def image(number: int) -> bytes:
@@ -143,7 +143,7 @@ class Counts:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.done: list[str] = []
         for module, name, what in (
-            (mcap_chunks, "_decompress", "decompressed"),
+            (mcap_chunks, "decompress_chunk", "decompressed"),
             (rosbag1_reader, "decompress_chunk", "decompressed"),
             (rosbag1_reader, "borrow_payload", "decompressed"),
             (mcap_reader, "scan_messages", "split"),
@@ -161,14 +161,14 @@ class Counts:
 
 
 def test_copying_is_seen_in_the_work_and_not_in_the_messages(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    chunks = len(stored_chunks(source))
-    assert chunks == 2 * ROUNDS
+    there = len(stored_chunks(source))
+    assert there == 2 * ROUNDS
     counts = Counts(monkeypatch)
     copied = opened(convert(source, jobs=2))
     # Each is decompressed once, to be verified; only the mixed ones are compressed again.
-    assert counts.done.count("decompressed") == chunks
+    assert counts.done.count("decompressed") == there
     assert counts.done.count("compressed") == ROUNDS
-    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1 << 40)
+    monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1 << 40)
     taken_apart = opened(convert(source, jobs=2))
     assert copied == taken_apart
     assert len(copied.of("/scan")) == ROUNDS
@@ -193,7 +193,7 @@ def test_another_compression_leaves_chunks_whole(suffix: str, tmp_path: Path, mo
     assert images_only(destination) == images_only(there)
     if suffix == ".mcap":
         assert counts.done.count("split") == ROUNDS
-    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1 << 40)
+    monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1 << 40)
     assert opened(destination) == opened(convert(source, compression="none"))
 
 
@@ -269,7 +269,7 @@ def test_unsorted_and_overlapping_chunks_are_taken_apart(suffix: str, tmp_path: 
 
 
 def test_small_chunks_are_gathered(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 256 << 10)
+    monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 256 << 10)
     assert len(stored_chunks(convert(source))) == 1
 
 

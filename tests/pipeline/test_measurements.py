@@ -47,16 +47,16 @@ def recorded(stream: Stream, stamps: Sequence[int], points: NDArray[np.float32],
 
 
 def measured(
-    folder: Path, items: list[Item], params: ProjectionParams, frames: Placer | None = None, **cut: Any
+    folder: Path, items: list[Item], params: ProjectionParams, placer: Placer | None = None, **cut: Any
 ) -> tuple[dict[str, Measurements], list[str]]:
     streams = tuple(dict.fromkeys(entry.stream for entry in items))
     items = sorted(items, key=lambda entry: entry.log_time_ns)
     reader = open_recording(write_mcap(folder / "drive.mcap", Recording(streams, tuple(items))))
     try:
-        spec, frames = ScanSpec(params=params), frames or Placer()
-        observers = cloud_observers(reader.connections, spec, None if frames.buffer else frames, **cut)
+        spec, placer = ScanSpec(params=params), placer or Placer()
+        observers = cloud_observers(reader.connections, spec, None if placer.buffer else placer, **cut)
         observe(reader, observers.values())
-        return measure(observers, spec, frames)
+        return measure(observers, spec, placer)
     finally:
         reader.close()
 
@@ -124,8 +124,8 @@ def test_beams_are_timed_in_the_scans_frame(tmp_path: Path) -> None:
         static=True,
     )
     items = recorded(FRONT, [T0], turning(), NAMES)
-    frames = Placer("base", "", builder.build(), 0)
-    _, notes = measured(tmp_path, items, AUTO, frames)
+    placer = Placer("base", "", builder.build(), 0)
+    _, notes = measured(tmp_path, items, AUTO, placer)
     assert "`angle_min=1.7" in notes[1]
 
 
@@ -187,9 +187,9 @@ def test_each_topic_has_the_beams_of_its_lidar(tmp_path: Path) -> None:
 def test_the_resolution_is_that_around_the_sensor(tmp_path: Path) -> None:
     builder = TransformBuilder()
     builder.add([("base", "lidar", T0, 3.0, 1.0, 0.5, 0.0, 0.0, 0.6, 0.8)], static=True)
-    frames = Placer("base", "lidar", builder.build(), 0)
+    placer = Placer("base", "lidar", builder.build(), 0)
     params = ProjectionParams(beams="auto", time_increment="auto", geometry="centered")
-    found, notes = measured(tmp_path, recorded(FRONT, [T0], rings(900), RINGS), params, frames)
+    found, notes = measured(tmp_path, recorded(FRONT, [T0], rings(900), RINGS), params, placer)
     assert TURN / found["/front"].azimuth_step == pytest.approx(900, rel=1e-3)
     assert notes[1].startswith("/front: time_increment is 0")
 

@@ -142,7 +142,7 @@ def test_the_file_has_whatever_an_output_has() -> None:
     """A choice that `ScanSpec` gets is an entry in the table."""
     elsewhere = {"name", "place", "topics", "origins", "params", "filters", "reverse", "channels"}
     elsewhere |= {"combining", "imu_request"}
-    assert set(Combining._fields) - {"window_ns", "span_ns", "count", "every_ns"} <= KEYS
+    assert set(Combining._fields) - {"window_ns", "span_ns", "count", "every_ns", "is_bare"} <= KEYS
     assert ScanSpec.__dataclass_fields__.keys() - elsewhere <= KEYS
 
 

@@ -13,9 +13,9 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.model import Connection, RawMessage, StoredChunk
 from pc2scan.pipeline import engine
 from pc2scan.pipeline.conversion import ConvertedMessage
+from pc2scan.pipeline.engine import AHEAD_BYTES, LARGEST_AHEAD, schedule
 from pc2scan.pipeline.items import Item, OpenRoute, Output, Span
 from pc2scan.pipeline.report import TopicReport
-from pc2scan.pipeline.scheduler import AHEAD_BYTES, LARGEST_AHEAD, schedule
 from pc2scan.threads import Threads
 
 if TYPE_CHECKING:
@@ -147,10 +147,10 @@ def test_quick_units_are_loaded_by_the_caller() -> None:
 def test_a_result_that_takes_more_memory_is_made_in_its_turn() -> None:
     made: list[int] = []
 
-    def convert(data: Any) -> list[ConvertedMessage]:
+    def convert(data: Any) -> ConvertedMessage:
         assert current_thread() is main_thread()
         made.append(len(data))
-        return [ConvertedMessage(b"cloud", PointCounts(), empty=False)]
+        return ConvertedMessage(b"cloud", PointCounts(), empty=False)
 
     reader: Any = SimpleNamespace(
         path=None,
@@ -158,7 +158,7 @@ def test_a_result_that_takes_more_memory_is_made_in_its_turn() -> None:
         units=lambda *_: [unit(number, messages=1) for number in range(9)],
     )
     output = Output(TopicReport("/a", "", "/cloud", "converted"), 0)
-    route = OpenRoute(TOPIC, None, convert, outputs=[output], shrinks_from=1 << 30)
+    route = OpenRoute(TOPIC, None, [convert], outputs=[output], shrinks_from=1 << 30)
     with Threads(2) as threads:
         for number, item in enumerate(engine.items_of(reader, {1: route}, Span(None, None, 0), threads)):
             assert isinstance(item, Item)

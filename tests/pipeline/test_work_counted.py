@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import pc2scan
-from pc2scan.bags.mcap import reader as mcap_reader
-from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.mcap.writer import McapWriter
-from pc2scan.bags.rosbag1 import reader as rosbag1_reader
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
-from pc2scan.bags.rosbag1.writer import Rosbag1Writer
+from pc2scan.bags.mcap import read as mcap_reader
+from pc2scan.bags.mcap.read import McapReader
+from pc2scan.bags.mcap.write import McapWriter
+from pc2scan.bags.rosbag1 import read as rosbag1_reader
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
+from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.project import Projector
 from pc2scan.files import source as files
@@ -33,7 +33,7 @@ from support.builders import cloud, transforms
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.chunks import Segment
 
 CLOUDS = 6
 T0 = 1_600_000_000_000_000_000
@@ -219,7 +219,7 @@ def test_a_result_larger_than_its_message_waits_for_its_turn(passes: bool, shrin
     converted = ConvertedMessage(b"scan", PointCounts(), False)
     report = TopicReport("/points", "", None, "")
     output = Output(report, 0)
-    route = OpenRoute(connection, None, lambda _: [converted], outputs=[output], shrinks_from=shrinks_from)
+    route = OpenRoute(connection, None, [lambda _: converted], outputs=[output], shrinks_from=shrinks_from)
     route.passing_handle = 1 if passes else -1
     message = RawMessage(connection, 5, memoryview(bytearray(b"cloud")), 6)
     done = engine._work({1: route}, message)

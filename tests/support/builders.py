@@ -46,6 +46,10 @@ _BATTERY_TEXTS = {
 }
 
 
+#: Livox's point and cloud, as its drivers' definitions have them; without `Header`, whose name differs.
+_LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n"
+_LIVOX_CLOUD = "uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points\n"
+
 # --- Messages ---
 
 
@@ -56,6 +60,10 @@ def typestore(ros_version: int) -> Any:
     added = get_types_from_msg(_BATTERY_TEXTS[ros_version], BATTERY)
     if ros_version == 1:
         added |= get_types_from_msg(_TF_TEXT, TF) | get_types_from_msg(_TF_TEXT, "tf/msg/tfMessage")
+    for package in ("livox_ros_driver", "livox_ros_driver2"):
+        added |= get_types_from_msg(_LIVOX_POINT, f"{package}/msg/CustomPoint")
+        head = "Header header\n" if ros_version == 1 else "std_msgs/Header header\n"
+        added |= get_types_from_msg(head + _LIVOX_CLOUD, f"{package}/msg/CustomMsg")
     store.register(added)
     return store
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
+from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.opening import open_recording
 from pc2scan.messages.laserscan import LaserScan, decode_laserscan
 from pc2scan.messages.tfmessage import decode_transforms
-from pc2scan.pipeline.conversion import converter
+from pc2scan.pipeline.conversion import steps_of
 from support.command import Finished, run
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ __all__ = ["Made", "converted", "serialized_by"]
 
 def serialized_by(conversion: Conversion, topic: str, source: str, target: str) -> Callable[[bytes], Any]:
     """Return what makes serialised messages of serialised messages, each with what is counted of it."""
-    convert = converter([conversion], topic, source, "", [conversion.encoder(target)])
-    return lambda message: convert(message)[0]
+    steps = steps_of([conversion], topic, source, "", [conversion.encoder(target)])
+    return lambda message: reduce(lambda value, step: step(value), steps, message)
 
 
 class Made(NamedTuple):

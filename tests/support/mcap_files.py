@@ -16,9 +16,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as LibraryWriter
 
-from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.records import MAGIC
-from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.errors import RecordingError
 from pc2scan.model import Connection, Definition
 

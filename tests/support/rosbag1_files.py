@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame
 import pytest
 
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
-from pc2scan.bags.rosbag1.writer import Rosbag1Writer
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
+from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.errors import RecordingError
 from pc2scan.model import Connection, Definition
 

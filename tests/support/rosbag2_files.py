@@ -10,9 +10,9 @@ import zstandard
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
 
-from pc2scan.bags.mcap.writer import McapWriter
-from pc2scan.bags.rosbag2.reader import Rosbag2Reader
-from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
+from pc2scan.bags.mcap.write import McapWriter
+from pc2scan.bags.rosbag2.read import Rosbag2Reader
+from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:

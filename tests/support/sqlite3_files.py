@@ -9,8 +9,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
-from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
+from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from support.rosbag2_files import topic
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ Rows = list[tuple[str, int, bytes]]
 
 def rosbag2_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     """Write databases with pages of the size that rosbag2 gives them."""
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.writer._PAGE_BYTES", 4096)
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.write._PAGE_BYTES", 4096)
 
 
 def build(path: Path, count: int = 120) -> Rows:

@@ -11,16 +11,16 @@ module             contents
 ``merged``         reads several recordings as one
 ``topics``         finds topics by the names that users give
 ``damage``         the damage of a recording, noted by its reader
-``zstd``           decompresses zstd files and messages; ``zstd_reader`` reads such files
+``zstd``           reads recordings and messages that are compressed as a whole
 ``qos``            QoS profiles
-``chunked``        common parts of containers with chunks
+``chunks``         common parts of containers with chunks; ``salvage``: of their damaged chunks
 ``rosbag1``        ROS 1 bags (``.bag``)
 ``mcap``           MCAP files
 ``rosbag2``        rosbag2 directories: metadata.yaml, and the sqlite3 storage (``.db3``)
 =================  =======================================================================
 
-In the package of a chunked format, ``records`` and ``chunks`` parse records and chunks, ``index`` finds what is where,
-``recovery`` does so in a damaged file, and ``reader`` and ``writer`` have the classes that the table of formats opens.
+In the package of a chunked format, ``records`` parses records, ``index`` finds what is where, ``recover`` does so in a
+damaged file, and ``read`` and ``write`` have the classes that the table of formats opens.
 
 Importing this package imports no format: each is loaded when the first file of its kind is opened.
 """

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.errors import stamp_text
+from pc2scan.errors import DamageError, stamp_text
 from pc2scan.text import counted, size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from pc2scan.errors import DamageError
+    from pc2scan.files.source import SourceFile
 
 #: The hint for damage that ended a run.
 RECOVER = "copy the recording again; without `strict` everything readable in it is recovered"
@@ -99,13 +99,10 @@ class DamageLog:
     ----------
     strict
         Whether damage is an error.
-    start
-        Where in the file the recording begins; offsets of notes count from there.
     """
 
-    def __init__(self, *, strict: bool = False, start: int = 0) -> None:
+    def __init__(self, *, strict: bool = False) -> None:
         self.strict = strict
-        self._start = start
         self._found: dict[object, Damage] = {}
         self._further: Damage | None = None
 
@@ -129,8 +126,6 @@ class DamageLog:
         if self.strict:
             raise error
         assert error.path is not None
-        if details.get("offset") is not None:
-            details["offset"] += self._start
         damage = Damage(error.message, error.path, **details)  # type: ignore[arg-type]
         place = (damage.path, damage.offset, key)
         if place in self._found or len(self._found) < MAX_PLACES:
@@ -143,8 +138,41 @@ class DamageLog:
             bytes_lost=damage.bytes_lost + (known.bytes_lost if known else 0),
         )
 
+    def note_index(self, file: SourceFile, offset: int, what: str) -> None:
+        """Note, once a file, that its index and its content disagree: the content is right.
+
+        Parameters
+        ----------
+        offset
+            The place of the content. Of several, that nearest to the front is noted, in whatever order they are read.
+        what
+            What the two say.
+        """
+        place = (file.path, None, "index")
+        known = self._found.get(place)
+        if known is None or known.offset is None or offset < known.offset:
+            error = DamageError(f"the index and the content disagree: {what}", path=file.path, hint=RECOVER)
+            if self.strict:
+                raise error
+            self._found[place] = Damage(error.message, file.path, offset, messages_lost=0)
+
+    def note_another(self, file: SourceFile, offset: int) -> None:
+        """Note that another recording begins in a file, and end the first one there: only that is read."""
+        rest = file.size - offset
+        file.end_at(offset)
+        what = f"another recording begins at byte {offset} and is not read: tail -c +{offset + 1} makes a file of it"
+        self.note(DamageError(what, path=file.path, hint=RECOVER), offset=offset, key="another", bytes_lost=rest)
+
     @property
     def found(self) -> tuple[Damage, ...]:
         """All damage in the order of the file, that of the file as a whole first."""
         ordered = sorted(self._found.values(), key=lambda damage: -1 if damage.offset is None else damage.offset)
         return (*ordered, self._further) if self._further else tuple(ordered)
+
+
+class AnotherRecordingError(Exception):  # readers catch it
+    """Another recording begins at this offset of the file, as ``cat a.bag b.bag`` makes it."""
+
+    def __init__(self, offset: int) -> None:
+        super().__init__(offset)
+        self.offset = offset

@@ -22,18 +22,24 @@ if TYPE_CHECKING:
 
 _METADATA_VERSIONS = (8, 9)
 
+_NOT_WRITTEN = "this format is not written"
+
 #: Suffixes of formats that are not written; a directory of such a name would be confusing.
 _REFUSED_SUFFIXES = {
     **dict.fromkeys((".db3", ".sqlite3", ".db"), "rosbag2 keeps .db3 files in a directory: name that directory"),
-    **dict.fromkeys((".yaml", ".yml"), "metadata.yaml is written inside a directory: name that directory"),
+    **dict.fromkeys(
+        (".yaml", ".yml"),
+        "pc2scan map writes maps with such names; metadata.yaml is written inside a directory: name that directory",
+    ),
+    **dict.fromkeys((".html", ".htm"), "pc2scan view writes a page"),
+    **dict.fromkeys((".png", ".svg"), "pc2scan plot draws clouds, pc2scan map --png scans"),
+    **dict.fromkeys((".csv", ".npz", ".tum", ".clf"), "pc2scan export writes such files"),
+    **dict.fromkeys((".pcd", ".bin"), "pc2scan export writes them, into a folder"),
     **dict.fromkeys(
         (".zip", ".gz", ".tgz", ".bz2", ".xz", ".7z", ".tar", ".lz4", ".zst", ".zstd"),
         "recordings are compressed inside: `compression` chooses how",
     ),
-    **dict.fromkeys(
-        (".active", ".pcap", ".pcd", ".ply", ".las", ".laz", ".csv", ".json", ".txt", ".npy", ".npz"),
-        "this format is not written",
-    ),
+    **dict.fromkeys((".active", ".pcap", ".ply", ".las", ".laz", ".json", ".txt", ".npy"), _NOT_WRITTEN),
 }
 
 
@@ -44,10 +50,10 @@ class Destination(NamedTuple):
     ----------
     path
         The path.
-    container
-        The name of a format: ``rosbag1``, ``mcap`` or ``rosbag2`` (a directory).
-    storage
-        Of a rosbag2 directory: ``mcap`` or ``sqlite3``; else empty.
+    format
+        The table's entry of the container.
+    file_format
+        The table's entry of the files: of a directory the storage's, else the container's.
     compression
         ``none``, ``bz2``, ``lz4`` or ``zstd``.
     profile
@@ -56,25 +62,18 @@ class Destination(NamedTuple):
         Of a rosbag2 directory: 8 or 9.
     chunk_compressions
         Compressions that chunks copied from the source may have: the given one, else all of the container.
+    ros_version
+        Of its messages: 1 or 2.
     """
 
     path: Path
-    container: str
-    storage: str
+    format: Format
+    file_format: Format
     compression: str
     profile: str
     metadata_version: int
     chunk_compressions: frozenset[str]
-
-    @property
-    def format(self) -> Format:
-        """The table's entry of the container."""
-        return FORMATS[self.container]
-
-    @property
-    def file_format(self) -> Format:
-        """The table's entry of the files: of a directory the storage's, else the container's."""
-        return FORMATS[self.storage or self.container]
+    ros_version: int
 
     @property
     def chunks(self) -> str:
@@ -90,13 +89,7 @@ class Destination(NamedTuple):
     def same_kind(self, source: Summary) -> bool:
         """Return whether the source is in this kind of container, so that messages of any serialisation fit."""
         entry = FORMATS.get(source.container)
-        return entry is not None and self.container == (entry.written_as or entry.name)
-
-    @property
-    def ros_version(self) -> int:
-        """The ROS version of its messages: 1 or 2."""
-        profiles = self.format.profiles
-        return 1 if profiles and self.profile == profiles[0] else self.format.ros_version
+        return entry is not None and self.format.name == (entry.written_as or entry.name)
 
     @property
     def serialization(self) -> str:
@@ -148,9 +141,10 @@ def plan_destination(
         )
     suffix = path.suffix.lower()
     written = _formats_by_suffix()
-    if suffix not in written and (suffix in _REFUSED_SUFFIXES or (_is_like_a_file(suffix) and not is_directory)):
+    refused = {entry.suffix: _NOT_WRITTEN for entry in FORMATS.values()} | _REFUSED_SUFFIXES
+    if suffix not in written and (suffix in refused or (_is_like_a_file(suffix) and not is_directory)):
         names = ", ".join(f"NAME{known}" for known in written if known)
-        why = _REFUSED_SUFFIXES.get(suffix, "a directory of this name would look like a file; `to=rosbag2` makes it")
+        why = refused.get(suffix, "a directory of this name would look like a file; `to=rosbag2` makes it")
         raise DestinationError(
             f"{suffix} is not a destination", path=path, hint=f"{why}. Use {names}, or NAME for a rosbag2 directory"
         )
@@ -176,12 +170,13 @@ def plan_destination(
     files = FORMATS[storage] if storage else entry
     return Destination(
         path=path,
-        container=entry.name,
-        storage=storage or "",
+        format=entry,
+        file_format=files,
         compression=_one_of("compression", compression or files.default_compression, files.compressions, path),
         profile=profile or "",
         metadata_version=metadata_version,
         chunk_compressions=frozenset((compression,) if compression else files.compressions),
+        ros_version=1 if entry.profiles and profile == entry.profiles[0] else entry.ros_version,
     )
 
 
@@ -287,7 +282,7 @@ def default_storage(path: Path, summaries: Sequence[Summary]) -> str | None:
     if not _format_of(path).storages:
         return None
     first = summaries[0]
-    return first.container if FORMATS[first.container].written_as else first.storage or None
+    return first.container if first.container in _format_of(path).storages else first.storage or None
 
 
 def source_form(path: Path, summaries: Sequence[Summary]) -> tuple[str | None, str | None]:
@@ -333,14 +328,14 @@ def open_writer(destination: Destination, staged_path: Path, name: str, cut: Cut
     options = WriteOptions(
         name=name,
         compression=destination.compression,
-        storage=destination.storage,
+        storage=destination.file_format.name if destination.format.storages else "",
         profile=destination.profile,
         metadata_version=destination.metadata_version,
         cut=cut,
     )
     writer = destination.format.open_writer
     assert writer is not None  # a destination without one is never planned
-    if cut is None or destination.storage:
+    if cut is None or destination.format.storages:
         return writer(staged_path, options)
     from pc2scan.files.places import part_name  # noqa: PLC0415  # most recordings are one file
 

@@ -156,18 +156,13 @@ def _late(place: str) -> Callable[..., Any]:
     return call
 
 
-def _table(*entries: Format) -> dict[str, Format]:
-    return {entry.name: entry for entry in entries}
-
-
-#: Every format, by its name.
-FORMATS = _table(
+_ENTRIES = (
     Format(
         name="rosbag1",
         readable="ROS 1 bags",
         readable_one="ROS 1 bag",
-        open_reader=_late(".rosbag1.reader:open_reader"),
-        open_writer=_late(".rosbag1.writer:open_writer"),
+        open_reader=_late(".rosbag1.read:open_reader"),
+        open_writer=_late(".rosbag1.write:open_writer"),
         magic=b"#ROSBAG V2.0\n",
         suffix=".bag",
         to="bag",
@@ -183,8 +178,8 @@ FORMATS = _table(
         name="rosbag2",
         readable="rosbag2 directories",
         readable_one="rosbag2 directory",
-        open_reader=_late(".rosbag2.reader:open_reader"),
-        open_writer=_late(".rosbag2.writer:open_writer"),
+        open_reader=_late(".rosbag2.read:open_reader"),
+        open_writer=_late(".rosbag2.write:open_writer"),
         to="rosbag2",
         play="ros2 bag play {} --clock",
         holds_recording=_late(".rosbag2.metadata:holds_recording"),
@@ -197,11 +192,11 @@ FORMATS = _table(
         name="sqlite3",
         readable=".db3 files",
         readable_one=".db3 file",
-        open_reader=_late(".rosbag2.sqlite3.reader:open_reader"),
+        open_reader=_late(".rosbag2.sqlite3.read:open_reader"),
         magic=b"SQLite format 3\0",
         is_magic_shared=True,
         suffix=".db3",
-        open_storage=_late(".rosbag2.sqlite3.writer:open_storage"),
+        open_storage=_late(".rosbag2.sqlite3.write:open_storage"),
         written_as="rosbag2",
         compressions=("none", "zstd"),
         packs_messages=True,
@@ -211,13 +206,13 @@ FORMATS = _table(
         name="mcap",
         readable="MCAP",
         readable_one="MCAP file",
-        open_reader=_late(".mcap.reader:open_reader"),
-        open_writer=_late(".mcap.writer:open_writer"),
+        open_reader=_late(".mcap.read:open_reader"),
+        open_writer=_late(".mcap.write:open_writer"),
         magic=b"\x89MCAP0\r\n",
         suffix=".mcap",
         to="mcap",
         play="ros2 bag play -s mcap {} --clock",
-        open_storage=_late(".rosbag2.writer:open_mcap_storage"),
+        open_storage=_late(".rosbag2.write:open_mcap_storage"),
         compressions=("none", "lz4", "zstd"),
         default_compression="zstd",
         has_chunks=True,
@@ -226,6 +221,9 @@ FORMATS = _table(
         profiles=("ros1", "ros2"),
     ),
 )
+
+#: Every format, by its name.
+FORMATS = {entry.name: entry for entry in _ENTRIES}
 
 
 def destinations() -> dict[str, Format]:

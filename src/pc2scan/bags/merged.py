@@ -1,6 +1,6 @@
 """Reads several sources as one recording: connections are unified, messages merged by log time.
 
-The reader of split rosbag2 recordings (`pc2scan.bags.rosbag2.reader`) is a subclass.
+The reader of split rosbag2 recordings (`pc2scan.bags.rosbag2.read`) is a subclass.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
 
-    from .damage import Damage, DamageLog
+    from .damage import Damage
     from .units import Item, Load, Loaded, Unit
 
 
@@ -35,6 +35,8 @@ class MergedReader(Reader):
     ----------
     readers
         At least one; `close` closes them.
+    path
+        Default: the first source's.
 
     Raises
     ------
@@ -48,10 +50,11 @@ class MergedReader(Reader):
     With a single reader, connections and their ids are unchanged. Otherwise the ids are new and start at 1.
     """
 
-    def __init__(self, readers: Sequence[Reader]) -> None:
+    def __init__(self, readers: Sequence[Reader], path: Path | None = None) -> None:
         if not readers:
             raise UsageError("no recording was given")
-        self._refuse(readers)
+        _refuse_repeated(readers)
+        _refuse_mixed_ros_versions(readers)
         self._readers = tuple(readers)
         connections: Sequence[Connection]
         maps: list[dict[int, Connection]]
@@ -63,45 +66,23 @@ class MergedReader(Reader):
             ConnectionLimit(readers[0].path).add(count=len(connections))
             by_id = {connection.id: connection for connection in connections}
             maps = [{own: by_id[merged] for own, merged in numbers.items()} for numbers in ids]
-        self._connections = tuple(connections)
+        self.path = path or readers[0].path
+        #: In the order of the sources.
+        self.connections = tuple(connections)
+        self.summary = merge_summaries([reader.summary for reader in readers])
+        self.has_chunks = all(reader.has_chunks for reader in readers)
         self._maps = maps
         self._unchanged = len(readers) == 1
 
-    @staticmethod
-    def _refuse(readers: Sequence[Reader]) -> None:
-        """Raise for readers that cannot be merged."""
-        _refuse_repeated(readers)
-        _refuse_mixed_ros_versions(readers)
-
     def _amend(self, amended: Mapping[int, Connection], added: Iterable[Connection] = ()) -> None:
         """Replace connections by ones with more information and the same ids, and add some without messages."""
-        changed = [amended.get(connection.id, connection) for connection in self._connections]
+        changed = [amended.get(connection.id, connection) for connection in self.connections]
         completed = (*changed, *added)
-        self._unchanged = self._unchanged and completed == self._connections
-        self._connections = completed
+        self._unchanged = self._unchanged and completed == self.connections
+        self.connections = completed
         self._maps = [
             {own: amended.get(connection.id, connection) for own, connection in known.items()} for known in self._maps
         ]
-
-    @property
-    def path(self) -> Path:
-        """The first source's path."""
-        return self._readers[0].path
-
-    @property
-    def connections(self) -> Sequence[Connection]:
-        """All connections, in the order of the sources."""
-        return self._connections
-
-    @property
-    def summary(self) -> Summary:
-        """The summary of all sources."""
-        return merge_summaries([reader.summary for reader in self._readers])
-
-    @property
-    def has_chunks(self) -> bool:
-        """Whether all sources have chunks."""
-        return all(reader.has_chunks for reader in self._readers)
 
     @property
     def bytes_read(self) -> int:
@@ -351,20 +332,3 @@ def _refuse_mixed_ros_versions(readers: Sequence[Reader]) -> None:
             f"{found[1]} is a ROS 1 recording and {found[2]} is a ROS 2 recording; they cannot be merged",
             hint="convert them one by one, or with pc2scan batch",
         )
-
-
-class ConcatenatedReader(MergedReader):
-    """Reads all recordings of a file as one."""
-
-    def __init__(self, readers: Sequence[Reader], log: DamageLog) -> None:
-        super().__init__(readers)
-        self._log = log
-
-    @staticmethod
-    def _refuse(readers: Sequence[Reader]) -> None:
-        """Accept several readers of one file, also with different ROS versions."""
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """The damage in the parts, and between them."""
-        return (*super().damage, *self._log.found)

@@ -6,7 +6,6 @@ while the message is in memory; nothing else of it is kept.
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from pc2scan.errors import MessageError
 from pc2scan.model import RawMessage, own_message
 
-from .units import Handle, merge_by_time
+from .units import FirstTimes, Handle, merge_by_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Sequence
@@ -26,36 +25,6 @@ if TYPE_CHECKING:
     from .units import Loaded, Unit
 
 _Value = TypeVar("_Value")
-
-
-class FirstTimes:
-    """The earliest log times of the messages so far: a chunk may have later messages before earlier ones.
-
-    Parameters
-    ----------
-    most
-        How many messages are wanted.
-    """
-
-    __slots__ = ("_most", "_times")
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._times: list[int] = []
-
-    def may_have(self, log_time_ns: int) -> bool:
-        """Add a message; return whether it may be among the first ones. False is certain.
-
-        Equal log times count once, because a chunk may be loaded again.
-        """
-        times = self._times
-        place = bisect_left(times, log_time_ns)
-        if place == self._most:
-            return False
-        if place == len(times) or times[place] != log_time_ns:
-            times.insert(place, log_time_ns)
-            del times[self._most :]
-        return True
 
 
 @dataclass(slots=True, eq=False)

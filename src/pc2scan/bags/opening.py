@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.errors import MissingError, RecordingError
 from pc2scan.files.compression import LZ4_MAGIC, ZSTD_MAGIC
 from pc2scan.files.places import working_names
-from pc2scan.files.source import open_bytes
+from pc2scan.files.source import LFS_HINT, LFS_POINTER, open_bytes
 from pc2scan.files.urls import UrlPath
 
 from .formats import FORMATS, ReadOptions, and_list
@@ -30,7 +30,7 @@ _LOOKALIKES = {
     LZ4_MAGIC: "lz4-compressed",
     b"PK\x03\x04": "a ZIP archive",
     b"7z\xbc\xaf": "a 7z archive",
-    b"version https://": "a Git LFS pointer, not the file itself",
+    LFS_POINTER: "a Git LFS pointer, not the file itself",
     b"\xd4\xc3\xb2\xa1": "a packet capture (pcap)",
     b"\x0a\x0d\x0d\x0a": "a packet capture (pcapng)",
     b"# .PCD": "a single point cloud (PCD)",
@@ -108,7 +108,7 @@ def open_recording(path: Path, *, verify: bool = True, strict: bool = False) -> 
     name, _, packed = sniff(path).partition("+")
     options = ReadOptions(verify=verify, strict=strict)
     if packed:
-        from .zstd_reader import ZstdReader  # noqa: PLC0415  # few recordings need it
+        from .zstd import ZstdReader  # noqa: PLC0415  # few recordings need it
 
         return ZstdReader(path, FORMATS[name], options)
     reader = FORMATS[name].open_reader(path, options)
@@ -183,7 +183,8 @@ def _content_hint(head: bytes, path: Path, state: str = "") -> str:
     readable = f"{and_list([entry.readable for entry in FORMATS.values()])} can be read"
     for magic, description in _LOOKALIKES.items():
         if head.startswith(magic):
-            raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=readable)
+            hint = LFS_HINT if magic == LFS_POINTER else readable
+            raise RecordingError(f"is not a recording: it is {description}{state}", path=path, hint=hint)
     raise RecordingError(f"is not a recording: it begins with {_printable(head[:16])}{state}", path=path, hint=readable)
 
 

@@ -13,42 +13,41 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
 
-    from .damage import Damage
+    from .damage import Damage, DamageLog
     from .units import Unit
 
 
 class Reader(ABC):
-    """Reads an open recording, unit by unit."""
+    """Reads an open recording, unit by unit.
+
+    Attributes
+    ----------
+    path
+        The recording.
+    connections
+        All connections, in the container's order.
+    summary
+        The summary, made without reading messages.
+    has_chunks
+        Whether messages of several topics are stored together, so that reading one topic reads others, too.
+    """
+
+    path: Path
+    connections: Sequence[Connection]
+    summary: Summary
+    has_chunks: bool = False
+    _log: DamageLog
+    _bytes_read: int = 0
 
     @property
-    def has_chunks(self) -> bool:
-        """Whether messages of several topics are stored together, so that reading one topic reads others, too."""
-        return False
-
-    @property
-    @abstractmethod
-    def path(self) -> Path:
-        """The path of the recording."""
-
-    @property
-    @abstractmethod
-    def connections(self) -> Sequence[Connection]:
-        """All connections, in the container's order."""
-
-    @property
-    @abstractmethod
-    def summary(self) -> Summary:
-        """The summary, made without reading messages."""
-
-    @property
-    @abstractmethod
     def bytes_read(self) -> int:
         """Bytes of ``summary.size_bytes`` consumed so far, for progress."""
+        return min(self._bytes_read, self.summary.size_bytes)
 
     @property
-    @abstractmethod
-    def damage(self) -> Sequence[Damage]:
+    def damage(self) -> tuple[Damage, ...]:
         """The damage in the parts that were read."""
+        return self._log.found
 
     @abstractmethod
     def units(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import OutputError, UnwritableError, UsageError
 
-from .latching import NewestItems, is_latched, is_static
+from .topics import NewestItems, is_latched, is_static
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence

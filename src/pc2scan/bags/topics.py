@@ -1,18 +1,20 @@
-"""Finds topics of a recording by the names that users give."""
+"""Topics of a recording: found by the names that users give, and those whose messages stay valid until the next one."""
 
 from __future__ import annotations
 
 import re
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from pc2scan.errors import TopicError, UsageError, name_list
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Collection, Hashable, Iterable, Iterator, Sequence
 
     from pc2scan.model import Connection
+
+Item = TypeVar("Item")
 
 
 def find_topic(requested: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
@@ -39,7 +41,8 @@ def find_topic(requested: str, types: dict[str, set[str]], candidates: list[str]
         if name in types:
             if not types[name].isdisjoint(kinds):
                 return name
-            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {' or '.join(kinds)}", hint=there)
+            wanted = " or ".join(usual_types(kinds))
+            raise TopicError(f"topic {name} is {', '.join(sorted(types[name]))}, not {wanted}", hint=there)
     near = did_you_mean(requested, candidates)
     raise TopicError(f"no topic {requested} in the recording", hint=f"{near} {there}".strip())
 
@@ -123,8 +126,14 @@ def fill_glob(topic: str, pattern: str, target: str) -> str:
 
 
 def short_types(kinds: Iterable[str]) -> str:
-    """Return types without their packages, for a message."""
-    return " or ".join(kind.rsplit("/", 1)[-1] for kind in kinds)
+    """Return types without their packages, for a message; see `usual_types`."""
+    return " or ".join(dict.fromkeys(kind.rsplit("/", 1)[-1] for kind in usual_types(kinds)))
+
+
+def usual_types(kinds: Iterable[str]) -> list[str]:
+    """Return the types of ROS itself, or all if there are none: messages would be long with those of each vendor."""
+    kinds = list(kinds)
+    return [kind for kind in kinds if kind.startswith("sensor_msgs/")] or kinds
 
 
 def by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
@@ -133,3 +142,57 @@ def by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
     for connection in connections:
         topics.setdefault(connection.topic, []).append(connection)
     return topics
+
+
+# --- Messages that stay valid: those of latched topics, and static transforms ---
+
+
+def is_static(topic: str) -> bool:
+    """Whether transforms on this topic are valid at any time."""
+    return topic.rsplit("/", 1)[-1] == "tf_static"
+
+
+def is_latched(connection: Connection) -> bool:
+    """Whether messages of a connection stay valid until the next one, or for ever."""
+    return connection.latching or is_static(connection.topic)
+
+
+class NewestItems(Generic[Item]):
+    """Items with names, of which those are kept that are the newest one of any name, in the order of adding.
+
+    Parameters
+    ----------
+    most
+        How many are kept at most, the last ones; None: all.
+    """
+
+    def __init__(self, most: int | None = None) -> None:
+        self._most = most
+        self._number = 0
+        self._items: dict[int, tuple[Item, set[Hashable]]] = {}
+        self._numbers: dict[Hashable, int] = {}
+
+    def add(self, names: Collection[Hashable], item: Item) -> None:
+        """Add an item; without names, it is not kept."""
+        for name in names:
+            self._release(name)
+        if names:
+            self._number += 1
+            self._items[self._number] = item, set(names)
+            self._numbers.update(dict.fromkeys(names, self._number))
+        if self._most is not None and len(self._items) > self._most:
+            _, oldest = next(iter(self._items.values()))
+            for name in [*oldest]:
+                self._release(name)
+
+    def __iter__(self) -> Iterator[Item]:
+        return (item for item, _ in self._items.values())
+
+    def _release(self, name: Hashable) -> None:
+        """Drop a name, and the item that it was the last name of."""
+        number = self._numbers.pop(name, None)
+        if number is not None:
+            names = self._items[number][1]
+            names.discard(name)
+            if not names:
+                del self._items[number]

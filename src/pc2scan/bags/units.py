@@ -4,18 +4,23 @@ A unit is a part of a recording that can be loaded by itself: a chunk, consecuti
 of a database. A reader lists the units of its recording. They are loaded when their first message is due, and merged,
 because chunks overlap in time if the recorder had several buffers. Sorting a whole index would need memory that grows
 with the recording.
+
+A message without data takes 31 bytes in a chunk, next to none where it is compressed, and ten times as much as an
+object. So of a chunk with very many messages only the log times and the places are kept (`LazyItems`).
 """
 
 from __future__ import annotations
 
 import heapq
+from array import array
+from bisect import bisect_left
 from collections import deque
 from contextlib import closing
 from functools import partial
-from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
+from itertools import compress, islice
+from operator import attrgetter, le
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar, overload
 
-from pc2scan.bags.lazy_items import ITEM_BYTES, LazyItems
 from pc2scan.errors import RecordingError
 from pc2scan.model import RawMessage, StoredChunk, own_message
 
@@ -43,6 +48,15 @@ _ANNOUNCED_BYTES = 32 << 20
 #: Chunks with at most this distance are announced together: an index may be between them.
 _GAP_BYTES = 64 << 10
 
+#: Up to this number, the messages of a chunk are all created at once. Usual chunks have fewer.
+MAX_LISTED_ITEMS = 1 << 15
+
+#: Bytes that an item takes besides its data.
+ITEM_BYTES = 400
+
+_Value = TypeVar("_Value")
+_Other = TypeVar("_Other")
+
 
 class TimedItem(Protocol):
     """Anything with a log time and a size: a message, or a callback's result."""
@@ -59,6 +73,100 @@ class TimedItem(Protocol):
 
 
 Item = TypeVar("Item", bound=TimedItem)
+
+
+class LazyItems(Generic[_Value]):
+    """Items that are created from messages one by one; only the last one is kept.
+
+    Parameters
+    ----------
+    times
+        Log times, ns.
+    places
+        The messages' positions, in the same order.
+    make
+        Creates the item at a position. Each call for a position gives an equal item.
+    kept_bytes
+        Bytes that ``make`` keeps in memory.
+    """
+
+    __slots__ = ("_kept_bytes", "_last", "_make", "_places", "_times")
+
+    def __init__(self, times: array[int], places: array[int], make: Callable[[int], _Value], kept_bytes: int) -> None:
+        self._kept_bytes = kept_bytes
+        self._times = times
+        self._places = places
+        self._make = make
+        self._last: tuple[int, _Value] | None = None
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, number: int) -> _Value:
+        if self._last is None or self._last[0] != number:
+            # Not two at the same time.
+            self._last = None
+            self._last = (number, self._make(self._places[number]))
+        return self._last[1]
+
+    def __iter__(self) -> Iterator[_Value]:
+        return map(self._make, self._places)
+
+    @property
+    def times(self) -> array[int]:
+        """Log times, ns."""
+        return self._times
+
+    @property
+    def size(self) -> int:
+        """Bytes of memory that it takes."""
+        return self._kept_bytes + sum(len(values) * values.itemsize for values in (self._times, self._places))
+
+    def map(self, callback: Callable[[_Value], _Other], times: array[int] | None = None) -> LazyItems[_Other]:
+        """Return the callback's results for the items, with their log times or the given ones."""
+        make = self._make
+        times = self._times if times is None else times
+        return LazyItems(times, self._places, lambda place: callback(make(place)), self._kept_bytes)
+
+    def filter(self, test: Callable[[_Value], bool]) -> LazyItems[_Value]:
+        """Return the items for which ``test`` is true."""
+        chosen = bytearray(map(test, self))
+        times, places = (array("Q", compress(values, chosen)) for values in (self._times, self._places))
+        return LazyItems(times, places, self._make, self._kept_bytes)
+
+    def as_list(self) -> list[_Value] | LazyItems[_Value]:
+        """Return a list of all items if they are few enough; else itself."""
+        return self if len(self) > MAX_LISTED_ITEMS else list(self)
+
+    def sort_by_time(self) -> LazyItems[_Value]:
+        """Return the items sorted by log time; items with equal times keep their order."""
+        times = self._times
+        if all(map(le, times, islice(times, 1, None))):
+            return self
+        order = array("Q", sorted(range(len(times)), key=times.__getitem__))
+        times, places = (array("Q", map(values.__getitem__, order)) for values in (times, self._places))
+        return LazyItems(times, places, self._make, self._kept_bytes)
+
+
+@overload
+def map_items(callback: Callable[[_Value], _Other], items: list[_Value]) -> list[_Other]: ...
+@overload
+def map_items(
+    callback: Callable[[_Value], _Other], items: list[_Value] | LazyItems[_Value]
+) -> list[_Other] | LazyItems[_Other]: ...
+def map_items(
+    callback: Callable[[_Value], _Other], items: list[_Value] | LazyItems[_Value]
+) -> list[_Other] | LazyItems[_Other]:
+    """Return the callback's results for items."""
+    return items.map(callback) if isinstance(items, LazyItems) else list(map(callback, items))
+
+
+def filter_items(
+    test: Callable[[_Value], bool], items: list[_Value] | LazyItems[_Value]
+) -> list[_Value] | LazyItems[_Value]:
+    """Return the items for which ``test`` is true."""
+    return items.filter(test) if isinstance(items, LazyItems) else list(filter(test, items))
+
 
 #: The result of loading a unit: items in the order of the file, or the chunk as a whole.
 Loaded: TypeAlias = list[Item] | LazyItems[Item] | StoredChunk
@@ -186,84 +294,7 @@ def merge_by_time(
     RecordingError
         If units that overlap would have to be loaded again and again.
     """
-    return _merge(loading(_announce(units), callback), callback, max_open_bytes, path)
-
-
-def _announce(units: Iterable[Unit]) -> Iterator[Unit]:
-    """Yield the units, and announce their extents to the system ahead of their turn.
-
-    Units that follow each other are announced by one call, because every call lets other threads take the
-    interpreter's lock.
-    """
-    source = iter(units)
-    coming: deque[Unit] = deque()
-    announced = 0
-    while True:
-        if announced <= _ANNOUNCED_BYTES // 2:
-            extents: list[Extent] = []
-            while announced < _ANNOUNCED_BYTES and (unit := next(source, None)) is not None:
-                coming.append(unit)
-                if unit.extent is None:
-                    break
-                announced += unit.extent.length
-                _append(extents, unit.extent)
-            for file, offset, length in extents:
-                file.expect(offset, length)
-        if not coming:
-            return
-        due = coming.popleft()
-        announced -= due.extent.length if due.extent else 0
-        yield due
-        # The unit may hold rows of a database, which must not stay in memory while the next one is made.
-        unit = None
-        del due
-
-
-def _append(extents: list[Extent], following: Extent) -> None:
-    """Append an extent, or extend the last one if it follows that."""
-    if extents:
-        file, offset, length = extents[-1]
-        if file is following.file and 0 <= following.offset - offset - length <= _GAP_BYTES:
-            extents[-1] = Extent(file, offset, following.offset + following.length - offset)
-            return
-    extents.append(following)
-
-
-class _OpenUnit:
-    """A loaded unit on the heap, keyed by its next item's log time, then by its place."""
-
-    __slots__ = ("items", "key", "position", "size", "unit", "whole")
-
-    def __init__(self, unit: Unit, found: Loaded[Any], max_open_bytes: int) -> None:
-        self.unit = unit
-        self.size = unit.size
-        if isinstance(found, LazyItems):
-            self.size = found.size
-        elif not isinstance(found, StoredChunk):
-            if unit.size > max_open_bytes:
-                # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
-                self.size = min(unit.size, sum(item.size for item in found))
-            self.size += ITEM_BYTES * len(found)
-        self.position = 0
-        #: None if they were dropped, and for a whole chunk.
-        self.items: list[Any] | LazyItems[Any] | None = None
-        self.whole: StoredChunk | None = None
-        if isinstance(found, StoredChunk):
-            self.whole = found
-            self.key = (found.span_ns()[0], unit.place)
-        else:
-            self.items = found
-            self.key = (found[0].log_time_ns, unit.place)
-
-    def __lt__(self, other: _OpenUnit) -> bool:
-        return self.key < other.key
-
-
-def _merge(
-    handles: Generator[Handle], callback: Callable[[RawMessage], Any], max_open_bytes: int, path: Path | None
-) -> Generator[Any]:
-    """Merge units that are loaded in the order in which they are due."""
-    with closing(handles):
+    with closing(loading(_announce(units), callback)) as handles:
         heap: list[_OpenUnit] = []
         coming = next(handles, None)
         total = again = 0
@@ -322,6 +353,71 @@ def _merge(
             del items, current
 
 
+def _announce(units: Iterable[Unit]) -> Iterator[Unit]:
+    """Yield the units, and announce their extents to the system ahead of their turn.
+
+    Units that follow each other are announced by one call, because every call lets other threads take the
+    interpreter's lock.
+    """
+    source = iter(units)
+    coming: deque[Unit] = deque()
+    announced = 0
+    while True:
+        if announced <= _ANNOUNCED_BYTES // 2:
+            extents: list[Extent] = []
+            while announced < _ANNOUNCED_BYTES and (unit := next(source, None)) is not None:
+                coming.append(unit)
+                if unit.extent is None:
+                    break
+                file, offset, length = unit.extent
+                announced += length
+                last = extents[-1] if extents else None
+                if last and last.file is file and 0 <= offset - last.offset - last.length <= _GAP_BYTES:
+                    extents[-1] = Extent(file, last.offset, offset + length - last.offset)
+                else:
+                    extents.append(unit.extent)
+            for file, offset, length in extents:
+                file.expect(offset, length)
+        if not coming:
+            return
+        due = coming.popleft()
+        announced -= due.extent.length if due.extent else 0
+        yield due
+        # The unit may hold rows of a database, which must not stay in memory while the next one is made.
+        unit = None
+        del due
+
+
+class _OpenUnit:
+    """A loaded unit on the heap, keyed by its next item's log time, then by its place."""
+
+    __slots__ = ("items", "key", "position", "size", "unit", "whole")
+
+    def __init__(self, unit: Unit, found: Loaded[Any], max_open_bytes: int) -> None:
+        self.unit = unit
+        self.size = unit.size
+        if isinstance(found, LazyItems):
+            self.size = found.size
+        elif not isinstance(found, StoredChunk):
+            if unit.size > max_open_bytes:
+                # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
+                self.size = min(unit.size, sum(item.size for item in found))
+            self.size += ITEM_BYTES * len(found)
+        self.position = 0
+        #: None if they were dropped, and for a whole chunk.
+        self.items: list[Any] | LazyItems[Any] | None = None
+        self.whole: StoredChunk | None = None
+        if isinstance(found, StoredChunk):
+            self.whole = found
+            self.key = (found.span_ns()[0], unit.place)
+        else:
+            self.items = found
+            self.key = (found[0].log_time_ns, unit.place)
+
+    def __lt__(self, other: _OpenUnit) -> bool:
+        return self.key < other.key
+
+
 def _evict(heap: list[_OpenUnit], max_open_bytes: int) -> None:
     """Drop the items of the units that are needed last, until the rest fits."""
     if len(heap) <= 1:
@@ -333,3 +429,33 @@ def _evict(heap: list[_OpenUnit], max_open_bytes: int) -> None:
             return
         entry.items = None
         total -= entry.size
+
+
+class FirstTimes:
+    """The earliest log times of the messages so far: a chunk may have later messages before earlier ones.
+
+    Parameters
+    ----------
+    most
+        How many messages are wanted.
+    """
+
+    __slots__ = ("_most", "_times")
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._times: list[int] = []
+
+    def may_have(self, log_time_ns: int) -> bool:
+        """Add a message; return whether it may be among the first ones. False is certain. On any thread.
+
+        Equal log times count once, because a chunk may be loaded again. If two threads add messages at once, one is not
+        added, and more messages may be among the first.
+        """
+        times = self._times
+        number = bisect_left(times, log_time_ns)
+        if number == self._most:
+            return False
+        if number == len(times) or times[number] != log_time_ns:
+            self._times = [*times[:number], log_time_ns, *times[number:]][: self._most]
+        return True

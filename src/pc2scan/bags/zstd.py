@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, RecordingError
@@ -14,16 +15,18 @@ from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
 from pc2scan.files.source import open_bytes
 from pc2scan.model import own_message
 
-from .damage import RECOVER
-from .lazy_items import LazyItems
+from .damage import RECOVER, DamageLog
+from .reader import Reader
+from .units import LazyItems
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
+    from collections.abc import Collection, Iterable, Iterator
 
-    from pc2scan.model import Buffer, RawMessage
+    from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, RawMessage
 
-    from .damage import DamageLog
+    from .damage import Damage
+    from .formats import Format, ReadOptions
+    from .units import Unit
 
     Messages = list[RawMessage] | LazyItems[RawMessage]
 
@@ -223,3 +226,76 @@ def without_suffix(name: str) -> str:
 def compressions(inner: Iterable[str]) -> tuple[str, ...]:
     """Return the compressions of a recording in a zstd file: ``zstd`` instead of ``none``."""
     return tuple(sorted({"zstd", *inner} - {"none"}))
+
+
+class ZstdReader(Reader):
+    """Reads a file that is compressed as a whole from a temporary copy.
+
+    Parameters
+    ----------
+    path
+        The compressed file.
+    inner
+        The format of the decompressed file.
+    options
+        Options for reading that.
+    """
+
+    def __init__(self, path: Path, inner: Format, options: ReadOptions) -> None:
+        self.path = path
+        self._log = DamageLog(strict=options.strict)
+        from pc2scan.files.places import private_folder  # noqa: PLC0415  # few recordings are packed
+
+        self._temporary = private_folder(path)
+        try:
+            unpacked = decompress_file(path, Path(self._temporary.name), self._log)
+            self._inner = inner.open_reader(unpacked, options)
+        except BaseException:
+            self._temporary.cleanup()
+            raise
+        summary = self._inner.summary
+        self.has_chunks = self._inner.has_chunks
+        self.connections = self._inner.connections
+        self.summary = summary._replace(
+            compression=compressions(summary.compression),
+            size_bytes=path.stat().st_size,
+        )
+
+    @property
+    def bytes_read(self) -> int:
+        """The share of the compressed file that was read so far."""
+        return self._inner.bytes_read * self.summary.size_bytes // max(1, self._inner.summary.size_bytes)
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """The damage: that of the compression first, then that of the recording in it."""
+        return (*self._log.found, *(place._replace(path=self.path) for place in self._inner.damage))
+
+    def units(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> Iterable[Unit]:
+        """See `pc2scan.bags.reader.Reader`."""
+        return self._inner.units(connections, start_ns, stop_ns, rule)
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """See `pc2scan.bags.reader.Reader`."""
+        return self._inner.counts(connections, start_ns, stop_ns)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Return the attachments of the recording in it."""
+        return self._inner.attachments()
+
+    def metadata(self) -> Iterator[Metadata]:
+        """Return the metadata records of the recording in it."""
+        return self._inner.metadata()
+
+    def close(self) -> None:
+        """Close the temporary copy and remove it."""
+        self._inner.close()
+        self._temporary.cleanup()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pc2scan.bags.formats import FORMATS
+from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
 from pc2scan.pipeline.parameters import from_preset
 
@@ -69,7 +70,7 @@ def _ros_arguments(words: Iterable[Path]) -> tuple[list[Path], dict[str, list[st
 
 
 def next_command(report: Report) -> str:
-    """Return the command that most users run after a recording was written.
+    """Return the command that most users run after a recording was written: scans are checked, clouds are played.
 
     It is quoted for a shell, and right for the destination's container and ROS version.
     """
@@ -79,14 +80,16 @@ def next_command(report: Report) -> str:
     consumer = next((origin.split()[-1] for origin in report.origins.values() if from_preset(origin)), "")
     if consumer:
         return f"pc2scan check {destination} --for {consumer}"
-    if not any(topic.action == "converted" for topic in report.topics):
-        return f"pc2scan info {destination}"
+    converted = [topic.spec for topic in report.topics if topic.action == "converted"]
+    if any(spec is not None and not spec.reverse for spec in converted):
+        return f"pc2scan check {destination}"
     entry = FORMATS[report.container]
     is_one = entry.is_directory or len(report.files) < 2
-    if entry.play and entry.ros_version == report.ros_version and (is_one or entry.plays_several):
+    is_playable = entry.ros_version == report.ros_version and (is_one or entry.plays_several)
+    if converted and entry.play and is_playable and not is_url(report.destination):
         return entry.play.format(destination)
-    # For the rest there is no player: none of ROS 1 reads MCAP, and that of ROS 2 reads only one file.
-    return f"pc2scan check {destination}"
+    # For the rest there is no player: none reads URLs, none of ROS 1 reads MCAP, and that of ROS 2 reads only one file.
+    return f"pc2scan info {destination}"
 
 
 def _destination(report: Report) -> str:

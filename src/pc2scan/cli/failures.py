@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParameter, NoSuchOption
 from typer._click.exceptions import UsageError as TyperUsageError
 
-from pc2scan.errors import DamageError, Pc2ScanError, UsageError
+from pc2scan.errors import DamageError, MissingError, Pc2ScanError, UsageError
 from pc2scan.options.table import GROUPS, instead_of, options_of
 from pc2scan.text import did_you_mean
 
@@ -36,6 +36,9 @@ _KINDS = {
     "a valid float range": "a number",
 }
 
+#: Options that are typed as if they were commands.
+_FLAGS = ("help", "version")
+
 #: How similar an option must be to what was typed to be suggested, from 0 to 1.
 _ALIKE = 0.6
 
@@ -50,6 +53,8 @@ def show_failure(err: Pc2ScanError | TyperUsageError, words: Sequence[str]) -> i
     """
     if isinstance(err, TyperUsageError):
         err = in_our_words(err, words)
+    else:
+        err.hint = _mistyped(err, words) or err.hint
     command = words[0] if words else ""
     status = err.exit_status
     if command in VERDICTS:
@@ -118,9 +123,37 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     if isinstance(err, BadOptionUsage):
         return UsageError(f"{err.option_name} {text.removeprefix(f'Option {err.option_name!r} ')}", hint=hint)
     text, _, near = text.partition(". Did you mean ")
-    if typed and f"No such command {typed[0]!r}" == text and os.path.lexists(typed[0]):
-        hint = f"the command comes first: pc2scan info {shlex.quote(typed[0])}"
+    if typed and f"No such command {typed[0]!r}" == text:
+        if os.path.lexists(typed[0]):
+            hint = f"the command comes first: pc2scan info {shlex.quote(typed[0])}"
+        elif typed[0] in _FLAGS:
+            hint = " ".join(("pc2scan", *(word for word in typed[1:2] if word in GROUPS), f"--{typed[0]}"))
     return UsageError(text[:1].lower() + text[1:], hint=f"did you mean {near}" if near else hint)
+
+
+def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
+    """Return what to type instead, if a word was taken for something else than it was meant as; else nothing."""
+    if isinstance(err, MissingError) and (name := str(err.path)) in words:
+        before = words[words.index(name) - 1]
+        if name.lower() in {"true", "false", "on", "off", "yes", "no"} and before.startswith("--"):
+            off = name.lower() in {"false", "off", "no"}
+            return f"an option such as {before} takes no value: {before.replace('--', '--no-', 1) if off else before}"
+        if any(sign in name for sign in "*?[") and len(words) > 1:
+            return "the shell replaces * only without quotes; pc2scan batch converts each of several recordings"
+    if "--static-tf" in words and isinstance(err, UsageError):
+        begin = words.index("--static-tf") + 1
+        count = next((n for n in (9, 8) if _is_transform(words[begin : begin + n])), 0)
+        if count:
+            return f"it is one argument, in quotes: --static-tf '{' '.join(words[begin : begin + count])}'"
+    return ""
+
+
+def _is_transform(words: Sequence[str]) -> bool:
+    """Return whether words are the parts of a static transform: two frames, and six or seven numbers."""
+    try:
+        return len([float(word) for word in words[2:]]) in (6, 7) and " " not in words[0]
+    except ValueError:
+        return False
 
 
 def _instead(command: str, typed: str) -> str:

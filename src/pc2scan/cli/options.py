@@ -57,7 +57,10 @@ Destination = Annotated[
 
 
 def hide_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command of which Typer reads only its own arguments, not ``options``."""
+    """Return a command of which Typer reads only its own arguments.
+
+    ``options`` are those of the table; `pc2scan.cli.app` passes them to the command when it has parsed what was typed.
+    """
     # Evaluated here: up to Python 3.10, typing.get_type_hints makes parameters optional whose default is None.
     read = signature(command, eval_str=True)
     own = [each for each in read.parameters.values() if each.name != "options"]

@@ -104,25 +104,35 @@ class CloudSample:
         """The points in the frame in which it is judged."""
         return np.asarray(self.points + self.origin)
 
-    @property
-    def tilt_by_transform(self) -> float:
-        """By how much the transform tilts a floor that is level in the cloud's own frame, radians.
+    @cached_property
+    def floor_tilted_by_transform(self) -> Floor | None:
+        """The floor in the frame in which it is judged, if the transform tilts it, and the cloud's own frame does not.
 
-        0 if it does not, or if the floor does not show it: then the sensor is tilted, or the robot.
+        None if the floor is not level in the cloud's own frame: then the sensor is tilted, or the robot. None, too, if
+        it seems level in both, as parts of floors do.
         """
-        floor, transform = self.floor, self.transform
-        if floor is None or transform is None:
-            return 0.0
-        up = np.array(floor.up)
-        matrix = transform.matrix
-        turned, own, here = (math.acos(min(1.0, abs(float(z)))) for z in (matrix[2, 2], up @ matrix[:, 2], up[2]))
-        is_level = own < _LEVEL_BESIDE * turned and abs(here - turned) < _LEVEL_BESIDE * turned
-        return here if turned > _LEAST_TILT and is_level else 0.0
+        if self.transform is None or len(self.points) < FEWEST_POINTS:
+            return None
+        matrix = self.transform.matrix
+        turned = _angle(matrix[2, 2])
+        if turned <= _LEAST_TILT:
+            return None
+        own, here = level_floor(cells_of(self.points @ matrix)), self.floor
+        if own is None or _angle(own.up[2]) > _LEVEL_BESIDE * turned:
+            return None
+        if here is not None and _angle(here.up[2]) < _LEVEL_BESIDE * turned:
+            return None
+        x, y, z = (matrix @ np.array(own.up)).tolist()
+        return Floor((x, y, z), own.height) if abs(_angle(z) - turned) < _LEVEL_BESIDE * turned else None
 
     @cached_property
     def floor(self) -> Floor | None:
         """The level floor; None if there is none, or if the cloud is too small."""
         return level_floor(cells_of(self.points)) if len(self.points) >= FEWEST_POINTS else None
+
+
+def _angle(cosine: float) -> float:
+    return math.acos(max(-1.0, min(1.0, float(cosine))))
 
 
 def enough_to_judge(samples: Sequence[CloudSample]) -> Sequence[CloudSample]:

@@ -11,7 +11,7 @@ from threading import RLock
 from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakValueDictionary, ref
 
-from pc2scan.errors import RecordingError
+from pc2scan.errors import RecordingError, UsageError
 
 from .system import BINARY, read_at
 from .urls import UrlPath
@@ -27,6 +27,10 @@ _BORROWED_BYTES = range(1 << 18, 1 << 24)
 
 #: Bytes of a file at a URL that are copied at a time.
 _COPIED_BYTES = 8 << 20
+
+#: The first bytes of the file that Git LFS has in place of one that was not fetched; and what to type.
+LFS_POINTER = b"version https://"
+LFS_HINT = "git lfs pull fetches it"
 
 #: Endings of the files that SQLite keeps beside a database while it is written.
 _LOGS = ("-wal", "-journal")
@@ -91,10 +95,27 @@ def copy_file(path: Path, target: Path) -> None:
 
 
 def open_text(path: Path) -> TextIOWrapper:
-    """Open a file of UTF-8 text as `open_bytes` does."""
-    if isinstance(path, UrlPath):
-        return TextIOWrapper(path.open("rb"), encoding="utf-8")
-    return open(path, encoding="utf-8", opener=_open_regular)
+    """Open a file of UTF-8 text as `open_bytes` does; an error for what Git LFS has in place of it."""
+    file = open_bytes(path)
+    try:
+        refuse_pointer(file.read(len(LFS_POINTER)), path)
+        file.seek(0)
+    except BaseException:
+        file.close()
+        raise
+    return TextIOWrapper(file, encoding="utf-8")
+
+
+def refuse_pointer(data: bytes, path: Path) -> None:
+    """Raise if these first bytes of a text file are those of a Git LFS pointer.
+
+    Raises
+    ------
+    UsageError
+        If they are.
+    """
+    if data.startswith(LFS_POINTER):
+        raise UsageError("is a Git LFS pointer, not the file itself", path=path, hint=LFS_HINT)
 
 
 def _open_regular(path: str, flags: int) -> int:
@@ -228,8 +249,6 @@ class SourceFile:
     ----------
     path
         The file.
-    start
-        Where in the file the recording begins; offsets count from here.
 
     Raises
     ------
@@ -237,22 +256,19 @@ class SourceFile:
         If it cannot be opened; while reading, if the system refuses or the file has become shorter.
     """
 
-    def __init__(self, path: Path, start: int = 0) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self.start = start
-        #: Where in the file another recording follows this one.
-        self.next_start: int | None = None
         #: Fetches bytes before they are read; None for a local file.
         self._fetch: Callable[[int, int], None] | None = None
         self._descriptor = -1
         self._buffers = _shared.setdefault("", BufferPool())
         if isinstance(path, UrlPath):
             ranges = path.remote.ranges()
-            self._fetch, self._descriptor, self.size = ranges.fetch, ranges.descriptor(), ranges.size - start
+            self._fetch, self._descriptor, self.size = ranges.fetch, ranges.descriptor(), ranges.size
             return
         try:
             self._descriptor = _open_regular(str(path), os.O_RDONLY | BINARY | getattr(os, "O_CLOEXEC", 0))
-            self.size = os.fstat(self._descriptor).st_size - start
+            self.size = os.fstat(self._descriptor).st_size
         except OSError as err:
             self.close()
             raise self.error(f"cannot be opened: {err.strerror}") from err
@@ -260,11 +276,9 @@ class SourceFile:
     def end_at(self, size: int) -> None:
         """End the recording after this many bytes, where another one begins."""
         self.size = size
-        self.next_start = self.start + size
 
     def expect(self, offset: int, length: int) -> None:
         """Tell the system to read these bytes ahead, if it can."""
-        offset += self.start
         # If the last byte is cached already, the call is skipped: it would look up each page.
         with suppress(OSError, AttributeError):
             if os.preadv(self._descriptor, [bytearray(1)], offset + length - 1, os.RWF_NOWAIT):
@@ -284,10 +298,6 @@ class SourceFile:
         """Return an error that names this file."""
         return RecordingError(message, path=self.path, hint=hint)
 
-    def with_location(self, message: str) -> str:
-        """Add to a message with offsets where in the file the recording begins."""
-        return f"in the recording from byte {self.start} on, {message}" if self.start else message
-
     def damage(self, message: str) -> Exception:
         """Return the error for missing or wrong bytes; formats override it."""
         return self.error(message)
@@ -296,7 +306,6 @@ class SourceFile:
         """Read exactly ``length`` bytes."""
         if offset + length > self.size:
             raise self._outside(offset, length)
-        offset += self.start
         if self._fetch is not None:
             self._fetch(offset, length)
         try:
@@ -335,7 +344,6 @@ class SourceFile:
         except MemoryError as err:
             raise self._too_large(offset, length) from err
         view = memoryview(borrowed.buffer)[:length]
-        offset += self.start
         if self._fetch is not None:
             self._fetch(offset, length)
         done = 0
@@ -359,6 +367,6 @@ class SourceFile:
 
     def _truncation_error(self, offset: int) -> RecordingError:
         return self.error(
-            f"ended at byte {offset} while it was read; it had {self.start + self.size} bytes when opened",
+            f"ended at byte {offset} while it was read; it had {self.size} bytes when opened",
             "wait until the recording is complete",
         )

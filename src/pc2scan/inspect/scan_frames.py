@@ -10,9 +10,11 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
 from pc2scan.text import counted, nearest
+from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
 from pc2scan.tf.mounting import mounting
 from pc2scan.tf.placing import Placer
-from pc2scan.tf.world_frames import BODIES, find_body_motion
+from pc2scan.tf.summary import BODIES
+from pc2scan.tf.world_frames import find_body_motion
 
 from .findings import Finding, Tally, few_unplaced, finding
 
@@ -87,7 +89,8 @@ class ScanFrames:
         self._trees = {frame: number for number, tree in enumerate(buffer.trees) for frame in tree.frames}
         self._scans: dict[str, int] = {}
         self._missing: dict[str, Tally] = {}
-        self._reasons: dict[str, str] = {}
+        #: Why the first transform is missing, and what to do.
+        self._reasons: dict[str, tuple[str, str]] = {}
         self._looked = 0
         self._tilted, self._sideways = Tally(), Tally()
         self._tilt = 0.0
@@ -98,11 +101,11 @@ class ScanFrames:
         """Look up one scan's transforms."""
         frame = frame_id.removeprefix("/")
         self._scans[frame] = self._scans.get(frame, 0) + 1
-        odometry, missing = self._moved(frame, self._odom, stamp_ns)
+        odometry, missing, hint = self._moved(frame, self._odom, stamp_ns)
         if odometry is None and self._joined(frame, self._odom):
             self._missing.setdefault(frame, Tally()).add(stamp_ns)
-            self._reasons.setdefault(frame, missing)
-        robot, why = self._moved(frame, self._base, stamp_ns)
+            self._reasons.setdefault(frame, (missing, hint))
+        robot, why, _ = self._moved(frame, self._base, stamp_ns)
         known: bool | None = robot is not None
         if robot is None and self._trees and self._base not in self._trees and not self._named:
             # The name of the robot's frame is unknown.
@@ -132,16 +135,16 @@ class ScanFrames:
         near = nearest(frame, self._trees)
         return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`" if near else ""
 
-    def _moved(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str]:
-        """Return the transform to a frame at a stamp, or why there is none."""
+    def _moved(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str, str]:
+        """Return the transform to a frame at a stamp; or None, why there is none, and what to do."""
         if frame == target:
-            return Rigid.identity(), ""
+            return Rigid.identity(), "", ""
         if not self._trees:
-            return None, "the recording has no transforms"
+            return None, "the recording has no transforms", ""
         try:
-            return self._buffer.lookup(target, frame, stamp_ns), ""
+            return self._buffer.lookup(target, frame, stamp_ns), "", ""
         except TransformError as err:
-            return None, err.message
+            return None, err.message, err.hint or ""
 
     def _up(self, base_from_scan: Rigid, matrix: NDArray[np.float64], stamp_ns: int) -> float:
         """See `ScanTransforms.up`; counts how the sensor is tilted."""
@@ -174,14 +177,14 @@ class ScanFrames:
         for role, name, option, level in roles:
             if name not in self._trees:
                 there = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
-                found.append(
-                    Finding(
-                        f"no-{role}-frame",
-                        level,
-                        f"there is no frame {name!r} ({role}) in the transforms; their roots: {there}",
-                        f"`{option}` names the right one; {_HINT}",
-                    )
-                )
+                text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {there}"
+                hint = f"`{option}` names the right one; {_HINT}"
+                if namesake := named_in_namespace(name, self._trees):
+                    hint = f"`{option}={namesake}`"
+                elif role == "odometry" and all(info.static for info in self._buffer.infos):
+                    text += "; nothing moves in them"
+                    hint = f"record the robot's odometry on /tf, or a SLAM that needs none; {_HINT}"
+                found.append(Finding(f"no-{role}-frame", level, text, hint))
         for frame, scans in self._scans.items():
             # An empty name is reported with the scans themselves.
             if frame:
@@ -219,7 +222,8 @@ class ScanFrames:
     def _frame_findings(self, frame: str, scans: int, interval_ns: float | None) -> list[Finding]:
         if frame not in self._trees:
             text = f"the scan's frame {frame!r} is not in the transforms"
-            return [Finding("frame-unknown", "defect", text, self._cure(frame) or _HINT, scans)]
+            hint = self._cure(frame) or f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
+            return [Finding("frame-unknown", "defect", text, hint, scans)]
         found = []
         moving = find_body_motion(self._buffer, frame, self._base)
         if moving is not None:
@@ -241,7 +245,8 @@ class ScanFrames:
                 hint = "a few at the beginning and the end are usual, and SLAM drops them; " + _HINT
                 found.append(finding("no-transform", "notice", text, hint, missing))
             else:
-                found.append(finding("no-transform", "defect", f"{text}: {self._reasons[frame]}", _HINT, missing))
+                why, hint = self._reasons[frame]
+                found.append(finding("no-transform", "defect", f"{text}: {why}", hint or _HINT, missing))
         return found
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.stages.beams import BeamFilter
+    from pc2scan.pipeline.stages.beam_filters import BeamFilter
     from pc2scan.tf.buffer import TransformBuffer
 
     from .shots import Shot, Shots

@@ -183,4 +183,4 @@ def _stream(
     if not converted:
         return Scans(selection)
     scans_alone = replace(options, only_scans=True, keep=(), keep_clouds=False)
-    return Scans(selection, scans_alone.with_scan(topics=topics), needs_transforms=True)
+    return Scans(selection, scans_alone.with_scan(topics=topics), keep_transforms=True)

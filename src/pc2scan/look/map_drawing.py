@@ -19,7 +19,8 @@ from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.result import Skipped
 from pc2scan.text import counted, did_you_mean
-from pc2scan.tf.world_frames import BODIES
+from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
+from pc2scan.tf.summary import BODIES
 
 from .map_result import Map
 
@@ -151,8 +152,15 @@ class Drawing:
             return
         frame = scan.frame.removeprefix("/")
         roots = next((tree.roots for tree in self.buffer.trees if frame in tree.frames), ())
-        if roots:
+        if namesake := named_in_namespace(odom, self.buffer.frames):
+            hint = f"`odom_frame={namesake}`"
+        elif self.scans:
+            drawn = " ".join(f"`topics={topic}`" for topic in self.scans)
+            hint = f"{drawn} draws what can be placed; {mount_text(frame, self.buffer.frames, odom)}"
+        elif roots:
             hint = f"`odom_frame={roots[0]}` draws the map in the root of the frames of {scan.topic}"
+        elif self.buffer.frames:
+            hint = mount_text(frame, self.buffer.frames)
         else:
             hint = f"`tf_from` adds transforms; `odom_frame={frame}` draws all scans as if the robot stood still"
         frames = name_list(sorted(self.buffer.frames))

@@ -87,7 +87,7 @@ class ShownRecording:
         span = span_of(self.reader, options)
         request = self.reader, self.sources, plan, options, span, self.stack
         try:
-            prepared = prepare(*request, needs_transforms=True)
+            prepared = prepare(*request, keep_transforms=True)
         except UsageError:
             if plan.needs_transforms:
                 raise

@@ -128,8 +128,8 @@ def take_shots(
     for route in plan.routes:
         if route.targets:
             topics.setdefault(route.connection.topic, []).append(route.connection)
-    frames = conversion.frames if level else conversion.frames._replace(up=None)
-    stages = {topic: _Stages.of(conversion, topic, frames) for topic in topics}
+    placer = conversion.placer if level else conversion.placer._replace(up=None)
+    stages = {topic: _Stages.of(conversion, topic, placer) for topic in topics}
     shots: list[Shot] = []
     failed: list[str] = []
     for message in _messages(reader, topics, options, count, at_ns):
@@ -143,7 +143,7 @@ def take_shots(
     number = counted(len(failed) + len(shots), "cloud")
     warnings = [*prepared.warnings]
     warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
-    measured = next((each for topic in topics if (each := conversion.timings.get(topic))), Measurements(0.0))
+    measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
     params = measured.resolve(conversion.params)
     return Shots(shots, params, prepared.transforms, list(prepared.notes), warnings)
 
@@ -190,27 +190,27 @@ class _Stages(NamedTuple):
     select: SelectStage | None
 
     @classmethod
-    def of(cls, conversion: CloudToScan, topic: str, frames: Placer) -> _Stages:
+    def of(cls, conversion: CloudToScan, topic: str, placer: Placer) -> _Stages:
         """Return the stages of a conversion, with other frames."""
         deskew, filters = conversion.deskew, conversion.filters
         place, place_own = (
             PlaceStage(each, None if deskew is None else deskew.of(topic).within(each))
-            for each in (frames, frames._replace(target_frame="", up=None))
+            for each in (placer, placer._replace(target_frame="", up=None))
         )
-        return cls(place, place_own, SelectStage(filters, frames, numbered=True) if filters else None)
+        return cls(place, place_own, SelectStage(filters, placer, numbered=True) if filters else None)
 
 
 def _shot(message: RawMessage, stages: _Stages) -> Shot:
     connection = message.connection
     points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
-    recorded, frames = stages.place_own(points), stages.place.frames
+    recorded, placer = stages.place_own(points), stages.place.placer
     moving, stamp_ns = recorded.moving, recorded.stamp_ns
     return Shot(
         connection.topic,
         moment_text(stamp_ns or message.log_time_ns),
         stamp_ns,
-        frames.source_frame or points.frame_id,
-        frames.place(points.frame_id, stamp_ns),
+        placer.source_frame or points.frame_id,
+        placer.place(points.frame_id, stamp_ns),
         _columns(points, (points if moving is None else moving.place(moving.points)[0]).xyz()),
         None if stages.select is None else _filter_mask(stages.place(points), stages.select),
     )

@@ -61,6 +61,16 @@ def _pointcloud2(serialization: str) -> Decode:
     return points
 
 
+def _livox(serialization: str) -> Decode:
+    from .livox import livox_decoder  # noqa: PLC0415  # few recordings have them
+
+    return livox_decoder(serialization)
+
+
 #: By ROS type in ROS 2's spelling, the function that makes the decoder of a serialisation (``ros1`` or ``cdr``). A
 #: decoder is fastest if it is used for only one topic.
-CLOUDS: dict[str, Callable[[str], Decode]] = {POINTCLOUD2: _pointcloud2}
+CLOUDS: dict[str, Callable[[str], Decode]] = {
+    POINTCLOUD2: _pointcloud2,
+    "livox_ros_driver/msg/CustomMsg": _livox,
+    "livox_ros_driver2/msg/CustomMsg": _livox,
+}

@@ -36,10 +36,10 @@ _SMALL = 12
 #: NumPy's names to the constants.
 _DATATYPE_CODES = {name: code for code, name in DATATYPES.items()}
 
-#: By byte order and datatype.
 #: Some drivers have several names for the same bytes. More than so many times the bytes of a point are an attack.
 _MOST_OVERLAP = 8
 
+#: By byte order and datatype.
 _DTYPES = {order: {code: np.dtype(order + name) for code, name in DATATYPES.items()} for order in "<>"}
 
 

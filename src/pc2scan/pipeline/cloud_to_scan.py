@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from .conversion import Step
     from .first_clouds import TopicClouds
-    from .stages.beams import BeamFilter
+    from .stages.beam_filters import BeamFilter
     from .stages.deskew import Deskew
     from .stages.filters import Filter
     from .stages.placement import PlacedCloud
@@ -51,16 +51,16 @@ class Beams:
     ----------
     layout
         Their directions.
-    project
+    projector
         The projection to them.
     """
 
-    __slots__ = ("_geometry", "_no_returns", "layout", "project")
+    __slots__ = ("_geometry", "_no_returns", "layout", "projector")
 
     def __init__(self, params: ProjectionParams, measured: Measurements) -> None:
         params = measured.resolve(params)
         layout = self.layout = params.layout
-        self.project = Projector(params)
+        self.projector = Projector(params)
         self._no_returns = np.full(params.length, params.empty_range, np.float32).tobytes()
         with np.errstate(over="ignore"):
             # Rounded here once instead of for every scan; upstream's default is the largest float64.
@@ -68,13 +68,10 @@ class Beams:
         angles = layout.angle_min, layout.angle_max, layout.angle_increment
         self._geometry = (*angles, measured.time_increment, measured.scan_time, params.range_min, range_max)
 
-    def message(self, sequence: int, stamp_ns: int, frame_id: str, scan: ProjectedScan) -> LaserScan:
-        """Return the message of projected points."""
-        return LaserScan(sequence, stamp_ns, frame_id, *self._geometry, scan.ranges, scan.intensities)
-
-    def is_empty(self, scan: ProjectedScan) -> bool:
-        """Return whether no beam has a return."""
-        return scan.ranges.tobytes() == self._no_returns
+    def message(self, sequence: int, stamp_ns: int, frame_id: str, scan: ProjectedScan) -> tuple[LaserScan, bool]:
+        """Return the message of projected points, and whether no beam has a return."""
+        message = LaserScan(sequence, stamp_ns, frame_id, *self._geometry, scan.ranges, scan.intensities)
+        return message, scan.ranges.tobytes() == self._no_returns
 
 
 class CloudToScan(Conversion):
@@ -84,9 +81,9 @@ class CloudToScan(Conversion):
     ----------
     params
         The projection's parameters.
-    frames
+    placer
         The recording's transforms.
-    timings
+    measurements
         The measured values of each source topic. Other topics use the parameters; a parameter that is ``auto`` is then
         0.
     filters
@@ -102,7 +99,7 @@ class CloudToScan(Conversion):
 
     Attributes
     ----------
-    params, timings, frames, deskew, filters
+    params, measurements, placer, deskew, filters
         As above.
     """
 
@@ -112,8 +109,8 @@ class CloudToScan(Conversion):
     def __init__(
         self,
         params: ProjectionParams,
-        frames: Placer,
-        timings: Mapping[str, Measurements] | None = None,
+        placer: Placer,
+        measurements: Mapping[str, Measurements] | None = None,
         filters: Sequence[Filter] = (),
         deskew: Deskew | None = None,
         first_clouds: Callable[[str], TopicClouds] | None = None,
@@ -121,12 +118,12 @@ class CloudToScan(Conversion):
         keeps_used: bool = False,
         remove: Sequence[BeamFilter] = (),
     ) -> None:
-        self.timings = timings or {}
+        self.measurements = measurements or {}
         # The size of a scan: the cloud's header, ranges and intensities. Its other fields take fewer bytes.
-        longest = max([each.resolve(params).length for each in self.timings.values()], default=params.length)
+        longest = max([each.resolve(params).length for each in self.measurements.values()], default=params.length)
         self.shrinks_from = 1024 + 8 * longest
         self.params = params
-        self.frames = frames
+        self.placer = placer
         self.deskew = deskew
         self.filters = filters
         self._first_clouds = first_clouds
@@ -134,17 +131,17 @@ class CloudToScan(Conversion):
             0.0 if params.scan_time == "auto" else params.scan_time,
             0.0 if params.time_increment == "auto" else params.time_increment,
         )
-        self._place = PlaceStage(frames, deskew)
+        self._place = PlaceStage(placer, deskew)
         self._select: Callable[[PlacedCloud], PlacedCloud] | None = None
         # The motion of a deskewed cloud is that of the points that are kept.
         if filters or deskew is not None:
             from .stages.selection import SelectStage  # noqa: PLC0415  # only where something is selected
 
-            self._select = SelectStage(filters, frames, numbered=keeps_used)
+            self._select = SelectStage(filters, placer, numbered=keeps_used)
         self._keeps_used = keeps_used
         self._remove: tuple[Step, ...] = ()
         if remove:
-            from .beam_removal import RemoveStage  # noqa: PLC0415  # few scans are filtered
+            from .stages.beam_filters import RemoveStage  # noqa: PLC0415  # few scans are filtered
 
             self._remove = (RemoveStage(remove, params.empty_range),)
 
@@ -154,7 +151,7 @@ class CloudToScan(Conversion):
 
     def stages(self, topic: str) -> tuple[Step, ...]:
         """Return the stages of one topic's messages: place, select, project, remove; see `Conversion`."""
-        measured = self.timings.get(topic, self._default)
+        measured = self.measurements.get(topic, self._default)
         beams = Beams(self.params, measured)
         firsts = None if self._first_clouds is None else self._first_clouds(topic)
         project = partial(self._make_scan, measured.first_beam_ns, beams, firsts)
@@ -167,27 +164,26 @@ class CloudToScan(Conversion):
         points, stamp_ns, name = placed.points, placed.stamp_ns, self.params.intensity_field
         intensities = points.field(name) if name else None
         # A transform that is not applied yet is applied in the same loop.
-        scan = beams.project(*points.xyz(), _transform(placed), intensities)
+        scan = beams.projector(*points.xyz(), _transform(placed), intensities)
         counts = scan.counts
         if placed.rejected:
             counts += PointCounts.of_filters(placed.rejected)
         if first_beam_ns:
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + first_beam_ns)
-        message = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
-        empty = beams.is_empty(scan)
-        sample = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
+        message, empty = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
+        candidate = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
-        used = self._gather_used(placed, beams.project) if self._keeps_used else None
-        return ConvertedMessage(message, counts, empty, motion, sample, level, used=used, removed=scan.removed)
+        used = self._gather_used(placed, beams.projector) if self._keeps_used else None
+        return ConvertedMessage(message, counts, empty, motion, candidate, level=level, used=used, removed=scan.removed)
 
-    def _gather_used(self, placed: PlacedCloud, project: Projector) -> UsedPoints:
+    def _gather_used(self, placed: PlacedCloud, projector: Projector) -> UsedPoints:
         """Return which of the decoded points the beams read."""
         from pc2scan.messages.used_points import UsedPoints  # noqa: PLC0415  # only where they are kept
 
         points = placed.points
-        numbers, beams = project.read(*points.xyz(), _transform(placed))
+        numbers, beams = projector.read(*points.xyz(), _transform(placed))
         if self._select is not None:
             numbers = points.field(NUMBER).reshape(-1)[numbers]
         return UsedPoints(placed.whole, numbers, beams)

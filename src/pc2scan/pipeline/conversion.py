@@ -18,10 +18,20 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import LevelTransform
 
     from .combine.rebinning import Rebinning
-    from .motion import Motion
 
     #: One step between the decoded message and the result.
     Step: TypeAlias = Callable[[Any], Any]
+
+
+class Motion(NamedTuple):
+    """The largest distance of the sensor from its pose at the scan's time: metres and radians.
+
+    ``gap`` is the longest time that transforms were interpolated over, seconds.
+    """
+
+    distance: float
+    angle: float
+    gap: float = 0.0
 
 
 # Neither frozen nor a named tuple, because creating those takes two to three times as long, for every message.
@@ -31,18 +41,20 @@ class ConvertedMessage:
 
     The stages make ``message`` and ``used`` of arrays; the consumer's last step may replace both by their serialised
     form, and says in ``size`` how many bytes they take. ``empty`` is whether the message has no return, or no point;
-    ``motion`` is how far the sensor moved, if it was deskewed. ``sample`` is for `FirstClouds`, as long as that takes
-    samples, and a candidate until the message's log time is known. ``level`` is the transform of its frame, if that is
-    made level. ``rebinned`` counts how beams of scans became other beams. ``used`` are the points that beams read, if
-    they are written. ``removed`` is how many beams had ``returns``, how many of these were too ``sparse`` for
-    ``min_points`` or ``kth``, and how many each beam filter removed; None without any of them.
+    ``motion`` is how far the sensor moved, if it was deskewed. ``candidate`` is the cloud, while `FirstClouds` takes
+    samples and the message's log time is not known; ``sample`` is a sample of it, if it may be among the first.
+    ``level`` is the transform of its frame, if that is made level. ``rebinned`` counts how beams of scans became other
+    beams. ``used`` are the points that beams read, if they are written. ``removed`` is how many beams had ``returns``,
+    how many of these were too ``sparse`` for ``min_points`` or ``kth``, and how many each beam filter removed; None
+    without any of them.
     """
 
     message: Any
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    sample: object = None
+    candidate: Any = None
+    sample: Any = None
     level: LevelTransform | None = None
     rebinned: Rebinning | None = None
     used: Any = None
@@ -118,13 +130,14 @@ class Conversion(ABC):
 
     def encoder(self, serialization: str) -> Step:
         """Return the last step of a consumer that writes results: serialises them as ``ros1`` or ``cdr``."""
+        # Of the class: a function that is read from an instance would be bound to it.
         return partial(_encode, type(self).encode, serialization)
 
 
-def converter(
+def steps_of(
     conversions: Sequence[Conversion], topic: str, source: str, source_type: str, last: Sequence[Step | None]
-) -> Callable[[Buffer], Sequence[ConvertedMessage | MessageError]]:
-    """Return the function that converts one source topic's messages, with one result for each conversion.
+) -> tuple[Step, ...]:
+    """Return the steps that convert one source topic's messages, each of which takes what the one before returns.
 
     Parameters
     ----------
@@ -137,16 +150,17 @@ def converter(
 
     Returns
     -------
-    callable
-        It returns a result or an error for each conversion: the error of one does not stop the others. It raises the
-        `MessageError` of a message that cannot be decoded, and the error of a conversion that is the only one.
+    tuple of callable
+        The first takes serialised messages. The last one returns the result of the only conversion, or a list with a
+        result or an error for each of several: the error of one does not stop the others. All raise a `MessageError` if
+        the message cannot be decoded, or if the only conversion fails.
     """
     decode = conversions[0].decoder(source, source_type)
     chains = [
         (*conversion.stages(topic), *filter(None, [own])) for conversion, own in zip(conversions, last, strict=True)
     ]
     if len(chains) == 1:
-        return partial(_in_turn, (decode, *chains[0]))
+        return (decode, *chains[0])
     tree: list[_StepNode] = []
     for place, chain in enumerate(chains):
         nodes = tree
@@ -157,7 +171,7 @@ def converter(
                 nodes.append(node)
             node.places.append(place)
             nodes = node.further
-    return partial(_in_tree, decode, tree, len(conversions))
+    return (decode, partial(_in_tree, tree, len(chains)))
 
 
 class _StepNode(NamedTuple):
@@ -168,11 +182,9 @@ class _StepNode(NamedTuple):
     further: list[_StepNode]
 
 
-def _in_tree(
-    decode: Callable[[Buffer], Any], tree: Sequence[_StepNode], count: int, data: Buffer
-) -> list[ConvertedMessage | MessageError]:
+def _in_tree(tree: Sequence[_StepNode], count: int, value: Any) -> list[ConvertedMessage | MessageError]:
     found: list[Any] = [None] * count
-    _follow(tree, decode(data), found)
+    _follow(tree, value, found)
     return found
 
 
@@ -189,12 +201,6 @@ def _follow(nodes: Sequence[_StepNode], value: Any, found: list[Any]) -> None:
         else:
             for place in places:
                 found[place] = made
-
-
-def _in_turn(steps: Sequence[Step], value: Any) -> tuple[Any]:
-    for step in steps:
-        value = step(value)
-    return (value,)
 
 
 def _encode(encode: Callable[[Any, str], bytes], serialization: str, result: ConvertedMessage) -> ConvertedMessage:

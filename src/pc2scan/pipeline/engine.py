@@ -2,29 +2,34 @@
 
 Recordings, Python's scans and clouds, exports, maps and dry runs read the same items. Each decides which step is the
 last on a thread, and what becomes of the items.
+
+A thread that loads a unit also works on its messages before it returns the unit. So a cloud of 4 MB is still in the
+core's own cache, and the memory of a chunk is released as soon as its scans exist.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast
 
-from pc2scan.bags.latching import NewestItems, is_static
-from pc2scan.bags.units import Unit
+from pc2scan.bags.topics import NewestItems, is_latched, is_static
+from pc2scan.bags.units import Handle, LazyItems, Unit, load_when_due, merge_by_time
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import RawMessage, StoredChunk, own_data, own_message
+from pc2scan.threads import InOrder
 
 from .conversion import ConvertedMessage
-from .first_clouds import Candidate
 from .items import Item
-from .scheduler import schedule
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Hashable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.bags.units import Loaded, TimedItem
     from pc2scan.model import ChunkRule
     from pc2scan.threads import Threads
 
@@ -34,8 +39,19 @@ if TYPE_CHECKING:
     #: Called regularly with the bytes read so far, the bytes in all, and the messages read so far.
     Progress: TypeAlias = Callable[[int, int, int], None]
 
+    Made = TypeVar("Made", bound=TimedItem)
+
 #: How many messages are between two calls of the progress function.
 _PROGRESS_EVERY = 64
+
+#: How many bytes are loaded ahead for every thread. Of units up to the second size, always one more than threads is
+#: loaded.
+AHEAD_BYTES = 6 << 20
+LARGEST_AHEAD = 20 << 20
+
+#: How many bytes of messages are passed to another thread together. For fewer bytes, passing them takes longer than the
+#: work.
+_PIECE_BYTES = 1 << 20
 
 
 class DeferredMessage(NamedTuple):
@@ -141,7 +157,7 @@ def _units_of_cut(
     """Yield the unit with what is latched at the beginning of the cut, then the units of the cut."""
     wanted = [route.connection for route in routes.values()]
     start, stop = span.start_ns, span.stop_ns
-    lasting = [route.connection for route in routes.values() if route.lasts]
+    lasting = [route.connection for route in routes.values() if is_latched(route.connection)]
     if start is not None and lasting:
         with closing(schedule(reader.units(lasting, None, start), own_message, threads, path=reader.path)) as earlier:
             # No rule allows whole chunks here.
@@ -152,19 +168,23 @@ def _units_of_cut(
 def _work(routes: Mapping[int, OpenRoute], message: RawMessage, *, is_due: bool = False) -> Item | DeferredMessage:
     """Convert or re-encode a message; postpone it if the result takes more memory, and is not due. On any thread."""
     route = routes[message.connection.id]
-    if route.convert is not None and len(message.data) < route.shrinks_from and not is_due:
+    if route.steps and len(message.data) < route.shrinks_from and not is_due:
         return DeferredMessage(own_message(message), partial(_work, routes, is_due=True))
     results: Sequence[tuple[Output, Any]] = ()
     passing = error = None
     try:
         if route.passing_handle >= 0:
-            passing = own_data(message.data) if route.encode is None else route.encode(message.data)
-        if route.convert is not None:
-            made = route.convert(message.data)
+            passing = own_data(message.data) if route.reencode is None else route.reencode(message.data)
+        if route.steps:
+            value: Any = message.data
+            for step in route.steps:
+                value = step(value)
+            made = value if isinstance(value, list) else (value,)
             for result in made:
-                if isinstance(result, ConvertedMessage) and isinstance(result.sample, Candidate):
-                    result.sample = result.sample.sample(message.log_time_ns)
-            results = [(output, made[output.place]) for output in route.outputs]
+                if isinstance(result, ConvertedMessage) and result.candidate is not None:
+                    result.sample = result.candidate.sample(message.log_time_ns)
+                    result.candidate = None
+            results = [(output, made[output.index]) for output in route.outputs]
     except MessageError as err:
         error = err
         results = [(output, err) for output in route.outputs]
@@ -218,3 +238,89 @@ def _names(message: RawMessage) -> Collection[Hashable]:
     except DecodeError:
         pass
     return [(connection.id, bytes(message.data))]
+
+
+def schedule(
+    units: Iterable[Unit],
+    work: Callable[[RawMessage], Made],
+    threads: Threads | None,
+    *,
+    window: int | None = None,
+    path: Path | None = None,
+) -> Generator[Made | StoredChunk]:
+    """Work on the messages of a recording.
+
+    Parameters
+    ----------
+    units
+        The units to load, sorted by start.
+    work
+        Makes an item of a message. The reader calls it as it loads a unit, on any thread; see
+        `pc2scan.bags.units.Load`.
+    threads
+        All threads, or None for the caller's alone. The items do not depend on it.
+    window
+        How many units may be loaded ahead; None: as many as memory allows.
+    path
+        The recording, for error messages.
+
+    Yields
+    ------
+    Made | StoredChunk
+        Sorted by log time, whatever the number of threads. An exception of the work is raised in the place of its
+        item.
+    """
+    loading = load_when_due if threads is None else partial(_load_ahead, threads, window)
+    return merge_by_time(units, work, loading=loading, path=path)
+
+
+def _load_ahead(
+    threads: Threads, window: int | None, units: Iterable[Unit], work: Callable[[RawMessage], Made]
+) -> Generator[Handle]:
+    """Load units ahead, on other threads."""
+    waiting: deque[Unit] = deque()
+    results: InOrder[Loaded[Any]] = InOrder(threads, AHEAD_BYTES, threads.jobs + 1, window)
+    try:
+        for unit in units:
+            too_large = unit.size > LARGEST_AHEAD
+            while waiting and (too_large or not _may_wait(unit, results, threads.jobs)):
+                yield Handle(waiting.popleft(), results.take)
+            if too_large:
+                yield Handle(unit, partial(_load_together, threads, unit, work))
+            else:
+                load = partial(unit.load, work, whole=unit.may_be_whole)
+                results.put(load, unit.size, at_its_turn=unit.is_quick)
+                waiting.append(unit)
+        while waiting:
+            yield Handle(waiting.popleft(), results.take)
+    finally:
+        results.cancel()
+
+
+def _may_wait(unit: Unit, results: InOrder[Loaded[Any]], jobs: int) -> bool:
+    """Whether one more unit may be loaded ahead; of units that are already in memory, one per thread is enough."""
+    return results.has_room(unit.size) and (len(results) < jobs or not unit.is_in_memory)
+
+
+def _load_together(threads: Threads, unit: Unit, work: Callable[[RawMessage], Made]) -> Loaded[Made]:
+    """Load a unit on this thread, and work on its messages on all threads."""
+    found = unit.load(own_message, whole=unit.may_be_whole)
+    if isinstance(found, StoredChunk):
+        return found
+    if isinstance(found, LazyItems):
+        return found.map(work)
+    tasks = [threads.submit(list[Any], map(work, piece)) for piece in _pieces(found)]
+    return [item for task in tasks for item in task.result()]
+
+
+def _pieces(messages: Iterable[RawMessage]) -> Iterator[list[RawMessage]]:
+    piece: list[RawMessage] = []
+    size = 0
+    for message in messages:
+        piece.append(message)
+        size += len(message.data)
+        if size >= _PIECE_BYTES:
+            yield piece
+            piece, size = [], 0
+    if piece:
+        yield piece

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from pc2scan.bags.units import FirstTimes
 from pc2scan.core.floor import MOST_CLOUDS, CloudSample
 
 from .checks import EACH_CLOUD, FIRST_CLOUDS, FIRST_CLOUDS_NOTES, FRAME, found_by
@@ -33,10 +34,6 @@ class SharedSample(NamedTuple):
     clouds: TopicClouds
     sample: CloudSample
 
-    def add(self, counts: PointCounts) -> None:
-        """Add the cloud, in the order of writing."""
-        self.clouds.add(self.sample, counts)
-
 
 class Candidate(NamedTuple):
     """A cloud that may be among the first ones, as long as its message is in memory."""
@@ -48,7 +45,7 @@ class Candidate(NamedTuple):
     def sample(self, log_time_ns: int) -> SharedSample | None:
         """Return a sample of the cloud's points; None if it is not among the first. On any thread."""
         clouds = self.clouds
-        return clouds.sample(self.points, self.place) if clouds.may_be_first(log_time_ns) else None
+        return clouds.sample(self.points, self.place) if clouds.times.may_have(log_time_ns) else None
 
 
 class FirstClouds:
@@ -109,6 +106,8 @@ class TopicClouds:
     ----------
     full
         Whether enough clouds have been judged; all threads read it.
+    times
+        The earliest log times of clouds. Threads convert hundreds of small clouds before the first one is written.
     """
 
     def __init__(self, topic: str, spec: ScanSpec, every: FirstClouds) -> None:
@@ -118,20 +117,7 @@ class TopicClouds:
         self._every = every
         self._samples: list[CloudSample] = []
         self._counts: list[PointCounts] = []
-        self._earliest: list[int] = []
-
-    def may_be_first(self, log_time_ns: int) -> bool:
-        """Return whether fewer clouds than are judged were converted from earlier log times; on any thread.
-
-        Threads convert hundreds of small clouds before the first one is written. All clouds that are judged pass,
-        whatever the order in which threads convert them: only earlier ones are written before them. If two threads
-        change the list at once, it lacks one log time, and more clouds pass.
-        """
-        earliest = self._earliest
-        if len(earliest) == MOST_CLOUDS and earliest[-1] < log_time_ns:
-            return False
-        self._earliest = sorted([*earliest, log_time_ns])[:MOST_CLOUDS]
-        return True
+        self.times = FirstTimes(MOST_CLOUDS)
 
     def sample(self, points: Points, place: Placement) -> SharedSample:
         """Return a sample of a cloud's points; on any thread."""

@@ -106,7 +106,7 @@ def _converted_sizes(
     """Convert the first messages of each topic."""
     sizes: dict[int, _MeanSizes] = {}
     for key, route in routes.items():
-        if route.convert is None:
+        if not route.steps:
             continue
         read, made = list[int](), list[int]()
         with closing(items_of(reader, {key: route}, span, None)) as items:

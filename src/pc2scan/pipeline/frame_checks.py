@@ -12,7 +12,8 @@ from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.text import did_you_mean
 from pc2scan.tf.lookup_errors import frames_text
 from pc2scan.tf.static import static_text
-from pc2scan.tf.world_frames import BODIES, WORLDS, find_body_motion
+from pc2scan.tf.summary import BODIES, WORLDS
+from pc2scan.tf.world_frames import find_body_motion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

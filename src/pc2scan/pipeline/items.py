@@ -6,7 +6,6 @@ import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.latching import is_latched
 from pc2scan.errors import MessageError
 
 if TYPE_CHECKING:
@@ -15,7 +14,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, Connection
 
     from .combine.conversion import Contribution
-    from .conversion import ConvertedMessage
+    from .conversion import ConvertedMessage, Step
     from .report import TopicReport
 
 
@@ -23,16 +22,16 @@ if TYPE_CHECKING:
 class Output:
     """A topic that the converted messages of a route go to.
 
-    ``place`` is the index of its messages in the result of ``convert``. ``used`` is whether its messages are the points
-    that give scans their ranges. ``sample`` is the first message; all others have the same geometry. ``points`` is the
-    output of the points behind scans that are made of several messages. ``handle`` is the writer's in a recording; -1
-    if nothing is written, or if another topic leads the scans.
+    ``index`` is the number of its conversion among those of the route. ``used`` is whether its messages are the points
+    that give scans their ranges. ``first`` is the first message; all others have the same geometry. ``points`` is the
+    output of the points behind scans that are made of several messages. ``handle`` is the writer's in a recording,
+    once the topics are declared; -1 if nothing is written, or if another topic leads the scans.
     """
 
     report: TopicReport
-    place: int
+    index: int
     used: bool = False
-    sample: Any = None
+    first: Any = None
     points: Output | None = None
     handle: int = -1
 
@@ -41,16 +40,17 @@ class Output:
 class OpenRoute:
     """What is done with the messages of one connection.
 
-    ``convert`` and ``encode`` are the work on a message; None if there is none. Results of ``convert`` go to
-    ``outputs``, and so does its error. Messages of ``shrinks_from`` bytes and more become smaller by it. ``report`` is
-    the entry of messages that are not converted; each output has another one. ``passing_handle`` is the writer's for
-    messages as they are; -1 if they are not written. ``messages`` counts the messages that were read.
+    ``steps`` convert a message, one after the other (see `pc2scan.pipeline.conversion.steps_of`); there are none if it
+    is not converted. Results go to ``outputs``, and so does an error. Messages of ``shrinks_from`` bytes and more
+    become smaller when they are converted. ``passing_handle`` is the writer's for messages as they are, -1 if they are
+    not written; ``reencode`` makes what is written of them, None if that is what was read. ``report`` is the entry of
+    messages that are not converted; each output has another one. ``messages`` counts the messages that were read.
     """
 
     connection: Connection
     report: TopicReport | None = None
-    convert: Callable[[Buffer], Sequence[ConvertedMessage | MessageError]] | None = None
-    encode: Callable[[Buffer], Buffer] | None = None
+    steps: Sequence[Step] = ()
+    reencode: Callable[[Buffer], Buffer] | None = None
     outputs: list[Output] = field(default_factory=list)
     passing_handle: int = -1
     shrinks_from: int = sys.maxsize
@@ -65,11 +65,6 @@ class OpenRoute:
     def writes(self) -> bool:
         """Whether something becomes of its messages; otherwise they are only counted."""
         return self.passing_handle >= 0 or bool(self.outputs)
-
-    @property
-    def lasts(self) -> bool:
-        """Whether its messages are latched, so that those from before the cut are still valid in it."""
-        return is_latched(self.connection)
 
 
 class Item(NamedTuple):

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.bags.observers import FirstTimes, Observer
+from pc2scan.bags.observers import Observer
 from pc2scan.bags.topics import by_topic
+from pc2scan.bags.units import FirstTimes
 from pc2scan.core.layout import TURN
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
@@ -84,7 +85,7 @@ class FirstCloud(NamedTuple):
 def cloud_observers(
     connections: Iterable[Connection],
     spec: ScanSpec,
-    frames: Placer | None,
+    placer: Placer | None,
     start_ns: int | None = None,
     stop_ns: int | None = None,
 ) -> dict[str, Observer[FirstCloud]]:
@@ -96,7 +97,7 @@ def cloud_observers(
         The connections to convert.
     spec
         The request: ``scan_time``, ``time_increment`` and ``beams`` are measured if they are ``auto``.
-    frames
+    placer
         The frame of the scans; None if that needs transforms that are not known yet.
     start_ns, stop_ns
         The cut, by log time; None: no limit.
@@ -114,9 +115,9 @@ def cloud_observers(
             stamp_ns, fields = cloud.stamp_ns, tuple(cloud.fields)
             if not swept or not first.may_have(message.log_time_ns):
                 return FirstCloud(stamp_ns, fields)
-            if frames is None:
+            if placer is None:
                 return FirstCloud(stamp_ns, fields, points=_columns(cloud, params))
-            return FirstCloud(stamp_ns, fields, _shape(cloud, params, frames))
+            return FirstCloud(stamp_ns, fields, _shape(cloud, params, placer))
 
         return Observer(sources, take, wanted, start_ns, stop_ns)
 
@@ -124,7 +125,7 @@ def cloud_observers(
 
 
 def measure(
-    observers: Mapping[str, Observer[FirstCloud]], spec: ScanSpec, frames: Placer
+    observers: Mapping[str, Observer[FirstCloud]], spec: ScanSpec, placer: Placer
 ) -> tuple[dict[str, Measurements], list[str]]:
     """Measure the first clouds of each topic.
 
@@ -134,7 +135,7 @@ def measure(
         What was observed: see `cloud_observers`.
     spec
         The request: requested fields must exist.
-    frames
+    placer
         The recording's transforms: beams are measured in the frame of the scans.
 
     Returns
@@ -148,12 +149,12 @@ def measure(
         If none of the first clouds of a topic has the ``intensity_field``, or a field that a filter or deskewing
         needs; or if ``beams`` is auto, and the points are not in regular rings.
     """
-    timings: dict[str, Measurements] = {}
+    found: dict[str, Measurements] = {}
     notes: list[str] = []
     for topic, observer in observers.items():
         first = _TopicMeasurements(spec.params)
         for cloud in observer.found:
-            first.add(cloud, frames)
+            first.add(cloud, placer)
         first.require_fields(topic, spec)
         if spec.point_time.partition(":")[0] == "azimuth":
             from .stages.turn import Turn  # noqa: PLC0415  # only with deskewing
@@ -162,8 +163,8 @@ def measure(
             turn = Turn.parse(spec.point_time)
             if turn.period:
                 notes.append(f"{topic}: the times of points are computed from their azimuth: {turn}")
-        timings[topic] = first.timing(topic, notes)
-    return timings, notes
+        found[topic] = first.timing(topic, notes)
+    return found, notes
 
 
 def _time_field(fields: Container[str]) -> str | None:
@@ -184,12 +185,12 @@ def _columns(cloud: Points, params: ProjectionParams) -> Points:
 
 
 @np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
-def _shape(cloud: Points, params: ProjectionParams, frames: Placer) -> CloudShape:
+def _shape(cloud: Points, params: ProjectionParams, placer: Placer) -> CloudShape:
     """Return what a cloud's points show, as far as it is to be measured."""
     step = None
     if params.beams == "auto":
         try:
-            step = _step(cloud, frames)
+            step = _step(cloud, placer)
         except MessageError:
             # An error of decoding or transforming is reported when this message is converted.
             return CloudShape(is_readable=False)
@@ -197,14 +198,14 @@ def _shape(cloud: Points, params: ProjectionParams, frames: Placer) -> CloudShap
     sweep = None
     if name is not None:
         with suppress(MessageError):
-            sweep = fit_sweep(_angles(cloud, frames), point_times(cloud.field(name), cloud.stamp_ns))
+            sweep = fit_sweep(_angles(cloud, placer), point_times(cloud.field(name), cloud.stamp_ns))
     return CloudShape(step, sweep)
 
 
-def _step(cloud: Points, frames: Placer) -> float | None:
+def _step(cloud: Points, placer: Placer) -> float | None:
     """Return the azimuth step of a cloud around the sensor, with the axes of the scan's frame."""
     x, y, z = cloud.xyz()
-    transform = frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+    transform = placer.place(cloud.frame_id, cloud.stamp_ns).target_from_source
     if transform is not None:
         shape = x.shape
         points = np.stack([np.ravel(part).astype(np.float64) for part in (x, y, z)])
@@ -218,11 +219,11 @@ def _step(cloud: Points, frames: Placer) -> float | None:
     return azimuth_step(x, y, z, rings)
 
 
-def _angles(cloud: Points, frames: Placer) -> NDArray[np.float64]:
+def _angles(cloud: Points, placer: Placer) -> NDArray[np.float64]:
     """Return the azimuth of each point in the scan's frame; NaN for points without a direction."""
     points = np.stack([np.ravel(part).astype(np.float64) for part in cloud.xyz()], axis=1)
     nowhere = ~points.any(axis=1) | ~np.isfinite(points).all(axis=1)
-    transform = frames.place(cloud.frame_id, cloud.stamp_ns).target_from_source
+    transform = placer.place(cloud.frame_id, cloud.stamp_ns).target_from_source
     if transform is not None:
         points = transform.apply(points)
     angles: NDArray[np.float64] = np.arctan2(points[:, 1], points[:, 0])
@@ -241,7 +242,7 @@ class _TopicMeasurements:
         self._sweeps: list[Sweep] = []
         self._steps: list[float | None] = []
 
-    def add(self, cloud: FirstCloud, frames: Placer) -> None:
+    def add(self, cloud: FirstCloud, placer: Placer) -> None:
         """Add the next cloud."""
         params = self._params
         self._stamps.append(cloud.stamp_ns)
@@ -250,7 +251,7 @@ class _TopicMeasurements:
             return
         shape = cloud.shape
         if shape is None and cloud.points is not None:
-            shape = _shape(cloud.points, params, frames)
+            shape = _shape(cloud.points, params, placer)
         if shape is None or not shape.is_readable:
             return
         if params.beams == "auto":

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.imu import ImuRequest
 
     from .parameters import ResolvedParams
-    from .stages.beams import BeamFilter
+    from .stages.beam_filters import BeamFilter
     from .stages.filters import Filter
 
 #: The largest number of messages that one scan may be made of.
@@ -78,6 +78,8 @@ class Combining(NamedTuple):
         The length of an interval that becomes one scan, nanoseconds; 0: each message of the leading topic becomes one.
     rebin
         Whether LaserScans are converted instead of clouds.
+    is_bare
+        Whether ``accumulate`` was typed as a whole number without a unit, which may be meant as a number of clouds.
     """
 
     lead: str = ""
@@ -86,6 +88,7 @@ class Combining(NamedTuple):
     count: int = 0  # type: ignore[assignment]  # instead of the tuple's method
     every_ns: int = 0
     rebin: bool = False
+    is_bare: bool = False
 
     @classmethod
     def of(
@@ -119,7 +122,8 @@ class Combining(NamedTuple):
             span_ns = nanoseconds_of("accumulate", accumulate, "; or a number of clouds (10clouds)")
         every_ns = 0 if every is None else nanoseconds_of("every", every)
         window_ns = None if window is None else nanoseconds_of("window", window)
-        return cls(lead, window_ns, span_ns, count, every_ns, rebin)
+        is_bare = isinstance(accumulate, str) and accumulate.strip().isdecimal()
+        return cls(lead, window_ns, span_ns, count, every_ns, rebin, is_bare)
 
     @property
     def accumulates(self) -> bool:
@@ -171,7 +175,7 @@ class ScanSpec:
         Filters of points, which are applied before the projection, in order.
     remove
         Filters of beams, which are applied after the projection, in order: ``Shadows`` and ``Speckles`` of
-        `pc2scan.pipeline.stages.beams`.
+        `pc2scan.pipeline.stages.beam_filters`.
     keep_used
         A topic for the points that give the scans their ranges; empty: none.
     """
@@ -214,7 +218,7 @@ class ScanSpec:
 
             read["filters"] = (*filters_from(values, found.params.min_height), *values.get("filters", ()))
         if "remove" in values:
-            from .stages.beams import beam_filter  # noqa: PLC0415  # few scans are filtered
+            from .stages.beam_filters import beam_filter  # noqa: PLC0415  # few scans are filtered
 
             read["remove"] = tuple(map(beam_filter, values["remove"]))
         return cls(params=found.params, origins=found.origin, reverse=found.reverse, **read, **more)

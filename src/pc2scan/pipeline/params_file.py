@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, get_args
 
 from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.files.places import missing_hint
-from pc2scan.files.source import open_bytes
+from pc2scan.files.source import open_bytes, refuse_pointer
 from pc2scan.options.table import PARAMETERS
 from pc2scan.text import did_you_mean
 
@@ -283,6 +283,7 @@ def read_text(path: Path, shown: Path | None = None) -> str:
             f"{path}: larger than {MAX_FILE_BYTES:,} bytes, the maximum for parameter files",
             hint="was a recording given as the parameter file?",
         )
+    refuse_pointer(data, path)
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as err:

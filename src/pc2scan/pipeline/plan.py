@@ -50,11 +50,6 @@ class RouteTask(NamedTuple):
     targets: tuple[str, ...]
     combination: Combination | None = None
 
-    @property
-    def key(self) -> ScanSpec | Combination:
-        """The output, or the combination, that messages are converted for."""
-        return self.combination or self.spec
-
 
 class Route(NamedTuple):
     """Where the messages of one source connection go.
@@ -243,7 +238,10 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
     if spec.combining.rebin and (clouds := [kind for kind in CLOUDS if kind in there]):
         return f"it has {short_types(clouds)} topics; without `rebin` they become scans"
     if not spec.reverse and LASERSCAN in there:
-        return "it has LaserScan topics; `reverse=True` turns those into clouds, `rebin=True` into other scans"
+        return (
+            "its LaserScans can be used as they are, and pc2scan check judges them; `rebin=True` makes other scans of "
+            "them, `reverse=True` clouds"
+        )
     return None
 
 

@@ -78,7 +78,7 @@ def prepare(
     stack: ExitStack,
     warn: Callable[[str], None] | None = None,
     *,
-    needs_transforms: bool = False,
+    keep_transforms: bool = False,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -92,23 +92,29 @@ def prepare(
         Closes the other recordings.
     warn
         Called immediately with warnings about the first clouds.
-    needs_transforms
-        Whether the caller needs all transforms, even if the conversion does not.
+    keep_transforms
+        Whether the caller wants all transforms, even if the conversion needs none.
     """
-    needs_transforms |= plan.needs_transforms
+    reads_transforms = keep_transforms or plan.needs_transforms
     asked = options.frames
-    firsts = FirstClouds(asked.source_frame, partial(_robot_transforms, sources, options, span), warn)
-    needs_survey = needs_transforms or asked.static or asked.source_frame or plan.combinations
+    read_later = partial(_robot_transforms, sources, options, span)
+    firsts = FirstClouds(asked.source_frame, read_later, warn)
+    needs_survey = reads_transforms or asked.static or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
-        return Preparation({spec: _unmeasured(spec, firsts) for spec in plan.specs}, span, firsts)
-    from .survey import Survey  # noqa: PLC0415  # most conversions need none
+        placer = Placer()
+        unmeasured: dict[ScanSpec | Combination, Conversion] = {
+            spec: _to_clouds(spec, placer) if spec.reverse else _to_scans(spec, placer, None, None, firsts)
+            for spec in plan.specs
+        }
+        return Preparation(unmeasured, span, firsts)
+    from .survey import Survey  # noqa: PLC0415  # most conversions return above
 
     notes: list[str] = []
     warnings: list[str] = []
     others: list[Reader] = []
-    if needs_transforms:
+    if reads_transforms:
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-    survey = Survey(reader, others, plan, asked, span, needs_transforms=needs_transforms)
+    survey = Survey(reader, others, plan, asked, span, reads_transforms=reads_transforms)
     survey.read()
     transforms: TransformBuffer | None = None
     if survey.transforms is not None:
@@ -131,18 +137,18 @@ def prepare(
         ups = UpSources(buffer, survey.up)
     conversions: dict[ScanSpec | Combination, Conversion] = {}
     for spec in plan.specs:
-        frames = Placer(source_frame=asked.source_frame)
+        placer = Placer(source_frame=asked.source_frame)
         if spec.needs_transforms:
             up = None
             if ups is not None and spec.level:
                 up, estimate = ups.of(spec)
                 notes += () if estimate is None else estimate.notes
                 warnings += () if estimate is None else estimate.warnings
-            frames = Placer(spec.params.target_frame, asked.source_frame, buffer, spec.params.tolerance_ns, up)
+            placer = Placer(spec.params.target_frame, asked.source_frame, buffer, spec.params.tolerance_ns, up)
         if spec.reverse:
-            conversions[spec] = _to_clouds(spec, frames)
+            conversions[spec] = _to_clouds(spec, placer)
             continue
-        made, new_notes, doubts = _prepare_output(spec, reader, survey, plan, frames, firsts)
+        made, new_notes, doubts = _prepare_output(spec, reader, survey, plan, placer, firsts)
         conversions |= made
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
@@ -151,7 +157,7 @@ def prepare(
 
 
 def _prepare_output(
-    spec: ScanSpec, reader: Reader, survey: Survey, plan: Plan, frames: Placer, firsts: FirstClouds
+    spec: ScanSpec, reader: Reader, survey: Survey, plan: Plan, placer: Placer, firsts: FirstClouds
 ) -> tuple[dict[ScanSpec | Combination, Conversion], list[str], list[str]]:
     """Return the conversions of an output to scans, with notes and warnings, from what the survey observed."""
     observed = survey.outputs[spec]
@@ -161,45 +167,45 @@ def _prepare_output(
         from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
         warnings += clock_warnings(*observed.delays)
-    if observed.frame is not None and frames.buffer is not None:
+    if observed.frame is not None and placer.buffer is not None:
         from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
 
         with spec.naming_errors():
-            doubts = check_fixed_frame(frames.source_frame or first_frame(observed.frame), spec, frames.buffer)
+            doubts = check_fixed_frame(placer.source_frame or first_frame(observed.frame), spec, placer.buffer)
         warnings += (spec.label + doubt for doubt in doubts)
     for combination, observers in observed.combinations.items():
         from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
         from .combine.measurements import measure_sources  # noqa: PLC0415
 
         with spec.naming_errors():
-            timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, frames)
+            timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, placer)
         notes += (spec.label + note for note in new_notes)
         warnings += (spec.label + doubt for doubt in doubts)
-        deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew[combination])
+        deskew, new_notes, doubts = _deskew(spec, placer, observed.deskew[combination])
         notes += new_notes
         warnings += doubts
         conversions[combination] = MessagesToScan(
-            spec, combination.sources, frames, timing, grouper, deskew, partial(firsts.of, spec)
+            spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec)
         )
     from .survey import converted_alone  # noqa: PLC0415  # most conversions need none
 
     if not observed.combinations or converted_alone(plan, spec):
-        timings = None
+        measurements = None
         if spec.needs_measuring:
             from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
             with spec.naming_errors():
-                timings, new_notes = measure(observed.clouds, spec, frames)
+                measurements, new_notes = measure(observed.clouds, spec, placer)
             notes += (spec.label + note for note in new_notes)
-        deskew, new_notes, doubts = _deskew(spec, frames, observed.deskew.get(None))
+        deskew, new_notes, doubts = _deskew(spec, placer, observed.deskew.get(None))
         notes += new_notes
         warnings += doubts
-        conversions[spec] = _to_scans(spec, frames, timings, deskew, firsts)
+        conversions[spec] = _to_scans(spec, placer, measurements, deskew, firsts)
     return conversions, notes, warnings
 
 
 def _deskew(
-    spec: ScanSpec, frames: Placer, observers: DeskewObservers | None
+    spec: ScanSpec, placer: Placer, observers: DeskewObservers | None
 ) -> tuple[Deskew | None, list[str], list[str]]:
     """Return what places points at their own times (None: nothing does), notes and warnings."""
     if not spec.deskew:
@@ -211,7 +217,7 @@ def _deskew(
     doubts = [] if observers is None else [spec.label + each for each in time_warnings(observers.times)]
     with spec.naming_errors():
         turns, notes = measure_turns({} if observers is None else observers.turns, spec.point_time)
-    deskew = Deskew(frames, spec.fixed_frame, where, spec.stamp, turns)
+    deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns)
     return deskew, [spec.label + note for note in notes], doubts
 
 
@@ -223,21 +229,16 @@ def _robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Sp
     return None
 
 
-def _unmeasured(spec: ScanSpec, firsts: FirstClouds) -> Conversion:
-    """Return the conversion of an output that needs nothing but the message."""
-    return _to_clouds(spec, Placer()) if spec.reverse else _to_scans(spec, Placer(), None, None, firsts)
-
-
-def _to_clouds(spec: ScanSpec, frames: Placer) -> Conversion:
+def _to_clouds(spec: ScanSpec, placer: Placer) -> Conversion:
     from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
-    return ScanToCloud(spec.channels, frames, deskewed=spec.deskew)
+    return ScanToCloud(spec.channels, placer, deskewed=spec.deskew)
 
 
 def _to_scans(
     spec: ScanSpec,
-    frames: Placer,
-    timings: Mapping[str, Measurements] | None,
+    placer: Placer,
+    measurements: Mapping[str, Measurements] | None,
     deskew: Deskew | None,
     firsts: FirstClouds,
 ) -> Conversion:
@@ -245,8 +246,8 @@ def _to_scans(
 
     return CloudToScan(
         spec.params,
-        frames,
-        timings,
+        placer,
+        measurements,
         spec.filters,
         deskew,
         partial(firsts.of, spec),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.formats import chunk_format
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from pc2scan.tf.options import FrameOptions
 
     from .combine.combiner import Combiner
-    from .conversion import Conversion, Step
     from .items import Item, OpenRoute, Output
     from .levelling import LevelFrames
     from .options import ConvertOptions
@@ -64,9 +62,9 @@ class OpenRecording(NamedTuple):
     @property
     def first_scans(self) -> Sequence[tuple[TopicReport, Buffer]]:
         """The first scan of each output, with the output's entry in the report."""
-        outputs = (output for route in self.routes.values() for output in route.outputs if output.sample)
+        outputs = (output for route in self.routes.values() for output in route.outputs if output.first)
         return [
-            (output.report, output.sample)
+            (output.report, output.first)
             for output in outputs
             if output.report.spec is not None and output.report.spec.made_type == LASERSCAN
         ]
@@ -95,10 +93,10 @@ def open_recording(
     if copying and writer is not None:
         writer.keep_ids(reader.connections)
     topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
-    opened = open_routes(plan.routes, prepared.conversions, partial(_encoder, target), topics)
+    opened = open_routes(plan.routes, prepared.conversions, topics)
     entries = opened.entries
     added = topics.add(_static_connection(target)) if frames.write_static else None
-    levels = _level_frames(reader, plan, topics, options)
+    levels = _level_frames(reader, topics, options) if any(spec.level for spec in plan.specs) else None
     handles = [] if writer is None else topics.declare(writer, opened.by_id.values())
     if levels is not None:
         entries.append(levels.report)
@@ -121,15 +119,8 @@ def open_recording(
     return OpenRecording(routes, opened.combiners, entries, levels, rule, warnings)
 
 
-def _encoder(target: Destination, conversion: Conversion, _: Connection) -> Step:
-    """Return the last step of results that are written to a recording."""
-    return conversion.encoder(target.serialization)
-
-
-def _level_frames(reader: Reader, plan: Plan, topics: RecordingTopics, options: ConvertOptions) -> LevelFrames | None:
-    """Return the writer of the level frames' transforms; None if no scan is level."""
-    if not any(spec.level for spec in plan.specs):
-        return None
+def _level_frames(reader: Reader, topics: RecordingTopics, options: ConvertOptions) -> LevelFrames:
+    """Return the writer of the level frames' transforms."""
     from .levelling import LevelFrames, tf_connection  # noqa: PLC0415  # only where scans are level
 
     connection = tf_connection(reader, options.frames, topics.target)
@@ -163,7 +154,7 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
         except UnwritableError as err:
             # Its scans are not written, either: both are of a time that the destination cannot store.
             return dict.fromkeys(range(-1, len(item.results)), err)
-    for place, (output, result) in enumerate(item.results):
+    for number, (output, result) in enumerate(item.results):
         if not isinstance(result, ConvertedMessage) or output.handle < 0:
             continue
         try:
@@ -176,7 +167,7 @@ def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[in
                 levels.write(result.level, log_time_ns, publish_time_ns, writer)
             writer.write(output.handle, log_time_ns, result.message, publish_time_ns, sequence)
         except UnwritableError as err:
-            refused = {**(refused or {}), place: err}
+            refused = {**(refused or {}), number: err}
     return refused or NOTHING_REFUSED
 
 
@@ -185,7 +176,7 @@ def _chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Wr
     untouched = frozenset(
         route.connection.id
         for route in routes.values()
-        if route.convert is None and route.encode is None and route.passing_handle == route.connection.id
+        if not route.steps and route.reencode is None and route.passing_handle == route.connection.id
     )
     return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1])
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.latching import is_static
+from pc2scan.bags.topics import is_latched, is_static
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
-from .conversion import converter
+from .conversion import steps_of
 from .items import OpenRoute, Output
 from .report import TopicReport
 
@@ -15,10 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
 
     from .combine.combiner import Combiner
-    from .conversion import Conversion, Step
+    from .conversion import Conversion, ConvertedMessage, Step
     from .declarations import RecordingTopics
     from .options import ScanSpec
     from .plan import Combination, Route, RouteTask
@@ -45,8 +45,8 @@ class Routes(NamedTuple):
 def open_routes(
     routes: Iterable[Route],
     conversions: Mapping[ScanSpec | Combination, Conversion],
-    last: Callable[[Conversion, Connection], Step],
-    recording: RecordingTopics | None = None,
+    topics: RecordingTopics | None = None,
+    last: Callable[[str, ConvertedMessage], ConvertedMessage] | None = None,
 ) -> Routes:
     """Prepare the work on the messages of each connection.
 
@@ -56,37 +56,42 @@ def open_routes(
         The plan.
     conversions
         The conversion of each output.
+    topics
+        The topics of the recording that results are written to: the last step serialises these. None: no message passes
+        as it is.
     last
-        Returns the consumer's last step with the results of a conversion, for messages of a connection.
-    recording
-        The topics of the recording that results are written to; None: no message passes as it is.
+        Without a recording, the last step: takes the serialisation of the source and a result.
     """
-    opening = _Opening(recording)
+    opening = _Opening(topics)
     opened: dict[int, OpenRoute] = {}
     for route in routes:
-        if recording is None and not route.tasks:
+        if topics is None and not route.tasks:
             continue
         connection = route.connection
         made = opened[connection.id] = OpenRoute(connection)
         passing = None
-        if route.passes and recording is not None:
+        if route.passes and topics is not None:
             passing = TopicReport(connection.topic, connection.ros_type, connection.topic, "passed")
-            made.passing_handle, made.encode = recording.add_passing(connection, passing)
+            made.passing_handle, made.reencode = topics.add_passing(connection, passing)
         if not route.tasks:
             made.report = opening.shared(passing or TopicReport(connection.topic, connection.ros_type, None, "skipped"))
             continue
-        chosen = [conversions[task.key] for task in route.tasks]
-        steps = [last(conversion, connection) for conversion in chosen]
+        chosen = [conversions[task.combination or task.spec] for task in route.tasks]
+        if last is None:
+            assert topics is not None  # either is given
+            steps = [conversion.encoder(topics.target.serialization) for conversion in chosen]
+        else:
+            steps = [partial(last, connection.serialization)] * len(chosen)
         combiners = [
             None if task.combination is None else opening.combiner_of(task.combination, conversion, step)
             for task, conversion, step in zip(route.tasks, chosen, steps, strict=True)
         ]
         # A group has the last step, not its messages.
         own_steps = [None if combiner else step for step, combiner in zip(steps, combiners, strict=True)]
-        made.convert = converter(chosen, connection.topic, connection.serialization, connection.ros_type, own_steps)
+        made.steps = steps_of(chosen, connection.topic, connection.serialization, connection.ros_type, own_steps)
         made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
-        for place, (task, conversion, combiner) in enumerate(zip(route.tasks, chosen, combiners, strict=True)):
-            opening.add_outputs(made, place, task, conversion.made_type, combiner, passing)
+        for index, (task, conversion, combiner) in enumerate(zip(route.tasks, chosen, combiners, strict=True)):
+            opening.add_outputs(made, index, task, conversion.made_type, combiner, passing)
     return Routes(opened, list(opening.entries.values()), opening.by_output)
 
 
@@ -101,8 +106,8 @@ class _Opening:
         What makes scans of several messages, by the outputs of these.
     """
 
-    def __init__(self, recording: RecordingTopics | None) -> None:
-        self._recording = recording
+    def __init__(self, topics: RecordingTopics | None) -> None:
+        self._topics = topics
         self._combiners: dict[Combination, Combiner] = {}
         self.entries: dict[tuple[object, ...], TopicReport] = {}
         self.by_output: dict[Output, Combiner] = {}
@@ -126,14 +131,14 @@ class _Opening:
     def add_outputs(
         self,
         made: OpenRoute,
-        place: int,
+        index: int,
         task: RouteTask,
         made_type: str,
         combiner: Combiner | None,
         passing: TopicReport | None,
     ) -> None:
         """Add the topics that the results of a task go to."""
-        connection, recording, combination = made.connection, self._recording, task.combination
+        connection, topics, combination = made.connection, self._topics, task.combination
         topic, msgtype = connection.topic, connection.ros_type
         leads = combination is None or combination.sources[0] == topic
         action = "converted" if leads else "joined"
@@ -141,17 +146,17 @@ class _Opening:
             entry = TopicReport(topic, msgtype, name, action, clouds_kept=made.passing_handle >= 0, spec=task.spec)
             if passing is not None and passing.lost:
                 entry.note, entry.lost = passing.note, True
-            output = Output(self.shared(entry), place)
-            if leads and recording is not None:
-                output.handle = recording.add_like(connection, name, made_type)
+            output = Output(self.shared(entry), index)
+            if leads and topics is not None:
+                output.handle = topics.add_like(connection, name, made_type)
             made.outputs.append(output)
             if combiner is not None and combination is not None:
                 self.by_output[output] = combiner
                 combiner.reports[combination.sources.index(topic)] = output.report
-        if (name := task.spec.keep_used) and leads and recording is not None:
+        if (name := task.spec.keep_used) and leads and topics is not None:
             note = f"the points that the beams of {', '.join(task.targets)} read"
-            points = Output(self.shared(TopicReport(topic, msgtype, name, "added", note)), place, used=True)
-            points.handle = recording.add_like(connection, name, POINTCLOUD2)
+            points = Output(self.shared(TopicReport(topic, msgtype, name, "added", note)), index, used=True)
+            points.handle = topics.add_like(connection, name, POINTCLOUD2)
             made.outputs[-1].points = points
             made.outputs.append(points)
 
@@ -169,7 +174,7 @@ def count_skipped(
     skipped = [route for route in routes.values() if not route.writes]
     counted = reader.counts([route.connection for route in skipped], start_ns, stop_ns) if skipped else {}
     # What was latched before the cut would have been written, too.
-    lasting = [route.connection for route in skipped if route.lasts]
+    lasting = [route.connection for route in skipped if is_latched(route.connection)]
     earlier = reader.counts(lasting, None, start_ns) if lasting and start_ns is not None else {}
     for route in skipped:
         (entry,) = route.reports

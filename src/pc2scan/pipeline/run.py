@@ -93,11 +93,12 @@ def run(
             # Of a cut, or in a dry run, only some ranges are read.
             is_whole = not output.dry_run and options.start is None and options.end is None
             stack.enter_context(reading_urls(at_urls if is_whole else (), output.scratch))
-        _refuse_missing_destination(sources, destination, output)
+        if len(sources) > 1 and destination is None and output.folder is None:
+            _refuse_missing_destination(sources)
         reader, readers, plan = open_plan(sources, options, stack)
         target = _target(files, reader, readers, options, output)
         report.destination = str(target.path)
-        report.container, report.ros_version = target.container, target.ros_version
+        report.container, report.ros_version = target.format.name, target.ros_version
         report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
         if readers[1:]:
             from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
@@ -159,7 +160,7 @@ def run(
 def open_plan(
     sources: Sequence[Path], options: ConvertOptions, stack: ExitStack
 ) -> tuple[Reader, Sequence[Reader], Plan]:
-    """Open the sources, each and all as one, and plan the conversion.
+    """Open the sources, each and all as one, and plan the conversion; errors about missing topics mention damage.
 
     Parameters
     ----------
@@ -169,7 +170,16 @@ def open_plan(
     refuse_unusable(options)
     readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
     reader = as_one(readers)
-    return reader, readers, _plan(reader, options)
+    damage = reader.damage
+    if options.repair and damage and not reader.connections:
+        raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
+    try:
+        return reader, readers, make_plan(reader.connections, options)
+    except TopicError as err:
+        if damage:
+            note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
+            err.hint = f"{err.hint}; {note}" if err.hint else note
+        raise
 
 
 def report_failure(
@@ -252,26 +262,12 @@ def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> 
     return span
 
 
-def _refuse_missing_destination(sources: Sequence[Path], destination: Path | None, output: OutputOptions) -> None:
+def _refuse_missing_destination(sources: Sequence[Path]) -> None:
     """Raise if the last of several sources does not exist: it may be meant as the destination, as with `cp`."""
     *others, last = sources
-    if not others or destination or output.folder or exists(last) or not all(map(exists, others)):
+    if exists(last) or not all(map(exists, others)):
         return
     raise MissingError("does not exist", path=last, hint=f"did you mean `destination={shlex.quote(str(last))}`?")
-
-
-def _plan(reader: Reader, options: ConvertOptions) -> Plan:
-    """Plan the conversion; if a recording is damaged, errors about missing topics mention it."""
-    damage = reader.damage
-    if options.repair and damage and not reader.connections:
-        raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
-    try:
-        return make_plan(reader.connections, options)
-    except TopicError as err:
-        if damage:
-            note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
-            err.hint = f"{err.hint}; {note}" if err.hint else note
-        raise
 
 
 def _target(
@@ -287,7 +283,8 @@ def _target(
     check_to(path, output.to)
     # None for a source without ROS messages.
     ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
-    storage, compression = default_storage(path, summaries) if not is_named else None, None
+    storage = None if is_named else default_storage(path, summaries)
+    compression = None
     if options.repair:
         storage, compression = source_form(path, summaries)
     names_directory = output.to is not None and destinations()[output.to].is_directory
@@ -300,7 +297,7 @@ def _target(
         source_ros_version=ros_version,
         is_directory=not is_named or output.storage is not None or names_directory,
     )
-    files.numbered = output.cut is not None and not target.storage
+    files.numbered = output.cut is not None and not target.format.storages
     # A recording without ROS messages has no ROS profile.
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
         return target._replace(profile=summaries[0].profile)

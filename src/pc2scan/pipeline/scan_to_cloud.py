@@ -32,7 +32,7 @@ class ScanToCloud(Conversion):
     ----------
     channels
         The fields of the cloud, and the range cutoff; None means the defaults.
-    frames
+    placer
         The recording's transforms.
     deskewed
         Whether every beam is transformed by the pose at its own time instead of the scan's stamp.
@@ -45,12 +45,12 @@ class ScanToCloud(Conversion):
     def __init__(
         self,
         channels: UnprojectParams | None,
-        frames: Placer,
+        placer: Placer,
         *,
         deskewed: bool = False,
     ) -> None:
         self.channels = channels
-        self._frames = frames
+        self._placer = placer
         self._deskewed = deskewed
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], LaserScan]:  # noqa: ARG002
@@ -75,7 +75,7 @@ class ScanToCloud(Conversion):
 
     def _place(self, scan: LaserScan, points: UnprojectedScan) -> tuple[_CloudHeader, UnprojectedScan]:
         """Return the cloud's header, and the points in its frame."""
-        place = self._frames.place(scan.frame_id, scan.stamp_ns)
+        place = self._placer.place(scan.frame_id, scan.stamp_ns)
         own = _CloudHeader(scan.sequence, scan.stamp_ns, place.frame_id)
         start = place.target_from_source
         if self._deskewed:
@@ -85,7 +85,7 @@ class ScanToCloud(Conversion):
         if start is None:
             return own, points
         # Source of the rule: tf2_sensor_msgs gives a cloud the header of the transform, which has no sequence number.
-        stamp_ns = self._frames.transform_stamp(scan.frame_id, scan.stamp_ns)
+        stamp_ns = self._placer.transform_stamp(scan.frame_id, scan.stamp_ns)
         moved = points.with_xyz(start.apply(points.xyz), start.translation)
         return _CloudHeader(0, stamp_ns, place.frame_id), moved
 
@@ -101,7 +101,7 @@ class ScanToCloud(Conversion):
         except DecodeError as err:
             err.stamp_ns = scan.stamp_ns
             raise
-        return self._frames.place(scan.frame_id, end_ns).target_from_source
+        return self._placer.place(scan.frame_id, end_ns).target_from_source
 
 
 class _CloudHeader(NamedTuple):

@@ -53,7 +53,7 @@ def expected_files(cut: Cut, target: Destination, last_ns: int, size: float) -> 
     """
     count = cut.cell(last_ns) + 1 if cut.duration_ns else max(math.ceil(size / cut.size), 1)
     path = target.path
-    if target.storage:
+    if target.format.storages:
         return [str(path / f"{path.name}_{number}{target.file_format.suffix}") for number in range(count)]
     return [str(path.with_name(part_name(path.name, number))) for number in range(count)]
 

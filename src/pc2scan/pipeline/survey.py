@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.latching import is_static
 from pc2scan.bags.observers import observe
+from pc2scan.bags.topics import is_static
 from pc2scan.tf.placing import Placer
 from pc2scan.tf.reading import RobotTransforms, TransformReading, tf_connections
 
@@ -90,7 +90,7 @@ class Survey:
         The options about transforms.
     span
         The cut. It limits clouds, never transforms.
-    needs_transforms
+    reads_transforms
         Whether all transforms are read.
 
     Attributes
@@ -118,12 +118,12 @@ class Survey:
         asked: FrameOptions,
         span: Span,
         *,
-        needs_transforms: bool,
+        reads_transforms: bool,
     ) -> None:
         self._readers = [reader, *others]
         self._span = span
-        self.transforms = TransformReading(asked) if needs_transforms else None
-        self.robot = None if needs_transforms else RobotTransforms(reader, asked, span.first_ns)
+        self.transforms = TransformReading(asked) if reads_transforms else None
+        self.robot = None if reads_transforms else RobotTransforms(reader, asked, span.first_ns)
         self.given_frames: list[Observer[str]] = []
         if asked.static or asked.source_frame:
             from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions add frames
@@ -151,18 +151,18 @@ class Survey:
             from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions have one
 
             found.frame = frame_observer(own, span)
-        frames = None if spec.needs_transforms else Placer(source_frame=asked.source_frame)
+        placer = None if spec.needs_transforms else Placer(source_frame=asked.source_frame)
         for combination in (each for each in plan.combinations if each.spec is spec):
             from .combine.measurements import source_observers  # noqa: PLC0415  # few scans are of several messages
 
             sources = combination_sources(plan, combination)
-            found.combinations[combination] = source_observers(combination, sources, frames, span)
+            found.combinations[combination] = source_observers(combination, sources, placer, span)
             found.deskew[combination] = _deskew_observers(spec, sources, span)
         if converted := converted_alone(plan, spec):
             if spec.needs_measuring:
                 from .measurements import cloud_observers  # noqa: PLC0415  # only if something is to be measured
 
-                found.clouds = cloud_observers(converted, spec, frames, span.start_ns, span.stop_ns)
+                found.clouds = cloud_observers(converted, spec, placer, span.start_ns, span.stop_ns)
             found.deskew[None] = _deskew_observers(spec, converted, span)
         return found
 
@@ -198,7 +198,11 @@ def combination_sources(plan: Plan, combination: Combination) -> list[Connection
 
 def converted_alone(plan: Plan, spec: ScanSpec) -> list[Connection]:
     """Return the connections whose messages become scans by themselves."""
-    return [route.connection for route in plan.routes if any(task.key is spec for task in route.tasks)]
+    return [
+        route.connection
+        for route in plan.routes
+        if any(task.spec is spec and task.combination is None for task in route.tasks)
+    ]
 
 
 def _deskew_observers(spec: ScanSpec, sources: Sequence[Connection], span: Span) -> DeskewObservers:

@@ -8,7 +8,6 @@ from pc2scan.errors import MessageError, UnconnectedError
 from pc2scan.result import MAX_LISTED, Skipped
 
 from .conversion import ConvertedMessage
-from .first_clouds import SharedSample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -73,7 +72,7 @@ class Tally:
         Parameters
         ----------
         refused
-            Why the destination cannot store a result, by the place of its output in the item's results; -1 is the
+            Why the destination cannot store a result, by the number of its output among the item's results; -1 is the
             message as it passes.
 
         Raises
@@ -97,26 +96,25 @@ class Tally:
                 else:
                     route.report.skipped += 1
                     failed.append((error, route.report))
-        for place, (output, result) in enumerate(item.results):
+        for number, (output, result) in enumerate(item.results):
             entry = output.report
             entry.messages_in += not item.is_group
-            if isinstance(result, ConvertedMessage) and place not in refused:
+            if isinstance(result, ConvertedMessage) and number not in refused:
                 entry.messages_out += 1
                 if not output.used:
-                    if output.sample is None:
-                        output.sample = result.message
+                    if output.first is None:
+                        output.first = result.message
                     entry.count(result)
                 if result.sample is not None:
-                    assert isinstance(result.sample, SharedSample)
-                    result.sample.add(result.counts)
+                    result.sample.clouds.add(result.sample.sample, result.counts)
                     # Several outputs may have one result.
                     result.sample = None
-            elif isinstance(result, MessageError) or place in refused:
+            elif isinstance(result, MessageError) or number in refused:
                 entry.skipped += 1
-                failed.append((result if isinstance(result, MessageError) else refused[place], entry))
+                failed.append((result if isinstance(result, MessageError) else refused[number], entry))
         if failed:
             self._skip(item, failed)
-        if not self.is_connected and route.convert is not None and not item.is_group:
+        if not self.is_connected and route.steps and not item.is_group:
             error = item.failure
             self.is_connected = not isinstance(error, UnconnectedError)
             if isinstance(error, UnconnectedError):

@@ -22,14 +22,14 @@ from pc2scan.pipeline.routes import open_routes
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer, Connection
-    from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
+    from pc2scan.model import Buffer
+    from pc2scan.pipeline.conversion import ConvertedMessage
     from pc2scan.pipeline.first_clouds import FirstClouds
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.tf.buffer import TransformBuffer
@@ -193,10 +193,10 @@ class Scans(Stream[Scan]):
         selection: Selection,
         conversion: ConvertOptions | None = None,
         *,
-        needs_transforms: bool = False,
+        keep_transforms: bool = False,
     ) -> None:
         self._conversion = conversion
-        self._needs_transforms = needs_transforms
+        self._keep_transforms = keep_transforms
         self.transforms: TransformBuffer | None = None
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
@@ -232,13 +232,13 @@ class Scans(Stream[Scan]):
             span_of(reader, options),
             stack,
             early.append,
-            needs_transforms=self._needs_transforms,
+            keep_transforms=self._keep_transforms,
         )
         self.transforms = prepared.transforms
         report.add(prepared.warnings, prepared.notes)
         early[:0] = report.warnings
         self.notes = tuple(report.notes)
-        opened = open_routes(plan.routes, prepared.conversions, _last_step)
+        opened = open_routes(plan.routes, prepared.conversions, last=_as_in_message)
         report.topics += opened.entries
         found = _ScanWarnings(report, prepared.firsts, early)
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
@@ -343,12 +343,8 @@ def _decode(serialization: str, data: Buffer) -> LaserScan:
     return scan
 
 
-def _last_step(_: Conversion, connection: Connection) -> Callable[[ConvertedMessage], ConvertedMessage]:
-    """Return the last step of a conversion to `Scan`: the numbers of the arrays become those of a message."""
-    return partial(_read_back, connection.serialization)
-
-
-def _read_back(serialization: str, result: ConvertedMessage) -> ConvertedMessage:
+def _as_in_message(serialization: str, result: ConvertedMessage) -> ConvertedMessage:
+    """Do the last step of a conversion to `Scan`: the numbers of the arrays become those of a message."""
     result.message = as_message(result.message, serialization)
     result.size = result.message.ranges.nbytes + result.message.intensities.nbytes
     return result

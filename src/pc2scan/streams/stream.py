@@ -309,9 +309,9 @@ class Stream(ABC, Generic[Item]):
         for topic, connections in chosen.items():
             output = Output(TopicReport(topic, msgtype, topic, "converted"), 0)
             for each in connections:
-                convert = partial(_as_recorded, decoder(each.serialization))
+                step = partial(_as_recorded, decoder(each.serialization))
                 # A message is decoded at once: its object takes no more memory.
-                routes[each.id] = OpenRoute(each, convert=convert, outputs=[output], shrinks_from=0)
+                routes[each.id] = OpenRoute(each, steps=[step], outputs=[output], shrinks_from=0)
         # Objects are as large as their messages: other threads would hold many of them ahead of the loop.
         return StreamSource(stack, [reader], tuple(chosen), routes, span, jobs=1)
 
@@ -456,9 +456,9 @@ class Stream(ABC, Generic[Item]):
         return f"<{type(self).__name__} on {', '.join(map(visible, self.topics[:_SHOWN]))}{more} of {paths}>"
 
 
-def _as_recorded(decode: Callable[[Buffer], Any], data: Buffer) -> tuple[ConvertedMessage]:
+def _as_recorded(decode: Callable[[Buffer], Any], data: Buffer) -> ConvertedMessage:
     """Return a message as it was recorded, in the form of the result of a conversion."""
-    return (ConvertedMessage(decode(data), _NO_POINTS, empty=False, size=len(data)),)
+    return ConvertedMessage(decode(data), _NO_POINTS, empty=False, size=len(data))
 
 
 def _warn_of_damage(damage: tuple[Damage, ...], warned: int) -> int:

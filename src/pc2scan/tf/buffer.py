@@ -277,16 +277,16 @@ class TransformBuffer:
             target,
             source,
             self._number(target, "target_frame", stamp_ns),
-            self._number(source, "source_frame", stamp_ns),
+            self._number(source, "source_frame", stamp_ns, target),
             stamp_ns,
             tolerance_ns,
         )
 
-    def _number(self, name: str, role: str, stamp_ns: int) -> int:
+    def _number(self, name: str, role: str, stamp_ns: int, target: str = "") -> int:
         number = self._numbers.get(name)
         if number is not None:
             return number
-        raise unknown_frame_error(name, role, stamp_ns, self.frames, self.rejections)
+        raise unknown_frame_error(name, role, stamp_ns, self.frames, self.rejections, target)
 
     def _chain(self, query: Query, time_ns: int | None) -> Chain:
         """Return the chain between the two frames; raise if one of them has no transform at the time."""

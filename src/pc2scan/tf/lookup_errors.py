@@ -11,6 +11,8 @@ from pc2scan.core.rigid import are_accepted
 from pc2scan.errors import TransformError, UnconnectedError, name_list, stamp_text
 from pc2scan.text import did_you_mean
 
+from .summary import BODIES
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
@@ -84,6 +86,7 @@ _ROLES = {"target_frame": "target", "source_frame": "source"}
 #: A gap up to this may be bridged; one from the second on is no gap, but a difference between clocks.
 _BRIDGED_NS = 1_000_000_000
 _OTHER_CLOCK_NS = 3_600_000_000_000
+_PROBABLY_NS = 10_000_000_000
 
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
@@ -104,18 +107,48 @@ def frames_text(frames: Collection[str]) -> str:
     return f"the {len(frames)} frames with transforms are {name_list(sorted(frames), MAX_NAMES)}"
 
 
+def mount_text(frame: str, frames: Collection[str], body: str = "") -> str:
+    """Return how to add the mount of a sensor's frame, which no transform has.
+
+    Parameters
+    ----------
+    frames
+        The frames with transforms; the robot's is among them, or ``body``.
+    """
+    body = next((name for name in BODIES if name in frames), body) or "base_link"
+    return f"`static_tf='{body} {frame} X Y Z ROLL PITCH YAW'` says where it is mounted (metres, radians)"
+
+
+def named_in_namespace(name: str, frames: Collection[str]) -> str:
+    """Return the frame that has this name in a namespace; empty if there is none, or several.
+
+    >>> named_in_namespace("odom", ["robot1/odom", "robot1/base_link"])
+    'robot1/odom'
+    """
+    found = [frame for frame in frames if frame.endswith(f"/{name}")]
+    return found[0] if len(found) == 1 else ""
+
+
 def unknown_frame_error(
-    name: str, role: str, stamp_ns: int, frames: Sequence[str], rejections: Sequence[RejectedTransforms]
+    name: str,
+    role: str,
+    stamp_ns: int,
+    frames: Sequence[str],
+    rejections: Sequence[RejectedTransforms],
+    target: str = "",
 ) -> TransformError:
-    """Return the error for a frame that no transform has."""
+    """Return the error for a frame that no transform has; ``target`` is the frame that points are transformed to."""
     there_are = frames_text(frames)
     rejected = next((entry for entry in rejections if name in (entry.child, entry.parent)), None)
     if rejected is not None:
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
-    near = did_you_mean(name, sorted(frames))
+    namesake = named_in_namespace(name, frames)
+    near = f"did you mean {namesake}?" if namesake else did_you_mean(name, sorted(frames))
     advice = "`static_tf` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
     # A target of a lookup may be a target frame, a fixed frame or a level one, so the message does not call it one.
     kind = "source frame" if role == "source_frame" else "frame"
+    if role == "source_frame" and frames and not near:
+        advice = f"{mount_text(name, frames, target)}, `tf_from` reads its transform from another recording"
     return UnconnectedError(
         f"no transform has the {kind} {name!r}; {there_are}",
         stamp_ns=stamp_ns,
@@ -146,8 +179,10 @@ def _tolerance_hint(gap_ns: int) -> str:
     seconds = stamp_text(gap_ns).rstrip("0").rstrip(".")
     if gap_ns <= _BRIDGED_NS:
         return f"pc2scan convert `transform_tolerance={seconds}` uses the nearest transform"
-    if gap_ns < _OTHER_CLOCK_NS:
+    if gap_ns < _PROBABLY_NS:
         return f"the nearest transform is {seconds} s away"
+    if gap_ns < _OTHER_CLOCK_NS:
+        return f"the nearest transform is {seconds} s away: was it recorded later, or do the clocks differ?"
     return (
         f"the clocks differ by {gap_ns / 3.6e12:,.0f} hours: one of them was not set, or these transforms are from "
         "another recording"

@@ -18,7 +18,7 @@ from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError
 
-from .world_frames import BODIES, WORLDS
+from .summary import BODIES, WORLDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -123,16 +123,16 @@ def mounting(
     samples = [cloud.points for cloud in clouds]
     seen = _Observation(topic, frame, judged_in, samples, common_ground([find_ground(points) for points in samples]))
     if judged_in.removeprefix("/") != frame.removeprefix("/"):
-        tilt = 0.0 if seen.ground.off else clouds[0].tilt_by_transform
-        fault = _fault(seen.ground)
-        if tilt:
+        ground, fault = seen.ground, _fault(seen.ground)
+        if not ground.off and (tilted := clouds[0].floor_tilted_by_transform) is not None:
+            ground = Ground("tilted", *tilted)
             fault = (
-                f"tilted by {math.degrees(tilt):.1f} deg by the transform of {frame!r}, in which the ground is level; "
-                "expected a mount that leaves it level"
+                f"tilted by {math.degrees(ground.tilt):.1f} deg by the transform of {frame!r}, in which the ground is "
+                "level; expected a mount that leaves it level"
             )
         moved = None if buffer is None or not fault else _lookup(buffer, judged_in, frame, stamp_ns)
         if moved is not None:
-            return seen.correct(judged_in, moved, seen.ground, _IDENTITY)._replace(fault=fault)
+            return seen.correct(judged_in, moved, ground, _IDENTITY)._replace(fault=fault)
         return seen.verdict(fault, heights=suitable_heights(seen.ground, samples, origin_z=origin_z))
     if buffer is not None:
         found = _by_transforms(seen, buffer, stamp_ns)

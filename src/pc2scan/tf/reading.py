@@ -7,7 +7,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.latching import is_static
+from pc2scan.bags.topics import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.model import own_message
@@ -100,9 +100,9 @@ class TransformReading:
 
         connections = tf_connections(reader.connections, self._options.tf_topics)
         first: dict[str, TransformRow] = {}
-        return [Observer(connections, own_message, keep=partial(self._add, reader, first))] if connections else []
+        return [Observer(connections, own_message, keep=partial(self.add, reader, first))] if connections else []
 
-    def _add(self, reader: Reader, first: dict[str, TransformRow], message: RawMessage) -> None:
+    def add(self, reader: Reader, first: dict[str, TransformRow], message: RawMessage) -> None:
         """Add the transforms of a message, or count it if it cannot be decoded.
 
         ``first`` has the first transform of each child frame that the user's transforms replace.
@@ -186,6 +186,7 @@ class RobotTransforms:
     """
 
     def __init__(self, reader: Reader, options: FrameOptions, time_ns: int) -> None:
+        self._reader = reader
         self._options = options
         self._is_known = True
         self.observers: list[Observer[RawMessage]] = []
@@ -205,19 +206,12 @@ class RobotTransforms:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""
         if not self._is_known or not (self.observers or self._options.static):
             return None
-        from .builder import TransformBuilder  # noqa: PLC0415  # few recordings need it
-
-        builder = TransformBuilder()
-        builder.add((static.row(0) for static in self._options.static), static=True)
-        overridden = {static.child.removeprefix("/") for static in self._options.static}
+        reading = TransformReading(self._options)
         for observer in self.observers:
             for message in observer.found:
-                connection = message.connection
-                with suppress(DecodeError, RecordingError):
-                    rows = decode_transforms(message.data, connection.serialization)
-                    rows = [row for row in rows if row[1].removeprefix("/") not in overridden]
-                    builder.add(rows, static=is_static(connection.topic))
-        buffer = builder.build()
+                with suppress(RecordingError):
+                    reading.add(self._reader, {}, message)
+        buffer, _ = reading.finish()
         return buffer if len(buffer) else None
 
 

@@ -14,6 +14,12 @@ if TYPE_CHECKING:
 
     from .history import FrameHistory
 
+#: Usual names of a robot's frame, whose z is up; the first that exists is used.
+BODIES = ("base_link", "base_footprint")
+
+#: Frames that a robot moves in (REP 105); the frames below them move with the robot.
+WORLDS = ("odom", "map", "world", "earth")
+
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:

@@ -6,14 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from .summary import BODIES, WORLDS
+
 if TYPE_CHECKING:
     from .buffer import TransformBuffer
-
-#: Usual names of a robot's frame, whose z is up; the first that exists is used.
-BODIES = ("base_link", "base_footprint")
-
-#: Frames that a robot moves in (REP 105); the frames below them move with the robot.
-WORLDS = ("odom", "map", "world", "earth")
 
 #: How far something has to move in a frame with such a name, or with any other name, metres. A lift or an arm that
 #: carries a lidar moves in a robot's frame, by less than this.

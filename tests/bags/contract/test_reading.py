@@ -323,7 +323,7 @@ def test_a_file_that_shrinks_while_it_is_read_is_an_error(name: str, tmp_path: P
 def test_importing_loads_no_other_package() -> None:
     program = "import sys, pc2scan.bags; print(*sys.modules)"
     heavy = {"rosbags", "mcap", "sqlite3", "bz2", "lz4.frame", "zstandard", "ruamel.yaml"}
-    for modules in ("", ", pc2scan.bags.rosbag1.reader, pc2scan.bags.rosbag1.writer"):
+    for modules in ("", ", pc2scan.bags.rosbag1.read, pc2scan.bags.rosbag1.write"):
         words = [sys.executable, "-c", program.replace("; ", f"{modules}; ")]
         done = subprocess.run(words, capture_output=True, text=True, check=True, env=environment())
         assert heavy.isdisjoint(done.stdout.split())

@@ -16,10 +16,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.opening import open_recording, sniff
-from pc2scan.bags.rosbag1.writer import Rosbag1Writer
-from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
+from pc2scan.bags.rosbag1.write import Rosbag1Writer
+from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from pc2scan.errors import DestinationError, OutputError, RecordingError, UnwritableError
 from pc2scan.model import Attachment, Definition, Metadata
 from support import RECORDINGS, needs_shared, sampled

@@ -12,9 +12,9 @@ import pytest
 import zstandard
 from mcap.records import MessageIndex
 
-from pc2scan.bags.chunked import segments
-from pc2scan.bags.mcap.copies import copy_by_content, copy_by_index
-from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags import chunks
+from pc2scan.bags.mcap.chunks import copy_by_content, copy_by_index
+from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.records import RecordFile
 from pc2scan.bags.units import merge_by_time
 from pc2scan.model import ChunkRule, StoredChunk
@@ -95,7 +95,7 @@ def test_indexes_that_cannot_be_trusted_are_not(chunk: Chunk, at: int, form: str
 
 
 def test_messages_packed_by_themselves_are_not_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(segments, "MIN_WHOLE_BYTES", 1)
+    monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1)
     packed = [(channel, time_ns, zstandard.compress(data)) for channel, time_ns, data in ROWS]
     assert isinstance(Chunk(tmp_path / "packed.mcap", packed).by_content(), memoryview)
     with closing(McapReader(tmp_path / "packed.mcap", verify=False)) as reader:

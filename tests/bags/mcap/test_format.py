@@ -14,7 +14,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as LibraryWriter
 
 from pc2scan.bags.mcap import index as mcap_index
-from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.records import MAGIC, Opcode
 from support.mcap_files import (
     LIBRARY_OPTIONS,
@@ -35,7 +35,7 @@ from support.mcap_files import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.chunks import Segment
 
 EXPECTED = sorted(((i + 1, n, t, t + 5, data) for n, (i, t, data) in enumerate(SAMPLE)), key=lambda row: row[2])
 

@@ -21,7 +21,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Attachment, Channel, Footer, Message, MessageIndex, Metadata, Schema, Statistics
 from mcap.writer import CompressionType, IndexType, Writer
 
-from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.read import McapReader
 from pc2scan.cli.in_process import run_command
 from support import stepped
 from support.mcap_files import BODY, encoded, raw_channel, raw_chunk, raw_file, raw_message, record, zstd

@@ -13,8 +13,8 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Chunk, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 
-from pc2scan.bags.mcap.reader import McapReader
-from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.mcap.read import McapReader
+from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.errors import OutputError
 from pc2scan.model import Definition, Metadata
 from support.mcap_files import CLOUD, COMPRESSIONS, QOS, SAMPLE, connection, encoded, streamed, write

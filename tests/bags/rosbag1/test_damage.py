@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import lz4.frame
 import pytest
 
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from support.rosbag1_files import (
     COMPRESSIONS,
     FIRST_CHUNK,

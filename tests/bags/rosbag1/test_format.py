@@ -12,10 +12,11 @@ from unittest.mock import Mock
 
 import pytest
 
-from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
-from pc2scan.bags.rosbag1 import writer as rosbag1_writer
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
-from pc2scan.bags.rosbag1.writer import Rosbag1Writer
+from pc2scan.bags.rosbag1 import read as rosbag1_reader
+from pc2scan.bags.rosbag1 import write as rosbag1_writer
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
+from pc2scan.bags.rosbag1.records import record_in
+from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.errors import UnwritableError
 from pc2scan.model import Connection, Definition
 from support.rosbag1_files import (
@@ -49,8 +50,8 @@ def test_fields_of_messages_may_stand_in_any_order(
 ) -> None:
     payload = b"".join(message(stamp, bytes([stamp]) * stamp, order=order) for stamp in range(1, 10))
     path = simple_bag(tmp_path / "a.bag", payload)
-    slowly = Mock(wraps=rosbag1_chunks._record)
-    monkeypatch.setattr(rosbag1_chunks, "_record", slowly)
+    slowly = Mock(wraps=record_in)
+    monkeypatch.setattr(rosbag1_reader, "record_in", slowly)
     assert read_rows(path) == [(0, stamp, bytes([stamp]) * stamp) for stamp in range(1, 10)]
     # The usual order is expected from the start, another one after its first message.
     assert slowly.call_count == (order != ("conn", "op", "time"))

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import lz4.frame
 import pytest
 
-from pc2scan.bags.rosbag1.chunks import compress_lz4, is_readable_lz4
+from pc2scan.bags.rosbag1.read import is_readable_lz4
+from pc2scan.bags.rosbag1.write import compress_lz4
 from support.rosbag1_files import ROS1, ros1, ros1_missing
 
 if TYPE_CHECKING:

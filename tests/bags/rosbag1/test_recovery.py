@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 
 from fuzz.mutants.mutate import stretches
-from pc2scan.bags.rosbag1 import chunks as rosbag1_chunks
-from pc2scan.bags.rosbag1 import reader as rosbag1_reader
-from pc2scan.bags.rosbag1.reader import Rosbag1Reader
+from pc2scan.bags.rosbag1 import read as rosbag1_reader
+from pc2scan.bags.rosbag1 import records as rosbag1_records
+from pc2scan.bags.rosbag1 import recover as rosbag1_recovery
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.errors import DamageError
 from support.rosbag1_files import (
     FIRST_CHUNK,
@@ -32,7 +33,7 @@ from support.rosbag1_files import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.chunks import Segment
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.rosbag1.records import BagFile
     from pc2scan.files.source import BorrowedBytes
@@ -135,13 +136,13 @@ def test_of_a_bag_never_closed_no_chunk_is_read_twice(
         data[at : at + 8] = bytes(8)
         path.write_bytes(data)
     read: list[int] = []
-    original = rosbag1_chunks.borrow_payload
+    original = rosbag1_records.borrow_payload
 
     def counting(file: BagFile, segment: Segment) -> BorrowedBytes:
         read.append(segment.offset)
         return original(file, segment)
 
-    for module in (rosbag1_chunks, rosbag1_reader):
+    for module in (rosbag1_records, rosbag1_reader, rosbag1_recovery):
         monkeypatch.setattr(module, "borrow_payload", counting)
     rows, damage = recovered(path)
     assert (len(rows), bool(damage)) == (len(ROWS), not sound)

@@ -10,9 +10,9 @@ import pytest
 import zstandard
 from ruamel.yaml import YAML
 
-from pc2scan.bags.mcap.writer import McapWriter
+from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.bags.rosbag2.metadata import recorded_in, storage_files
-from pc2scan.bags.rosbag2.reader import Rosbag2Reader
+from pc2scan.bags.rosbag2.read import Rosbag2Reader
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import Attachment, Metadata
 from support import sampled

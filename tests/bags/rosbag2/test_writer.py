@@ -12,11 +12,11 @@ from rosbags.interfaces import QosDurability, QosHistory
 from rosbags.rosbag2 import Reader as TheirReader
 from ruamel.yaml import YAML
 
-from pc2scan.bags.mcap.reader import McapReader
+from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.opening import open_recording
 from pc2scan.bags.qos import parse_qos, respell_qos
-from pc2scan.bags.rosbag2.reader import Rosbag2Reader
-from pc2scan.bags.rosbag2.writer import Rosbag2Writer
+from pc2scan.bags.rosbag2.read import Rosbag2Reader
+from pc2scan.bags.rosbag2.write import Rosbag2Writer
 from pc2scan.errors import OutputError
 from support import sampled
 from support.rosbag2_files import QOS_NAMES, QOS_NUMBERS, STORE, STRING, names, read, text, topic

@@ -1,4 +1,8 @@
-"""What contradicts itself in an MCAP file, by its specification: nothing of pc2scan is used."""
+"""What contradicts itself in an MCAP file, by its specification: nothing of pc2scan is used.
+
+Of message indexes only the number of entries counts, and indexes of attachments and metadata do not: they only repeat
+what the records have.
+"""
 
 from __future__ import annotations
 
@@ -72,8 +76,9 @@ class _File:
     counts: Counter[int] = field(default_factory=Counter)
     kinds: Counter[int] = field(default_factory=Counter)
     chunks: dict[int, tuple[Any, ...]] = field(default_factory=dict)
-    attachments: dict[int, tuple[Any, ...]] = field(default_factory=dict)
-    metadata: dict[int, tuple[Any, ...]] = field(default_factory=dict)
+    indexed: Counter[int] = field(default_factory=Counter)
+    #: Whether every chunk with messages has an index of each channel.
+    all_indexed: bool = True
 
     def declare(self, opcode: int, content: bytes) -> None:
         number = int.from_bytes(content[:2], "little")
@@ -130,13 +135,13 @@ def _read(file: _File) -> None:
     if opcodes[:1] != [HEADER] or opcodes[-1:] != [FOOTER] or opcodes.count(DATA_END) != 1 or opcodes.count(HEADER) > 1:
         told.append("the order of records")
     split = opcodes.index(DATA_END)
-    index: dict[int, list[tuple[int, int]]] | None = None
-    last: tuple[int, int] | None = None
+    found: set[int] | None = None
+    last: tuple[int, set[int]] | None = None
     for opcode, start, stop in rows[: split + 1]:
         content = data[start + RECORD.size : stop]
         if opcode != MESSAGE_INDEX and last is not None:
-            _close(file, last, index)
-            last = index = None
+            _close(file, *last, found or set())
+            last = found = None
         file.kinds[opcode] += 1
         cursor = _Cursor(content)
         if opcode in (SCHEMA, CHANNEL):
@@ -144,21 +149,18 @@ def _read(file: _File) -> None:
         elif opcode == MESSAGE:
             file.message(content)
         elif opcode == CHUNK:
-            index = _chunk(file, start, stop, cursor)
-            last = (start, stop)
+            last = start, _chunk(file, start, stop, cursor)
+            found = set()
         elif opcode == MESSAGE_INDEX:
-            if index is None:
+            if found is None:
                 raise ValueError("a message index without a chunk")
             channel = cursor.number(2)
-            entries = sorted(cursor.entries(8, 8))
-            if sorted(index.get(channel, [])) != entries:
-                told.append(f"the message index of channel {channel} behind the chunk at {last}")
+            entries = cursor.entries(8, 8)
+            file.indexed[channel] += len(entries)
             if entries:
-                index[-channel - 1] = []
+                found.add(channel)
         elif opcode == ATTACHMENT:
-            _attachment(file, start, stop, cursor)
-        elif opcode == METADATA:
-            file.metadata[start] = (stop - start, cursor.text())
+            _attachment(file, cursor)
         elif opcode == 0:
             told.append("opcode 0")
         elif opcode == DATA_END:
@@ -168,8 +170,8 @@ def _read(file: _File) -> None:
     _summary(file, rows, split)
 
 
-def _chunk(file: _File, start: int, stop: int, cursor: _Cursor) -> dict[int, list[tuple[int, int]]]:
-    """Check a chunk; returns the index that it must have."""
+def _chunk(file: _File, start: int, stop: int, cursor: _Cursor) -> set[int]:
+    """Check a chunk; returns the channels of its messages."""
     told = file.facts.contradictions
     start_time, end_time, size, crc = cursor.numbers(8, 8, 8, 4)
     compression, stored = cursor.text(), cursor.block(8)
@@ -180,7 +182,7 @@ def _chunk(file: _File, start: int, stop: int, cursor: _Cursor) -> dict[int, lis
         told.append(f"the chunk at {start} has {len(unpacked)} bytes, {size} declared")
     if crc and zlib.crc32(unpacked) != crc:
         told.append(f"the CRC of the chunk at {start}")
-    index: dict[int, list[tuple[int, int]]] = {}
+    channels = set()
     times = []
     for opcode, begin, end in records(unpacked, 0, len(unpacked)):
         content = unpacked[begin + RECORD.size : end]
@@ -188,33 +190,32 @@ def _chunk(file: _File, start: int, stop: int, cursor: _Cursor) -> dict[int, lis
             file.declare(opcode, content)
         elif opcode == MESSAGE:
             channel, log_time = file.message(content)
-            index.setdefault(channel, []).append((log_time, begin))
+            channels.add(channel)
             times.append(log_time)
         elif opcode < 0x80:
             told.append(f"a record of kind {opcode} in the chunk at {start}")
     if (min(times, default=0), max(times, default=0)) != (start_time, end_time):
         told.append(f"the times of the chunk at {start}")
     file.chunks[start] = (start_time, end_time, stop - start, compression, len(stored), size)
-    return index
+    return channels
 
 
-def _close(file: _File, chunk: tuple[int, int], index: dict[int, list[tuple[int, int]]] | None) -> None:
+def _close(file: _File, chunk: int, channels: set[int], indexed: set[int]) -> None:
     """Note whether all channels of a chunk were indexed, or none."""
-    missing = [channel for channel in index or {} if channel >= 0 and -channel - 1 not in (index or {})]
-    indexed = [-channel - 1 for channel in index or {} if channel < 0]
+    missing = channels - indexed
     if missing and indexed:
-        file.facts.contradictions.append(f"channels {missing} of the chunk at {chunk[0]} have no message index")
-    file.chunks[chunk[0]] += (set(indexed),)
+        file.facts.contradictions.append(f"channels {missing} of the chunk at {chunk} have no message index")
+    file.all_indexed = file.all_indexed and not missing
+    file.chunks[chunk] += (indexed,)
 
 
-def _attachment(file: _File, start: int, stop: int, cursor: _Cursor) -> None:
-    times = cursor.numbers(8, 8)
-    name, media_type, content = cursor.text(), cursor.text(), cursor.block(8)
+def _attachment(file: _File, cursor: _Cursor) -> None:
+    cursor.numbers(8, 8)
+    name, _, _ = cursor.text(), cursor.text(), cursor.block(8)
     covered = cursor.data[: cursor.position]
     crc = cursor.number(4)
     if crc and crc != zlib.crc32(covered):
         file.facts.contradictions.append(f"the CRC of attachment {name}")
-    file.attachments[start] = (stop - start, *times, len(content), name, media_type)
 
 
 def _summary(file: _File, rows: list[tuple[int, int, int]], split: int) -> None:
@@ -243,14 +244,6 @@ def _summary(file: _File, rows: list[tuple[int, int, int]], split: int) -> None:
             cursor.number(8)
             compression, *sizes = cursor.text(), *cursor.numbers(8, 8)
             chunks[place] = (first, last, length, compression, *sizes, ids)
-        elif opcode == ATTACHMENT_INDEX:
-            place, length, *numbers = cursor.numbers(8, 8, 8, 8, 8)
-            if file.attachments.get(place) != (length, *numbers, cursor.text(), cursor.text()):
-                told.append(f"the index of the attachment at {place}")
-        elif opcode == METADATA_INDEX:
-            place, length = cursor.numbers(8, 8)
-            if file.metadata.get(place) != (length, cursor.text()):
-                told.append(f"the index of the metadata record at {place}")
         elif opcode == SUMMARY_OFFSET:
             group, *extent = cursor.numbers(1, 8, 8)
             found = groups.get(group)
@@ -261,8 +254,8 @@ def _summary(file: _File, rows: list[tuple[int, int, int]], split: int) -> None:
         told.append("the chunk indexes")
     if listed[CHUNK_INDEX] != len(chunks):
         told.append("a chunk has two indexes")
-    if (listed[ATTACHMENT_INDEX] or 0) not in (0, len(file.attachments)):
-        told.append("the attachment indexes")
+    if not listed[STATISTICS] and file.chunks and file.all_indexed and +file.indexed != file.counts:
+        told.append("the message indexes' counts")
     if offsets_begin and (SUMMARY_OFFSET not in groups or groups[SUMMARY_OFFSET][0] != offsets_begin):
         told.append("the footer's place of the summary offsets")
 

@@ -1,4 +1,7 @@
-"""What contradicts itself in a ROS 1 bag, by the format 2.0: nothing of pc2scan is used."""
+"""What contradicts itself in a ROS 1 bag, by the format 2.0: nothing of pc2scan is used.
+
+The index records after chunks are not looked at: they only repeat what the messages have.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from fuzz.mutants.rosbag1 import FIRST_LINE, Raw, raw_records, time_at, unpack
 
 __all__ = ["contradictions"]
 
-MESSAGE, BAG_HEADER, INDEX_DATA, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
+MESSAGE, BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 5, 6, 7
 
 
 class _Bag:
@@ -19,8 +22,8 @@ class _Bag:
         self.data = data
         self.found: list[str] = []
         self.connections: dict[int, bytes] = {}
-        #: By chunk: its messages as connection, time and place.
-        self.chunks: dict[int, list[tuple[int, int, int]]] = {}
+        #: By chunk: its messages as connection and time.
+        self.chunks: dict[int, list[tuple[int, int]]] = {}
 
     def number(self, raw: Raw, name: bytes, data: bytes | None = None) -> int:
         start, stop = raw.values.get(name, (0, 0))
@@ -64,27 +67,20 @@ def _read(bag: _Bag) -> None:
         bag.found.append("as many chunk infos as chunks")
     if MESSAGE in kinds or any(kind not in range(2, 8) for kind in kinds):
         bag.found.append("a record of a kind that does not belong there")
-    missing: Counter[int] = Counter()
-    current = -1
     for raw in rows:
         if raw.op == CHUNK:
-            bag.found += [f"connection {conn} is not indexed behind the chunk at {current}" for conn in +missing]
-            current = raw.start
-            missing = _chunk(bag, raw)
-        elif raw.op == INDEX_DATA:
-            _index(bag, raw, current, missing)
+            _chunk(bag, raw)
         elif raw.op == CONNECTION:
             bag.declare(raw, data)
         elif raw.op == CHUNK_INFO:
             _chunk_info(bag, raw)
-    bag.found += [f"connection {conn} is not indexed behind the chunk at {current}" for conn in +missing]
     if len(bag.connections) != kinds.count(CONNECTION):
         bag.found.append("chunks describe other connections than the index")
-    used = {conn for messages in bag.chunks.values() for conn, _, _ in messages}
+    used = {conn for messages in bag.chunks.values() for conn, _ in messages}
     bag.found += [f"connection {conn} is described nowhere" for conn in used - bag.connections.keys()]
 
 
-def _chunk(bag: _Bag, raw: Raw) -> Counter[int]:
+def _chunk(bag: _Bag, raw: Raw) -> None:
     compression = bag.data[slice(*raw.values[b"compression"])].decode()
     if compression not in ("none", "lz4", "bz2"):
         raise ValueError(f"compression {compression}")
@@ -98,24 +94,10 @@ def _chunk(bag: _Bag, raw: Raw) -> Counter[int]:
         elif inner.op == MESSAGE:
             conn = bag.number(inner, b"conn", unpacked)
             bag.number(inner, b"time", unpacked)
-            messages.append((conn, time_at(unpacked, inner.values[b"time"][0]), inner.start))
+            messages.append((conn, time_at(unpacked, inner.values[b"time"][0])))
         else:
             bag.found.append(f"a record of kind {inner.op} in the chunk at {raw.start}")
     bag.chunks[raw.start] = messages
-    return Counter(conn for conn, _, _ in messages)
-
-
-def _index(bag: _Bag, raw: Raw, chunk: int, missing: Counter[int]) -> None:
-    conn, count = bag.number(raw, b"conn"), bag.number(raw, b"count")
-    start, stop = raw.body
-    entries = [
-        (conn, time_at(bag.data, place), int.from_bytes(bag.data[place + 8 : place + 12], "little"))
-        for place in range(start, stop - 11, 12)
-    ]
-    stored = [message for message in bag.chunks.get(chunk, []) if message[0] == conn]
-    if count * 12 != stop - start or sorted(entries) != sorted(stored) or bag.number(raw, b"ver") != 1:
-        bag.found.append(f"the index of connection {conn} behind the chunk at {chunk}")
-    missing[conn] -= count
 
 
 def _chunk_info(bag: _Bag, raw: Raw) -> None:
@@ -126,9 +108,9 @@ def _chunk_info(bag: _Bag, raw: Raw) -> None:
         return
     start, stop = raw.body
     counts = dict(struct.iter_unpack("<II", bag.data[start:stop]))
-    times = [time_ns for _, time_ns, _ in messages]
+    times = [time_ns for _, time_ns in messages]
     span = tuple(time_at(bag.data, raw.values[name][0]) for name in (b"start_time", b"end_time"))
-    if counts != Counter(conn for conn, _, _ in messages) or bag.number(raw, b"count") * 8 != stop - start:
+    if counts != Counter(conn for conn, _ in messages) or bag.number(raw, b"count") * 8 != stop - start:
         bag.found.append(f"the counts of the chunk at {place}")
     if messages and span != (min(times), max(times)):
         bag.found.append(f"the times of the chunk at {place}")

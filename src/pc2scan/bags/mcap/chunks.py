@@ -1,4 +1,4 @@
-"""Reads and decompresses the chunks of MCAP files."""
+"""Reads and decompresses the chunks of MCAP files, and indexes the messages of those that are copied as a whole."""
 
 from __future__ import annotations
 
@@ -6,19 +6,25 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunked.segments import Segment
+from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
-from pc2scan.files.compression import CompressionError, crc32, decompress
+from pc2scan.bags.units import MAX_LISTED_ITEMS
+from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, crc32, decompress
 from pc2scan.files.limits import allowed_bytes
-from pc2scan.model import own_data
+from pc2scan.model import StoredChunk, own_data
 
-from .records import CHUNK, COMPRESSIONS, OP_CHUNK, RECORD, UINT64
+from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from pc2scan.files.source import BorrowedBytes
-    from pc2scan.model import Buffer
+    from pc2scan.model import Buffer, ChunkRule
 
     from .records import RecordFile
+
+    #: By channel: log times and places of its messages.
+    Index = dict[int, list[tuple[int, int]]]
 
 # Maximum length of a compression's name. A longer one is damaged.
 _MAX_COMPRESSION_NAME = 64
@@ -149,21 +155,11 @@ def _check_header(record: memoryview, segment: ChunkSegment, file: RecordFile) -
 
 
 def decompress_chunk(file: RecordFile, chunk: ChunkSegment, data: memoryview, *, verify: bool = True) -> memoryview:
-    """Decompress a chunk's records, and compare their CRC; see `payload`."""
-    unpacked = memoryview(_decompress(data, chunk, file))
-    if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
-        raise file.damage(
-            f"the chunk at byte {chunk.record_offset} has CRC {actual:08x}, recorded is {chunk.crc:08x}",
-        )
-    return unpacked
-
-
-def _decompress(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buffer:
-    """Decompress a chunk's payload into exactly the declared size."""
+    """Decompress a chunk's records into exactly the declared size, and compare their CRC; see `payload`."""
     size = chunk.uncompressed_size
     where = f"the chunk at byte {chunk.record_offset}"
     if size == 0 == len(data):
-        return b""
+        return memoryview(b"")
     if size > (allowed := allowed_bytes(file.size)):
         raise file.damage(
             f"{where} declares {size} bytes uncompressed, in a file of {file.size} at most {allowed} may be"
@@ -180,4 +176,111 @@ def _decompress(data: memoryview, chunk: ChunkSegment, file: RecordFile) -> Buff
         raise file.damage(f"{where} cannot be decompressed to the declared {size} bytes: {err}") from err
     if len(unpacked) != size:
         raise file.damage(f"{where} decompresses to {len(unpacked)} bytes, declared are {size}")
-    return unpacked
+    if verify and chunk.crc and (actual := crc32(unpacked)) != chunk.crc:
+        raise file.damage(f"{where} has CRC {actual:08x}, recorded is {chunk.crc:08x}")
+    return memoryview(unpacked)
+
+
+# --- Chunks that are copied as a whole ---
+
+
+def copy_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> StoredChunk | None:
+    """Read a chunk and the message indexes after it, without decompressing it.
+
+    Returns
+    -------
+    StoredChunk | None
+        None if it cannot keep its compression, its messages are not sorted by log time, the indexes do not have all
+        of them, or there may be other declarations before the first one.
+
+    Raises
+    ------
+    RecordingError
+        If bytes are missing, or the chunk's header differs from the index.
+    """
+    if not 0 < segment.index_length <= MAX_LISTED_ITEMS * 16 or segment.compression not in rule.compressions:
+        return None
+    chunk, stored, indexes = stored_chunk(file, segment, segment.index_length)
+    index: Index = {}
+    position = 0
+    while position < len(indexes):
+        if position + RECORD.size + 6 > len(indexes):
+            return None
+        opcode, length, channel_id, size = struct.unpack_from("<BQHI", indexes, position)
+        start = position + RECORD.size + 6
+        position += RECORD.size + length
+        if opcode != OP_MESSAGE_INDEX or size % 16 or start + size > position or position > len(indexes):
+            return None
+        if size:
+            index[channel_id] = sorted(struct.iter_unpack("<QQ", indexes[start : start + size]), key=_place)
+    entries = sorted((entry for found in index.values() for entry in found), key=_place)
+    if not entries or entries[0][1] != 0 or entries[-1][1] >= segment.uncompressed_size:
+        return None
+    if index.keys() != segment.connection_ids or not _is_sorted([time_ns for time_ns, _ in entries], segment):
+        return None
+    return StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
+
+
+def copy_by_content(
+    file: RecordFile,
+    segment: ChunkSegment,
+    rule: ChunkRule,
+    *,
+    verify: bool,
+) -> StoredChunk | memoryview:
+    """Read a chunk, and decompress it to compare its CRC and to index its messages.
+
+    Returns
+    -------
+    StoredChunk | memoryview
+        Its decompressed records, if ``rule`` does not allow to copy it or its messages are not sorted by log time.
+
+    Raises
+    ------
+    RecordingError
+        As `payload` does.
+    """
+    chunk, stored, _ = stored_chunk(file, segment)
+    records = decompress_chunk(file, chunk, stored, verify=verify)
+    index = _index_of(records, segment, rule.declarations)
+    if index is None or not index.keys() <= rule.connection_ids:
+        return records
+    crc = chunk.crc or crc32(records)
+    if chunk.compression not in rule.compressions:
+        return StoredChunk("", records, len(records), crc, index)
+    return StoredChunk(chunk.compression, stored, len(records), crc, index)
+
+
+def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collection[bytes]) -> Index | None:
+    """Index a chunk's messages; None if they are not in order, or it has any other record than these declarations."""
+    index: Index = {}
+    times = []
+    position, size = 0, len(records)
+    while position + RECORD.size <= size:
+        opcode, length = RECORD.unpack_from(records, position)
+        following = position + RECORD.size + length
+        if following > size:
+            return None
+        if opcode != OP_MESSAGE:
+            if bytes(records[position:following]) not in declarations:
+                return None
+        elif following - position < MESSAGE.size or records[position + MESSAGE.size : following][:4] == ZSTD_MAGIC:
+            # Messages that are compressed one by one are decompressed, not copied.
+            return None
+        else:
+            _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(records, position)
+            index.setdefault(channel_id, []).append((log_time_ns, position))
+            times.append(log_time_ns)
+            if len(times) > MAX_LISTED_ITEMS:
+                return None
+        position = following
+    return index if position == size and times and _is_sorted(times, segment) else None
+
+
+def _is_sorted(times: list[int], segment: ChunkSegment) -> bool:
+    """Whether log times are sorted, and within the declared ones."""
+    return segment.start_ns <= times[0] and times[-1] <= segment.end_ns and times == sorted(times)
+
+
+def _place(entry: tuple[int, int]) -> int:
+    return entry[1]

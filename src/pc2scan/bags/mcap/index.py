@@ -11,8 +11,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.chunked.segments import Segment
-from pc2scan.bags.damage import MAX_PLACES
+from pc2scan.bags.chunks import Segment
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 from pc2scan.files.limits import ConnectionLimit
@@ -33,15 +32,6 @@ _FOOTER_SIZE = RECORD.size + 20
 
 #: A chunk's record up to its payload, without the name of its compression.
 _CHUNK_HEAD = RECORD.size + CHUNK.size + UINT64.size
-
-#: Maximum number of entries that are compared: in memory they are larger than in the file.
-_MAX_EXTRA_INDEXES = 10_000
-
-ExtraIndex = records.AttachmentIndex | records.MetadataIndex
-_EXTRA_INDEXES: dict[int, type[ExtraIndex]] = {
-    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
-    Opcode.METADATA_INDEX: records.MetadataIndex,
-}
 
 #: Records that no summary may have, and records that no data section may have.
 _DATA = frozenset({OP_MESSAGE, OP_CHUNK, Opcode.ATTACHMENT, Opcode.METADATA})
@@ -75,8 +65,6 @@ class McapIndex:
         Chunks, and segments of messages outside chunks, in the order found.
     attachments, metadata
         Offsets of these records in the file.
-    extra_indexes
-        The summary's indexes of them, by the offset that the summary declares.
     statistics
         The summary's, if it has them.
     counts
@@ -92,7 +80,9 @@ class McapIndex:
     data_end
         Where the data section ends, and its CRC (0 if none was written). None if there is no DataEnd record.
     differing
-        Schemas and channels that are declared again differently: names and offsets.
+        A schema or a channel that is declared again differently: its name, and the offset; None if none is.
+    rest
+        Where bytes between the data section and the summary begin and end; None if there are none.
     limit
         Of the channels and schemas; None before the first.
     """
@@ -103,7 +93,6 @@ class McapIndex:
     segments: list[Segment] = field(default_factory=list)
     attachments: list[int] = field(default_factory=list)
     metadata: list[int] = field(default_factory=list)
-    extra_indexes: dict[int, ExtraIndex] = field(default_factory=dict)
     statistics: records.Statistics | None = None
     counts: Counter[int] = field(default_factory=Counter)
     all_counted: bool = True
@@ -111,15 +100,15 @@ class McapIndex:
     summarized: bool = False
     verified: bool = False
     data_end: tuple[int, int] | None = None
-    differing: dict[str, int] = field(default_factory=dict)
+    differing: tuple[str, int] | None = None
+    rest: tuple[int, int] | None = None
     limit: ConnectionLimit | None = None
 
     def declare(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> None:
         """Add a Schema or a Channel; other records are ignored. The first of an id is kept."""
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
             return
-        record = _declared_texts(opcode, content, offset, file)
-        known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
+        record, known = self._declared(opcode, content, offset, file)
         # "A Schema record with an id of zero is invalid and should be ignored."
         if not record.id and opcode == Opcode.SCHEMA:
             return
@@ -127,24 +116,21 @@ class McapIndex:
         if held is record:
             self.limit = self.limit or ConnectionLimit(file.path, file.size)
             self.limit.add(len(content), count=opcode == Opcode.CHANNEL)
-        elif held != record:
-            self._differs(_name_of(record), offset)
+        elif held != record and self.differing is None:
+            self.differing = _name_of(record), offset
 
-    def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str | None:
-        """Return the name of the schema or channel that this record declares differently; None if it does not."""
-        record = _declared_texts(opcode, content, offset, file)
-        known: dict[int, Any] = self.schemas if opcode == Opcode.SCHEMA else self.channels
-        return _name_of(record) if known.get(record.id, record) != record else None
+    def contradicted_by(self, opcode: int, content: Buffer, offset: int, file: RecordFile) -> str:
+        """Return the name of the schema or channel that this record declares differently; empty if it does not."""
+        record, known = self._declared(opcode, content, offset, file)
+        return _name_of(record) if known.get(record.id, record) != record else ""
 
-    def _differs(self, what: str, offset: int) -> None:
-        if len(self.differing) < MAX_PLACES:
-            self.differing.setdefault(what, offset)
-
-
-def _declared_texts(opcode: int, content: Buffer, offset: int, file: RecordFile) -> records.Schema | records.Channel:
-    if opcode == Opcode.SCHEMA:
-        return parse(records.Schema, content, offset, file)
-    return parse(records.Channel, content, offset, file)
+    def _declared(
+        self, opcode: int, content: Buffer, offset: int, file: RecordFile
+    ) -> tuple[records.Schema | records.Channel, dict[int, Any]]:
+        """Parse a Schema or a Channel; return it and those that are known."""
+        if opcode == Opcode.SCHEMA:
+            return parse(records.Schema, content, offset, file), self.schemas
+        return parse(records.Channel, content, offset, file), self.channels
 
 
 def _name_of(record: records.Schema | records.Channel) -> str:
@@ -167,8 +153,6 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
         If the file is not MCAP.
     DamageError
         If it is cut off, or contradicts itself.
-    NextRecordingError
-        If another file follows its data.
     """
     index = McapIndex()
     start = read_header(file, index)
@@ -178,20 +162,8 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     if walk.stray:
         raise file.damage(walk.stray)
     if stop != end:
-        _refuse_data(file, stop, end)
+        index.rest = stop, end
     return index
-
-
-def _refuse_data(file: RecordFile, start: int, end: int) -> None:
-    """Raise if another file or more data follow the DataEnd record."""
-    from .search import refuse_another  # noqa: PLC0415  # only damaged files pay for it
-
-    refuse_another(file, start, end)
-    rest, position = McapIndex(), start
-    while position < end:
-        position = RecordWalk(file, rest).run(position, end)
-    if rest.segments or rest.attachments or rest.metadata:
-        raise file.damage(f"the data section ends at byte {start}, and more data follow up to byte {end}")
 
 
 def read_header(file: RecordFile, index: McapIndex) -> int:
@@ -242,12 +214,8 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
             accounted[chunk.record_offset] = following
         elif kind == Opcode.STATISTICS:
             index.statistics = parse(records.Statistics, content, start, file)
-        elif kind in (Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX):
-            # Attachments and metadata are found by the walk, because it takes little time and the index that
-            # @mcap/core 2.2.2 writes for files without chunks has wrong offsets.
-            if len(index.extra_indexes) < _MAX_EXTRA_INDEXES:
-                entry = parse(_EXTRA_INDEXES[kind], content, start, file)
-                index.extra_indexes[entry.offset] = entry
+        # Attachments and metadata are found by the walk, because it takes little time and the index that @mcap/core
+        # 2.2.2 writes for files without chunks has wrong offsets.
         elif kind in _DATA:
             raise file.damage(f"the summary at byte {start} has a record of kind {kind}, which only the data may have")
         else:
@@ -439,6 +407,8 @@ class RecordWalk:
             if not self._is_behind_chunk:
                 self.stray = self.stray or f"the message index at byte {offset} follows no chunk"
             channel_id, size = struct.unpack_from("<HI", window.data, position)
+            if channel_id in self._indexed:
+                self.stray = self.stray or f"the message index at byte {offset} is the second of channel {channel_id}"
             self._indexed[channel_id] += size // 16
         elif opcode == 0:
             raise self._file.damage(f"the record at byte {offset} has opcode 0, which no record may have")
@@ -472,6 +442,58 @@ class RecordWalk:
         self._is_behind_chunk = False
 
 
+#: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
+_INDEX_HEAD = struct.Struct("<BQHI")
+
+#: Log time and place in the chunk of one message.
+_ENTRY = struct.Struct("<QQ")
+
+#: Bytes of message indexes that are read at a time if their number is unknown.
+_AHEAD = 4096
+
+
+def indexed_times(file: RecordFile, segment: Segment, ids: frozenset[int] | None = None) -> dict[int, list[int]] | None:
+    """Return the log times of a chunk's messages by channel, from the message indexes after it.
+
+    Parameters
+    ----------
+    ids
+        Only of these channels; None means all.
+
+    Returns
+    -------
+    dict[int, list[int]] | None
+        None if the message indexes do not have all of these channels, or contradict their own lengths.
+    """
+    if not isinstance(segment, ChunkSegment):
+        return None
+    known = segment.connection_ids or frozenset()
+    missing = set(known if ids is None else known & ids)
+    times: dict[int, list[int]] = {}
+    position = segment.stop
+    # Usually, one call reads all of them.
+    origin, ahead = position, b""
+    while position + _INDEX_HEAD.size <= file.size:
+        if position + _INDEX_HEAD.size > origin + len(ahead):
+            length = max(0 if ahead else segment.index_length, _AHEAD)
+            origin, ahead = position, file.read(position, min(length, file.size - position))
+        opcode, length, channel_id, size = _INDEX_HEAD.unpack_from(ahead, position - origin)
+        start = position + _INDEX_HEAD.size
+        position += RECORD.size + length
+        if opcode != OP_MESSAGE_INDEX:
+            if opcode <= Opcode.DATA_END:
+                break
+            continue
+        if size % _ENTRY.size or start + size > position or start + size > file.size:
+            return None
+        if ids is None or channel_id in ids:
+            missing.discard(channel_id)
+            inside = start + size <= origin + len(ahead)
+            entries = ahead[start - origin : start - origin + size] if inside else file.read(start, size)
+            times.setdefault(channel_id, []).extend(time_ns for time_ns, _ in _ENTRY.iter_unpack(entries))
+    return None if missing else times
+
+
 def find_declarations(
     file: RecordFile,
     index: McapIndex,
@@ -488,41 +510,47 @@ def find_declarations(
     chunks = [segment for segment in index.segments if isinstance(segment, ChunkSegment)]
     chunks.sort(key=lambda chunk: chunk.offset)
     used = frozenset[int]().union(*(s.connection_ids for s in index.segments if s.connection_ids))
-    all_used_known = all(segment.connection_ids is not None for segment in index.segments)
-
-    def complete() -> bool:
-        """Whether every channel with messages and every schema of a channel is known."""
-        channels = index.channels
-        if index.statistics is not None:
-            enough = len(channels) >= index.statistics.channel_count
-        else:
-            enough = index.channels_listed or all_used_known
-        return (
-            enough
-            and used <= channels.keys()
-            and all(c.schema_id in index.schemas for c in channels.values() if c.schema_id)
-        )
-
-    def promising(chunk: ChunkSegment) -> bool:
-        ids = chunk.connection_ids
-        return not index.channels_listed if ids is None else not ids <= index.channels.keys()
-
-    def declare_from(chunk: ChunkSegment) -> None:
-        for opcode, content in records_of(chunk):
-            try:
-                index.declare(opcode, content, chunk.offset, file)
-            except DamageError as err:
-                log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))
-
+    all_used_known = index.channels_listed or all(segment.connection_ids is not None for segment in index.segments)
     rest = []
     for chunk in chunks:
-        if complete():
+        if _are_all_declared(index, used, all_used_known=all_used_known):
             return
-        if promising(chunk):
-            declare_from(chunk)
+        ids = chunk.connection_ids
+        if not index.channels_listed if ids is None else not ids <= index.channels.keys():
+            _declare_from(chunk, file, index, records_of, log)
         else:
             rest.append(chunk)
     for chunk in rest:
-        if complete():
+        if _are_all_declared(index, used, all_used_known=all_used_known):
             return
-        declare_from(chunk)
+        _declare_from(chunk, file, index, records_of, log)
+
+
+def _are_all_declared(index: McapIndex, used: frozenset[int], *, all_used_known: bool) -> bool:
+    """Whether every channel with messages and every schema of a channel is known.
+
+    ``used`` are the channels with messages, as far as message indexes have them; ``all_used_known`` tells whether they
+    have all, or whether the summary lists all channels.
+    """
+    channels = index.channels
+    enough = all_used_known if index.statistics is None else len(channels) >= index.statistics.channel_count
+    return (
+        enough
+        and used <= channels.keys()
+        and all(c.schema_id in index.schemas for c in channels.values() if c.schema_id)
+    )
+
+
+def _declare_from(
+    chunk: ChunkSegment,
+    file: RecordFile,
+    index: McapIndex,
+    records_of: Callable[[ChunkSegment], Iterable[tuple[int, Buffer]]],
+    log: DamageLog,
+) -> None:
+    """Add the channels and schemas that a chunk declares."""
+    for opcode, content in records_of(chunk):
+        try:
+            index.declare(opcode, content, chunk.offset, file)
+        except DamageError as err:
+            log.note(err, offset=chunk.record_offset, key=opcode, bytes_lost=len(content))

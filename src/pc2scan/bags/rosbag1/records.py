@@ -1,4 +1,4 @@
-"""Reads and parses the records of ROS 1 bags, format 2.0.
+"""Reads and parses the records of ROS 1 bags, format 2.0, in the file and in its chunks.
 
 A bag is a first line and records; a record is a header of named fields and a body, each after its uint32 length.
 Messages are in chunks, in which records are compressed together. After the chunks follows the index: every connection,
@@ -19,18 +19,24 @@ Source: http://wiki.ros.org/Bags/Format/2.0, and for details missing there, ROS 
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING
+from itertools import permutations
+from operator import itemgetter
+from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
+from pc2scan.files.compression import CompressionError, decompress
+from pc2scan.files.limits import allowed_bytes
 from pc2scan.files.source import SourceFile
-from pc2scan.model import Connection, Definition
+from pc2scan.model import Connection, Definition, RawMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from pc2scan.bags.chunks import Segment
+    from pc2scan.files.source import BorrowedBytes
     from pc2scan.model import Buffer
 
 FIRST_LINE = FORMATS["rosbag1"].magic
@@ -97,16 +103,9 @@ def field_of(fields: Mapping[bytes, bytes], name: str, size: int | None = None) 
     return value
 
 
-def uint32_field(fields: Mapping[bytes, bytes], name: str) -> int:
-    """Return a field with a number of 32 bits."""
-    value: int = UINT32.unpack(field_of(fields, name, 4))[0]
-    return value
-
-
-def uint64_field(fields: Mapping[bytes, bytes], name: str) -> int:
-    """Return a field with a number of 64 bits."""
-    value: int = UINT64.unpack(field_of(fields, name, 8))[0]
-    return value
+def number_field(fields: Mapping[bytes, bytes], name: str, size: int = 4) -> int:
+    """Return a field with an unsigned number of so many bytes."""
+    return int.from_bytes(field_of(fields, name, size), "little")
 
 
 def time_field(fields: Mapping[bytes, bytes], name: str) -> int:
@@ -138,7 +137,7 @@ def parse_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection:
         metadata["latching"] = texts["latching"]
     definition = header.get(b"message_definition")
     return Connection(
-        id=uint32_field(fields, "conn"),
+        id=number_field(fields, "conn"),
         topic=topic,
         msgtype=text_of(field_of(header, "type")),
         serialization="ros1",
@@ -153,10 +152,10 @@ def parse_connection(fields: Mapping[bytes, bytes], body: Buffer) -> Connection:
 class BagFile(SourceFile):
     """Reads records of a bag; consecutive records need no system call each."""
 
-    def __init__(self, path: Path, start: int = 0) -> None:
-        super().__init__(path, start)
-        self._ahead_start = 0
-        self._ahead = b""
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        #: Bytes that were read ahead, and their place: replaced as one, because loads on several threads read records.
+        self._ahead = (0, b"")
 
     def damage(self, message: str) -> FormatError:
         """Return the error for a damaged bag; the reader adds the place."""
@@ -164,11 +163,7 @@ class BagFile(SourceFile):
 
     def damage_error(self, message: str) -> DamageError:
         """Return the error that the reader raises."""
-        return DamageError(self.with_location(message), path=self.path, hint=RECOVER)
-
-    def head(self, length: int) -> bytes:
-        """Read the first bytes, fewer if there are fewer."""
-        return self.read(0, min(length, self.size))
+        return DamageError(message, path=self.path, hint=RECOVER)
 
     def record(self, offset: int, kind: int) -> tuple[dict[bytes, bytes], int, int]:
         """Return a record of a required kind: its fields, and start and stop of its body."""
@@ -187,16 +182,111 @@ class BagFile(SourceFile):
             )
         return fields, body, body + length
 
-    def body(self, start: int, stop: int) -> bytes:
-        """Read the body of a small record."""
-        return self.nearby(start, stop - start)
-
     def nearby(self, offset: int, length: int) -> bytes:
         """Read a few bytes, and read ahead: an index has many small consecutive records."""
-        start = offset - self._ahead_start
-        if start < 0 or start + length > len(self._ahead):
-            ahead = min(max(length, _READ_AHEAD), max(self.size - offset, length))
-            self._ahead = self.read(offset, ahead)
-            self._ahead_start = offset
-            start = 0
-        return self._ahead[start : start + length]
+        origin, ahead = self._ahead
+        if not origin <= offset <= offset + length <= origin + len(ahead):
+            ahead = self.read(offset, min(max(length, _READ_AHEAD), max(self.size - offset, length)))
+            origin = offset
+            self._ahead = (origin, ahead)
+        return ahead[offset - origin : offset - origin + length]
+
+
+# --- Inside chunks ---
+
+
+def borrow_payload(file: BagFile, segment: Segment) -> BorrowedBytes:
+    """Read and decompress a chunk; see `SourceFile.borrow`."""
+    stored = file.borrow(segment.offset, segment.length)
+    return stored._replace(data=memoryview(decompress_chunk(file, segment, stored.data)))
+
+
+def decompress_chunk(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
+    """Decompress a chunk's ``data`` to its declared size."""
+    compression, size = segment.compression, segment.uncompressed_size
+    if size > (allowed := allowed_bytes(file.size)):
+        raise FormatError(f"it declares {size} bytes, in a bag of {file.size} at most {allowed} may be")
+    try:
+        unpacked, complete = decompress(compression, data, size)
+    except (CompressionError, MemoryError) as err:
+        raise FormatError(f"its {compression} data cannot be decompressed: {err}") from err
+    if not complete and len(unpacked) <= size:
+        raise FormatError(f"its {compression} data ends early, {size} bytes are declared")
+    if len(unpacked) != size:
+        observed = f"more than {size}" if len(unpacked) > size else str(len(unpacked))
+        raise FormatError(f"it holds {observed} bytes when decompressed, {size} are declared")
+    return unpacked
+
+
+def record_in(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:
+    """Return a record of a chunk: its fields, and start and stop of its body."""
+    lengths = []
+    for _ in range(2):
+        if position + 4 > len(data):
+            raise FormatError(f"a record's length does not fit into the {len(data)} bytes of its chunk")
+        (length,) = UINT32.unpack_from(data, position)
+        lengths.append(position + 4)
+        position += 4 + length
+        lengths.append(position)
+        if position > len(data):
+            raise FormatError(f"a record reaches to byte {position} of a chunk of {len(data)} bytes")
+    header, header_stop, body, body_stop = lengths
+    return parse_fields(data[header:header_stop]), body, body_stop
+
+
+def records_of(file: BagFile, segment: Segment) -> Iterator[tuple[dict[bytes, bytes], memoryview]]:
+    """Read a chunk, and yield all of its records as fields and body."""
+    data = memoryview(bytes(borrow_payload(file, segment).data))
+    position = 0
+    while position < len(data):
+        fields, start, position = record_in(data, position)
+        yield fields, data[start:position]
+
+
+class MessageLayout(NamedTuple):
+    """A message record up to its body, its three fields in one of six orders.
+
+    Everything but the values is literal: one `struct` call splits the record, and the literals show whether the record
+    has this layout.
+    """
+
+    layout: struct.Struct
+    literals: itemgetter[tuple[object, ...]]
+    expected: tuple[bytes, ...]
+    connection: int
+    seconds: int
+
+
+def _layout_of(order: Sequence[bytes]) -> MessageLayout:
+    pieces = {
+        b"conn": (b"\x09\0\0\0conn=", "I"),
+        b"op": (b"\x04\0\0\0op=\x02", ""),
+        b"time": (b"\x0d\0\0\0time=", "II"),
+    }
+    code = "<"
+    literal = b"\x26\0\0\0"  # the length of the header: 38 bytes in any order
+    expected = []
+    for name in order:
+        more, values = pieces[name]
+        literal += more
+        if values:
+            expected.append(literal)
+            code += f"{len(literal)}s{values}"
+            literal = b""
+    expected.append(literal)
+    code += f"{len(literal)}sI"
+    if order.index(b"conn") < order.index(b"time"):
+        return MessageLayout(struct.Struct(code), itemgetter(0, 2, 5), tuple(expected), 1, 3)
+    return MessageLayout(struct.Struct(code), itemgetter(0, 3, 5), tuple(expected), 4, 1)
+
+
+LAYOUTS = {order: _layout_of(order) for order in permutations((b"conn", b"op", b"time"))}
+
+USUAL_LAYOUT = LAYOUTS[b"conn", b"op", b"time"]
+
+
+def message_at(data: memoryview, known: Mapping[int, Connection], place: int) -> RawMessage:
+    """Return the message of a known connection that begins at a place of a chunk."""
+    fields, start, stop = record_in(data, place)
+    stamp_ns = time_field(fields, "time")
+    return RawMessage(known[number_field(fields, "conn")], stamp_ns, data[start:stop], stamp_ns)

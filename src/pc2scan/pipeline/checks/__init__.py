@@ -34,6 +34,7 @@ REQUEST: Checks[OutputRequest] = (
     request.unused_no_return,
     request.returns_without_object,
     request.milliseconds_as_seconds,
+    request.range_in_millimetres,
     request.increment_in_degrees,
     request.sector_in_degrees,
     request.beams_beyond_half_turn,

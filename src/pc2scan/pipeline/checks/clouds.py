@@ -19,6 +19,8 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.pipeline.parameters import from_preset
 from pc2scan.text import agreeing, counted
 
+from .request import says_unlimited
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
@@ -57,8 +59,10 @@ _PLACE_FILTERS = {"exclude_box", "exclude_polygon", "where"}
 #: clouds in.
 _FIXED = {"odom", "map", "world", "earth", "camera_init"}
 
-#: A height limit from here on, metres, is taken for millimetres if the clouds are ten times lower.
+#: A height limit from here on, metres, is taken for centimetres if the clouds are ten times lower, and from the second
+#: on for millimetres.
 _TALL = 50.0
+_MILLIMETRES = 400.0
 
 
 @dataclass(slots=True)
@@ -119,7 +123,7 @@ class CloudFacts:
             return True
         if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
             return False
-        return self.spec.level or not first.tilt_by_transform
+        return self.spec.level or first.floor_tilted_by_transform is None
 
     @property
     def are_nearly_empty(self) -> bool:
@@ -245,7 +249,7 @@ def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
     frame = clouds.source.removeprefix("/")
     if clouds.spec.params.target_frame or frame not in _FIXED or len(clouds.samples) > 1:
         return
-    from pc2scan.tf.world_frames import BODIES  # noqa: PLC0415  # few clouds are in such a frame
+    from pc2scan.tf.summary import BODIES  # noqa: PLC0415  # few clouds are in such a frame
 
     buffer = clouds.transforms.read()
     bodies = [body for body in BODIES if buffer is not None and body in buffer.frames]
@@ -305,17 +309,19 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
 
 
 def heights_in_millimetres(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if heights seem to be millimetres, with the clouds' own heights."""
+    """Yield a warning if heights seem to be centimetres or millimetres, with the clouds' own heights."""
     params = clouds.spec.params
     wrong = [name for name in ("min_height", "max_height") if _is_tall(clouds, name)]
     if not wrong:
         return
     z = np.concatenate([sample.placed[:, 2] for sample in clouds.samples])
     given = " and ".join(f"{name} is {_limit(getattr(params, name), 'm')}" for name in wrong)
-    metres = " ".join(f"`{name}={getattr(params, name) / 1000:g}`" for name in wrong)
+    is_small = max(abs(getattr(params, name)) for name in wrong) < _MILLIMETRES
+    unit, factor = ("centimetres", 100) if is_small else ("millimetres", 1000)
+    named = [name for name in ("min_height", "max_height") if not clouds.is_default(name)]
+    metres = " ".join(f"`{name}={getattr(params, name) / factor:g}`" for name in named)
     yield (
-        f"{given}, but z on {clouds.topic} is {_percentiles(z, 'm')}: heights are metres; if these are millimetres, "
-        f"{metres}"
+        f"{given}, but z on {clouds.topic} is {_percentiles(z, 'm')}: heights are metres; if these are {unit}, {metres}"
     )
 
 
@@ -375,8 +381,7 @@ def _is_tall(clouds: CloudFacts, name: str) -> bool:
     value = abs(float(getattr(clouds.spec.params, name)))
     if clouds.is_default(name) or not _TALL <= value < 1e5:
         return False
-    # 100, 1000 and 999 are ways to say "no limit".
-    if math.log10(value).is_integer() or set(f"{value:g}") == {"9"}:
+    if says_unlimited(value):
         return False
     from pc2scan.core.percentiles import percentiles  # noqa: PLC0415  # few heights are doubtful
 

@@ -25,6 +25,9 @@ _COARSE = 0.2
 #: A warning is worth it if this share of the beams is out of reach.
 _NOTABLE_SHARE = 0.01
 
+#: A range_max from here on, metres, is taken for millimetres.
+_FARTHEST = 1500.0
+
 #: A tolerance of this many seconds or more, or a scan that takes so long, is nearly always meant in milliseconds.
 _LONG = 5.0
 
@@ -152,6 +155,22 @@ def milliseconds_as_seconds(request: OutputRequest) -> Iterator[str]:
             continue
         if abs(turn if name == "time_increment" else value) >= _LONG:
             yield f"{name} is {value:g} s, and {why}; milliseconds are written `{name}={value:g}ms`"
+
+
+def range_in_millimetres(request: OutputRequest) -> Iterator[str]:
+    """Yield a warning if range_max is so large that millimetres were probably meant."""
+    value = request.spec.params.range_max
+    if "range_max" in request.given and _FARTHEST <= value < 1e6 and not says_unlimited(value):
+        yield f"range_max is {value:g} m, and no lidar measures as far; millimetres are written `range_max={value:g}mm`"
+
+
+def says_unlimited(value: float) -> bool:
+    """Return whether a limit is a way to say that there is none: 100, 1000, 999.
+
+    >>> [value for value in (150.0, 999.0, 1000.0, 30000.0) if says_unlimited(value)]
+    [999.0, 1000.0]
+    """
+    return math.log10(value).is_integer() or set(f"{value:g}") == {"9"}
 
 
 def increment_in_degrees(request: OutputRequest) -> Iterator[str]:

@@ -25,8 +25,7 @@ from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.cloud_to_scan import Beams
-from pc2scan.pipeline.conversion import Conversion, ConvertedMessage
-from pc2scan.pipeline.motion import Motion
+from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Motion
 from pc2scan.tf.placing import Placement
 
 if TYPE_CHECKING:
@@ -140,7 +139,7 @@ class MessagesToScan(Conversion):
         The request.
     topics
         The source topics; the first one leads.
-    frames
+    placer
         The recording's transforms.
     measured
         The measurements of the leading topic.
@@ -160,7 +159,7 @@ class MessagesToScan(Conversion):
         self,
         spec: ScanSpec,
         topics: Sequence[str],
-        frames: Placer,
+        placer: Placer,
         measured: Measurements,
         grouper: Callable[[], Grouper[Contribution]] | None,
         deskew: Deskew | None = None,
@@ -171,12 +170,12 @@ class MessagesToScan(Conversion):
         self.spec = spec
         self.topics = tuple(topics)
         self.grouper = grouper
-        self._frames = frames
+        self._placer = placer
         self._deskew = deskew
         self._first_clouds = first_clouds
-        self._projector = self._beams.project
+        self._projector = self._beams.projector
         #: Whether the transform of points does not depend on the scan's time, so that no message waits for that.
-        self._rigid = not spec.fixed_frame and frames.up is None
+        self._rigid = not spec.fixed_frame and placer.up is None
         #: Whether a message is in at most one scan. A leading message is in the scan of its own time.
         self._once = not spec.combining.accumulates
         #: The messages of the leading topic that were prepared last, in any order. The list is replaced, never changed,
@@ -191,13 +190,13 @@ class MessagesToScan(Conversion):
 
             late = tuple(each for each in spec.filters if each.frame is Frame.TARGET and not self._rigid)
             early = tuple(each for each in spec.filters if each not in late)
-            self._early = SelectStage(early, frames) if early else None
-            self._late = SelectStage(late, frames) if late else None
+            self._early = SelectStage(early, placer) if early else None
+            self._late = SelectStage(late, placer) if late else None
         self._keeps_used = bool(spec.keep_used)
         self._intensity = params.intensity_field or ("intensity" if spec.combining.rebin else "")
         self._remove: Callable[[ConvertedMessage], ConvertedMessage] | None = None
         if spec.remove:
-            from pc2scan.pipeline.beam_removal import RemoveStage  # noqa: PLC0415  # few scans are filtered
+            from pc2scan.pipeline.stages.beam_filters import RemoveStage  # noqa: PLC0415  # few scans are filtered
 
             self._remove = RemoveStage(spec.remove, params.empty_range)
         self._kept = {"x", "y", "z", self._intensity, *(field for each in late for field in each.fields)}
@@ -236,26 +235,26 @@ class MessagesToScan(Conversion):
             points, _, rejected = scan_points(message)
         else:
             points = message
-        stamp_ns, frames = points.stamp_ns, self._frames
-        source, frame_id = frames.source_frame or points.frame_id, points.frame_id
-        target = frames.target_frame or source
-        mount = frames.transform(target, frame_id, stamp_ns) if frames.target_frame else None
+        stamp_ns, placer = points.stamp_ns, self._placer
+        source, frame_id = placer.source_frame or points.frame_id, points.frame_id
+        target = placer.target_frame or source
+        mount = placer.transform(target, frame_id, stamp_ns) if placer.target_frame else None
         sample = None
         if not flat and number == 0 and firsts is not None and not firsts.full:
-            sample = firsts.sample(points, frames.place(frame_id, stamp_ns))
+            sample = firsts.sample(points, placer.place(frame_id, stamp_ns))
         track = None if deskew is None else deskew.track(points)
         reference_ns = stamp_ns if track is None else track.reference_ns
         points = points if track is None else track.points
         target_from_fixed = fixed_from_source = level = None
         gap_ns, fixed = 0, self.spec.fixed_frame
         # For its own scan, the place of a leading message does not depend on the fixed frame.
-        if fixed and track is None and frames.buffer is not None and not (self._once and number == 0):
-            fixed_from_source = frames.buffer.lookup(fixed, source, stamp_ns, frames.tolerance_ns)
-            gap_ns = frames.buffer.between_ns(fixed, source, stamp_ns, frames.tolerance_ns)
+        if fixed and track is None and placer.buffer is not None and not (self._once and number == 0):
+            fixed_from_source = placer.buffer.lookup(fixed, source, stamp_ns, placer.tolerance_ns)
+            gap_ns = placer.buffer.between_ns(fixed, source, stamp_ns, placer.tolerance_ns)
         if number == 0:
             if fixed:
-                _, target_from_fixed = frames.from_fixed(fixed, frame_id, reference_ns)
-            level = frames.level(target, reference_ns)
+                _, target_from_fixed = placer.from_fixed(fixed, frame_id, reference_ns)
+            level = placer.level(target, reference_ns)
         if self._early is not None:
             # Filters in the target frame see the points where the scan shows them.
             selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
@@ -401,14 +400,13 @@ class MessagesToScan(Conversion):
             scan = self._projector.nearest_of([*known, *map(self._projector.nearest, parts)])
         else:
             scan = self._projector.together(parts)
-        message = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
-        empty = self._beams.is_empty(scan)
+        message, empty = self._beams.message(lead.points.sequence, lead.reference_ns, lead.frame_id, scan)
         largest = Motion(*map(max, zip(*motions, strict=True))) if motions else None
         shared = self._rebin(beams) if len(beams) == len(members) else None
         level = None if lead.level is None else lead.level.at(lead.reference_ns)
         used = self._gather_used(message, parts, sources) if self._keeps_used else None
         counts = sum(others, scan.counts)
-        result = ConvertedMessage(message, counts, empty, largest, lead.sample, level, shared, used, scan.removed)
+        result = ConvertedMessage(message, counts, empty, largest, None, lead.sample, level, shared, used, scan.removed)
         return result if self._remove is None else self._remove(result)
 
     def _place(

@@ -53,6 +53,9 @@ _MOST_PERIODS = 5
 _LONG_NS = 10_000_000_000
 _MOST_MESSAGES = 300
 
+#: Numbers without a unit that may be meant as numbers of clouds.
+_FEW = range(2, 100)
+
 #: The fields that the beams of a LaserScan have.
 _BEAM_FIELDS = ("x", "y", "z", "intensity", "index")
 
@@ -109,7 +112,7 @@ class CombinationObservers(NamedTuple):
 
 
 def source_observers(
-    combination: Combination, connections: Sequence[Connection], frames: Placer | None, span: Span
+    combination: Combination, connections: Sequence[Connection], placer: Placer | None, span: Span
 ) -> CombinationObservers:
     """Return the observers of what scans of several messages need.
 
@@ -117,7 +120,7 @@ def source_observers(
     ----------
     connections
         The connections of the combination's sources.
-    frames
+    placer
         See `pc2scan.pipeline.measurements.cloud_observers`.
     span
         The cut.
@@ -137,7 +140,7 @@ def source_observers(
         from pc2scan.pipeline.measurements import cloud_observers  # noqa: PLC0415  # only if something is to be measured
 
         others = [each for found in clouds.values() for each in found]
-        measured = cloud_observers(others, spec, frames, span.start_ns, span.stop_ns)
+        measured = cloud_observers(others, spec, placer, span.start_ns, span.stop_ns)
     if not (
         len(topics) > 1
         or asked.every_ns
@@ -157,7 +160,7 @@ def source_observers(
 
 
 def measure_sources(
-    reader: Reader, combination: Combination, observers: CombinationObservers, frames: Placer
+    reader: Reader, combination: Combination, observers: CombinationObservers, placer: Placer
 ) -> tuple[Measurements, Callable[[], Grouper[Contribution]] | None, list[str], list[str]]:
     """Measure what scans of several messages need.
 
@@ -191,7 +194,7 @@ def measure_sources(
     if spec.needs_measuring:
         from pc2scan.pipeline.measurements import measure  # noqa: PLC0415  # only if something is to be measured
 
-        timing, notes = measure(observers.clouds, spec, frames)
+        timing, notes = measure(observers.clouds, spec, placer)
         kept = [note for note in notes if note.startswith(f"{topics[0]}: ")]
         notes = kept
     flat = [topic for topic in topics if any(each.ros_type == LASERSCAN for each in observers.connections[topic])]
@@ -240,12 +243,18 @@ def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: M
             periods = [firsts[topic].period_ns or value_ns for topic in topics if topic in firsts]
             if periods and value_ns > _MOST_PERIODS * max(periods):
                 why = f"messages of {topics[0]} come every {periods[0] / 1e9:.3g} s"
-        elif value_ns == gathered_ns >= _LONG_NS:
+        is_bare = name == "accumulate" and asked.is_bare and seconds in _FEW
+        if not why and (is_bare or value_ns == gathered_ns >= _LONG_NS):
             period_ns = firsts[topics[0]].period_ns if topics[0] in firsts else None
-            if period_ns and value_ns > _MOST_MESSAGES * period_ns:
+            if period_ns and value_ns > (1 if is_bare else _MOST_MESSAGES) * period_ns:
                 why = f"messages of {topics[0]} come every {period_ns / 1e9:.3g} s: {value_ns // period_ns:,} in a scan"
         if why:
-            found.append(f"`{name}` is {seconds:g} s, but {why}; if milliseconds were meant: `{name}={seconds:g}ms`")
+            meant = (
+                f"clouds were meant: `{name}={seconds:g}clouds`"
+                if is_bare
+                else f"milliseconds were meant: `{name}={seconds:g}ms`"
+            )
+            found.append(f"`{name}` is {seconds:g} s, but {why}; if {meant}")
     return found
 
 

@@ -20,7 +20,7 @@ from pc2scan.core.points import TIME, Points
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
 from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, offset_and_unit
 from pc2scan.errors import DecodeError, TransformError, UsageError
-from pc2scan.pipeline.motion import Motion
+from pc2scan.pipeline.conversion import Motion
 
 from .turn import AZIMUTH, Turn
 
@@ -261,7 +261,7 @@ class Deskew:
 
     Parameters
     ----------
-    frames
+    placer
         The recording's transforms, with a buffer.
     fixed_frame
         A frame that does not move.
@@ -273,17 +273,17 @@ class Deskew:
         How lidars turn, by topic, where this was measured.
     """
 
-    __slots__ = ("_fixed", "_frames", "_point_time", "_stamp", "_turns")
+    __slots__ = ("_fixed", "_placer", "_point_time", "_stamp", "_turns")
 
     def __init__(
         self,
-        frames: Placer,
+        placer: Placer,
         fixed_frame: str,
         point_time: PointTime,
         stamp: str = "header",
         turns: Mapping[str, Turn] | None = None,
     ) -> None:
-        self._frames = frames
+        self._placer = placer
         self._fixed = fixed_frame
         self._point_time = point_time
         self._stamp = stamp
@@ -294,11 +294,11 @@ class Deskew:
         turn = self._turns.get(topic)
         if turn is None:
             return self
-        return Deskew(self._frames, self._fixed, PointTime(turn=turn), self._stamp)
+        return Deskew(self._placer, self._fixed, PointTime(turn=turn), self._stamp)
 
-    def within(self, frames: Placer) -> Deskew:
+    def within(self, placer: Placer) -> Deskew:
         """Return an instance with other frames."""
-        return Deskew(frames, self._fixed, self._point_time, self._stamp, self._turns)
+        return Deskew(placer, self._fixed, self._point_time, self._stamp, self._turns)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Deskew):
@@ -321,9 +321,9 @@ class Deskew:
         track = self.track(points)
         if track is None:
             return None
-        buffer, tolerance_ns, reference_ns = self._known(), self._frames.tolerance_ns, track.reference_ns
-        source = self._frames.source_frame or points.frame_id
-        target, from_fixed = self._frames.from_fixed(self._fixed, points.frame_id, reference_ns)
+        buffer, tolerance_ns, reference_ns = self._known(), self._placer.tolerance_ns, track.reference_ns
+        source = self._placer.source_frame or points.frame_id
+        target, from_fixed = self._placer.from_fixed(self._fixed, points.frame_id, reference_ns)
         reference: tuple[Rigid, ...] | int
         reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
         if reference == 1 or math.isnan(track.rows[reference, 0]):
@@ -375,7 +375,7 @@ class Deskew:
             "end": end_ns,
         }[self._stamp]
         buffer = self._known()
-        source = self._frames.source_frame or points.frame_id
+        source = self._placer.source_frame or points.frame_id
         measured_ns = begin_ns, end_ns
         # The pose at the scan's time is needed as well.
         if end_ns - begin_ns > 4 * _STEP_NS:
@@ -396,9 +396,9 @@ class Deskew:
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
 
     def _known(self) -> TransformBuffer:
-        if self._frames.buffer is None:
+        if self._placer.buffer is None:
             raise ValueError("deskewing needs transforms")
-        return self._frames.buffer
+        return self._placer.buffer
 
     def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""

@@ -25,7 +25,9 @@ class Frame(Enum):
 class Filter(Protocol):
     """Selects points of a cloud: a frozen dataclass with its parameters, and these attributes.
 
-    The result of a filter depends only on the cloud; threads share the filter.
+    The result of a filter depends only on the cloud; threads share the filter. Two more attributes are optional:
+    ``absent``, a warning for the case that nothing is rejected, and ``text``, the value of the option that makes the
+    same filter, which pages show in their command.
     """
 
     @property

@@ -59,21 +59,21 @@ class PlaceStage:
 
     Parameters
     ----------
-    frames
+    placer
         The recording's transforms.
     deskew
         Places points at their own times; None: all points of a cloud are placed at its stamp.
     """
 
-    __slots__ = ("deskew", "frames")
+    __slots__ = ("deskew", "placer")
 
-    def __init__(self, frames: Placer, deskew: Deskew | None = None) -> None:
-        self.frames = frames
+    def __init__(self, placer: Placer, deskew: Deskew | None = None) -> None:
+        self.placer = placer
         self.deskew = deskew
 
     def of(self, topic: str) -> PlaceStage:
         """Return the stage for the clouds of one topic."""
-        return self if self.deskew is None else PlaceStage(self.frames, self.deskew.of(topic))
+        return self if self.deskew is None else PlaceStage(self.placer, self.deskew.of(topic))
 
     def __call__(self, points: Points) -> PlacedCloud:
         """Place a cloud.
@@ -87,13 +87,13 @@ class PlaceStage:
         """
         moving = None if self.deskew is None else self.deskew(points)
         seen, stamp_ns = (points, points.stamp_ns) if moving is None else (moving.points, moving.stamp_ns)
-        place = self.frames.place(points.frame_id, stamp_ns)
+        place = self.placer.place(points.frame_id, stamp_ns)
         return PlacedCloud(seen, stamp_ns, place, moving, place.target_from_source, _NOTHING, points)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, PlaceStage):
             return NotImplemented
-        return self.frames == other.frames and self.deskew == other.deskew
+        return self.placer == other.placer and self.deskew == other.deskew
 
     def __hash__(self) -> int:
-        return hash((self.frames.target_frame, self.frames.source_frame))
+        return hash((self.placer.target_frame, self.placer.source_frame))

@@ -61,23 +61,23 @@ class SelectStage:
     ----------
     filters
         The filters in order.
-    frames
+    placer
         The recording's transforms.
     numbered
         Whether points get the field `NUMBER`.
     """
 
-    __slots__ = ("_filters", "_frames", "_numbered")
+    __slots__ = ("_filters", "_numbered", "_placer")
 
-    def __init__(self, filters: Sequence[Filter], frames: Placer, *, numbered: bool = False) -> None:
+    def __init__(self, filters: Sequence[Filter], placer: Placer, *, numbered: bool = False) -> None:
         self._filters = tuple(filters)
-        self._frames = frames
+        self._placer = placer
         self._numbered = numbered
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, SelectStage):
             return NotImplemented
-        return (self._filters, self._frames, self._numbered) == (other._filters, other._frames, other._numbered)
+        return (self._filters, self._placer, self._numbered) == (other._filters, other._placer, other._numbered)
 
     def __hash__(self) -> int:
         return hash(tuple(chosen.name for chosen in self._filters))
@@ -156,7 +156,7 @@ class SelectStage:
                 seen.keep(kept)
             return
         if isinstance(frame, str):
-            name, transform = frame, self._frames.transform(frame, points.frame_id, points.stamp_ns)
+            name, transform = frame, self._placer.transform(frame, points.frame_id, points.stamp_ns)
         else:
             name, transform, _ = place
         seen.by_frame[frame] = (

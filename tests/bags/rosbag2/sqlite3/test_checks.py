@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from fuzz.mutants.database import database_layout
-from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
 from support.builders import CONTENT, write_db3
 
 if TYPE_CHECKING:

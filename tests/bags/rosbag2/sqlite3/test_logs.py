@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.bags.rosbag2.sqlite3.logs import side_logs, write_merged
-from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
 from pc2scan.errors import DamageError
 from support import sampled
 from support.sqlite3_files import Rows, build, hot_log, recovered, rosbag2_pages

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import zstandard
 
-from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
-from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
+from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from pc2scan.errors import RecordingError
 from pc2scan.model import Connection, Definition
 from support.builders import CONTENT, STRING, TF, definition, write_db3
@@ -235,7 +235,7 @@ def test_a_database_is_what_rosbag2_writes(compression: str, tmp_path: Path) -> 
 
 
 def test_long_recordings_are_written_in_batches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.writer._BATCH_BYTES", 1000)
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.write._BATCH_BYTES", 1000)
     writer = Sqlite3Writer(tmp_path / "x.db3")
     handle = writer.add_connection(CLOUD)
     for number in range(10):

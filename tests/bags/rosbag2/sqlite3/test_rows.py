@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
 from pc2scan.cli.in_process import run_command
 from pc2scan.errors import DamageError
 from support.builders import CONTENT, write_db3, write_rosbag2
@@ -116,7 +116,7 @@ def test_commands_read_what_other_rows_have(command: str, tmp_path: Path) -> Non
 
 
 def test_more_wrong_rows_than_are_named_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.tables.MAX_PLACES", 3)
+    monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.index.MAX_PLACES", 3)
     path = write_db3(tmp_path / "drive.db3", CONTENT)
     change(path, "UPDATE messages SET timestamp = 'x' WHERE id <= 8;")
     with closing(open_recording(path)) as reader:

@@ -21,7 +21,7 @@ from pc2scan.files.source import copy_file
 from pc2scan.files.urls import UrlPath
 
 from .logs import missing_bytes, side_logs, write_merged
-from .pages import PageFile, declared_size, rebuild_database
+from .recover import PageFile, declared_size, rebuild_database
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -1,11 +1,14 @@
 """Recovers the records of a damaged MCAP file, and the messages of a damaged chunk.
 
-If the walk over the records fails, it continues at the next certain beginning of a record (`search`); the same is done
-inside chunks. Bytes that belong to no record are noted as lost.
+If the walk over the records fails, it continues at the next certain beginning of a record; the same is done inside
+chunks. Bytes that belong to no record are noted as lost. The beginning of another file (``cat a.mcap b.mcap``) ends the
+first.
 """
 
 from __future__ import annotations
 
+import re
+import struct
 from array import array
 from collections import deque
 from contextlib import suppress
@@ -14,16 +17,16 @@ from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunked.salvage import SalvagedMessages, clamp_times
-from pc2scan.bags.chunked.segments import times_around
-from pc2scan.bags.concatenation import NextRecordingError
-from pc2scan.bags.lazy_items import LazyItems
+from pc2scan.bags.chunks import times_around
+from pc2scan.bags.damage import AnotherRecordingError
+from pc2scan.bags.salvage import SalvagedMessages, clamp_times
+from pc2scan.bags.units import LazyItems
 from pc2scan.errors import DamageError
 from pc2scan.files.salvage import decompressed_prefix
 
+from . import records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .index import McapIndex, RecordWalk, read_header, read_summary
-from .messages import message_at
 from .records import (
     COMPRESSIONS,
     FIRST_PRIVATE,
@@ -31,33 +34,268 @@ from .records import (
     MESSAGE,
     OP_CHUNK,
     OP_MESSAGE,
+    OP_MESSAGE_INDEX,
     RECORD,
     Opcode,
-)
-from .search import (
-    WINDOW,
-    chunk_in_front,
-    end_of_chunk,
-    end_of_declaration,
-    end_of_framed,
-    included_record,
-    is_message,
-    is_record,
-    next_message,
-    next_record,
-    payload_stop,
-    record_end,
-    refuse_another,
+    has_meaning,
+    message_at,
+    pack,
+    parse,
+    unpack,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-    from pc2scan.bags.chunked.segments import Segment
+    from pc2scan.bags.chunks import Segment
     from pc2scan.bags.damage import DamageLog
     from pc2scan.model import Connection, RawMessage
 
     from .records import RecordFile
+
+# --- Search ---
+
+#: Bytes that are searched at a time.
+WINDOW = 1 << 20
+
+# An opcode and a length below 2^32 (messages) or 2^36 (all others).
+_MESSAGE_HEAD = re.compile(rb"(?=\x05[\s\S]{4}\0\0\0\0)")
+_RECORD_HEAD = re.compile(rb"(?=[\x03-\x07\x09\x0c][\s\S]{4}[\0-\x0f]\0\0\0)")
+
+#: Records that cannot be in a chunk.
+_OUTSIDE_CHUNKS = frozenset({OP_CHUNK, OP_MESSAGE_INDEX, int(Opcode.ATTACHMENT), int(Opcode.METADATA)})
+_ANYWHERE = _OUTSIDE_CHUNKS | {OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)}
+
+#: Consecutive records that are not there by chance.
+_MANY = 8
+
+_DECLARATIONS: Mapping[int, type[records.Schema | records.Channel]] = {
+    Opcode.SCHEMA: records.Schema,
+    Opcode.CHANNEL: records.Channel,
+}
+
+#: Limit of a Header's size: it has the names of a profile and of a library.
+_MAX_HEADER = 1 << 16
+
+
+def is_record(file: RecordFile, offset: int, end: int) -> bool:
+    """Whether a record can begin here: an opcode with a meaning, and a length that fits."""
+    return _stop_of(file, offset, end) is not None
+
+
+def _stop_of(file: RecordFile, offset: int, end: int) -> int | None:
+    """Return the end of the record that may begin here; None if none can."""
+    if offset + RECORD.size > end:
+        return None
+    opcode, length = RECORD.unpack(file.read(offset, RECORD.size))
+    stop = offset + RECORD.size + length
+    return int(stop) if has_meaning(opcode) and stop <= end else None
+
+
+def next_record(
+    file: RecordFile,
+    start: int,
+    end: int,
+    known: Collection[int],
+    kinds: frozenset[int] = _ANYWHERE,
+    *,
+    limit: int | None = None,
+) -> int:
+    """Search, up to ``limit``, for the certain beginning of a record; ``end`` if there is none.
+
+    ``known`` are the channels that were found so far: none if only chunks declare them.
+    """
+    overlap = RECORD.size - 1
+    stop = end if limit is None else min(end, limit + overlap)
+    while start < stop:
+        window = file.read(start, min(WINDOW + overlap, stop - start))
+        for match in _RECORD_HEAD.finditer(window):
+            position = match.start()
+            opcode, length = RECORD.unpack_from(window, position)
+            if opcode in kinds and _certain(file, opcode, start + position, length, end, known):
+                return start + position
+        if start + len(window) >= stop:
+            break
+        start += len(window) - overlap
+    return end
+
+
+def included_record(file: RecordFile, start: int, stop: int, end: int, known: Collection[int]) -> int | None:
+    """Search what is said to be one record, up to ``stop``, for the first of others that it includes.
+
+    They go on behind ``stop``, or are many. Otherwise they are the record's contents.
+    """
+    while (found := next_record(file, start, end, known, limit=stop)) < stop:
+        position: int | None = found
+        for _ in range(_MANY):
+            if position is None or position >= stop:
+                break
+            position = _stop_of(file, position, end)
+        if position is not None and position != stop:
+            return found
+        start = found + 1
+    return None
+
+
+def _certain(file: RecordFile, opcode: int, offset: int, length: int, end: int, known: Collection[int]) -> bool:
+    """Whether a possible beginning of a record is certain."""
+    following = offset + RECORD.size + length
+
+    def followed(times: int = 1) -> bool:
+        stop: int | None = following
+        for _ in range(times):
+            stop = stop if stop is None or stop == end else _stop_of(file, stop, end)
+        return stop is not None
+
+    if opcode == OP_CHUNK:
+        head = chunk_in_front(file, offset, end)
+        return head is not None and head.stop == following and (not head.padding or followed())
+    if following > end:
+        return False
+    if opcode == OP_MESSAGE:
+        if length < MESSAGE.size - RECORD.size:
+            return False
+        (channel,) = struct.unpack("<H", file.read(offset + RECORD.size, 2))
+        return channel in known and followed() if known else followed(times=2)
+    if opcode == OP_MESSAGE_INDEX:
+        if length < 6:
+            return False
+        _, size = struct.unpack("<HI", file.read(offset + RECORD.size, 6))
+        return bool(size % 16 == 0 and (size == length - 6 or (size < length - 6 and followed())))
+    # A parser allocates the declared lengths: no large records are tried but attachments.
+    if (length > WINDOW and opcode != Opcode.ATTACHMENT) or not followed():
+        return False
+    if opcode == Opcode.ATTACHMENT:
+        return length >= 40
+    kind = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel, Opcode.METADATA: records.MetadataRecord}
+    try:
+        parse(kind[Opcode(opcode)], file.read(offset + RECORD.size, length), offset, file)
+    except DamageError:
+        return False
+    return True
+
+
+def chunk_in_front(file: RecordFile, offset: int, end: int) -> ChunkSegment | None:
+    """Return the chunk whose record begins here, if its header is plausible; only its length may be wrong."""
+    size = min(CHUNK_HEAD_SIZE, end - offset)
+    if size < RECORD.size:
+        return None
+    data = file.read(offset, size)
+    if data[0] != OP_CHUNK:
+        return None
+    try:
+        chunk = chunk_at(data, 0, offset, file, fits=False)
+    except DamageError:
+        return None
+    return chunk if chunk.compression in COMPRESSIONS and chunk.start_ns <= chunk.end_ns else None
+
+
+def payload_stop(file: RecordFile, offset: int, end: int) -> int | None:
+    """Return where the payload of the chunk that begins here ends; None if none does."""
+    chunk = chunk_in_front(file, offset, end)
+    return None if chunk is None else chunk.offset + chunk.length
+
+
+def end_of_chunk(file: RecordFile, chunk: ChunkSegment, end: int, known: Collection[int]) -> int:
+    """Return the offset of the record after a chunk with contradicting lengths."""
+    _, length = RECORD.unpack(file.read(chunk.record_offset, RECORD.size))
+    for stop in (chunk.offset + chunk.length, chunk.record_offset + RECORD.size + length):
+        if stop == end or (chunk.offset < stop < end and is_record(file, stop, end)):
+            return int(stop)
+    return next_record(file, chunk.offset, end, known, _OUTSIDE_CHUNKS)
+
+
+def end_of_declaration(data: memoryview) -> int | None:
+    """Return where the fields of the schema or channel at the front end, whatever its length is; None if none is."""
+    kind = _DECLARATIONS.get(data[0]) if len(data) > RECORD.size else None
+    if kind is None:
+        return None
+    try:
+        record = unpack(kind, data[RECORD.size :])
+    except (struct.error, UnicodeDecodeError):
+        return None
+    named = record.name if isinstance(record, records.Schema) else record.topic
+    return RECORD.size + len(pack(record)[1]) if named else None
+
+
+def record_end(data: memoryview, position: int) -> int | None:
+    """Return the end of the record that begins here; None if none does."""
+    if position + RECORD.size > len(data):
+        return None
+    opcode, length = RECORD.unpack_from(data, position)
+    stop = position + RECORD.size + length
+    if stop > len(data) or not has_meaning(opcode):
+        return None
+    return None if opcode == OP_MESSAGE and length < MESSAGE.size - RECORD.size else int(stop)
+
+
+def end_of_framed(data: memoryview, position: int) -> int | None:
+    """Return the end of the record that begins here, by its fields if that of a declaration is wrong."""
+    stop = record_end(data, position)
+    if stop is not None and (stop == len(data) or record_end(data, stop) is not None):
+        return stop
+    fields = end_of_declaration(data[position:])
+    if fields is not None and (position + fields == len(data) or record_end(data, position + fields) is not None):
+        return position + fields
+    return stop
+
+
+def is_message(data: memoryview, position: int, known: Collection[int] | None, span: tuple[int, int] | None) -> bool:
+    """Whether a message begins here that is of a known channel and of a time in the span, whatever its length is."""
+    if position + MESSAGE.size > len(data) or data[position] != OP_MESSAGE:
+        return False
+    _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
+    return (known is None or channel_id in known) and (span is None or span[0] <= log_time_ns <= span[1])
+
+
+def next_message(
+    data: memoryview, start: int, end: int, known: Collection[int] | None, span: tuple[int, int] | None
+) -> int | None:
+    """Search for the certain beginning of a message before ``end``."""
+    for match in _MESSAGE_HEAD.finditer(data, start):
+        position = match.start()
+        if position >= end:
+            return None
+        stop = record_end(data, position)
+        if stop is None or not is_message(data, position, known, span):
+            continue
+        if stop + RECORD.size > len(data) or record_end(data, stop) is not None or span is not None:
+            return position
+    return None
+
+
+def refuse_another(file: RecordFile, start: int, stop: int) -> None:
+    """Raise if another file begins in this part of the file, with the magic and a Header."""
+    overlap = len(MAGIC) + RECORD.size - 1
+    for begin in range(start, stop, WINDOW):
+        window = file.read(begin, min(WINDOW + overlap, file.size - begin))
+        at = window.find(MAGIC)
+        while 0 <= at <= len(window) - overlap - 1:
+            opcode, length = RECORD.unpack_from(window, at + len(MAGIC))
+            if begin + at > 0 and opcode == Opcode.HEADER and length <= _MAX_HEADER:
+                raise AnotherRecordingError(begin + at)
+            at = window.find(MAGIC, at + 1)
+
+
+def refuse_more(file: RecordFile, start: int, end: int) -> None:
+    """Raise if another file or more data follow the data section; unknown records may.
+
+    Raises
+    ------
+    AnotherRecordingError
+        If another file begins there.
+    DamageError
+        If there are more data.
+    """
+    refuse_another(file, start, end)
+    rest, position = McapIndex(), start
+    while position < end:
+        position = RecordWalk(file, rest).run(position, end)
+    if rest.segments or rest.attachments or rest.metadata:
+        raise file.damage(f"the data section ends at byte {start}, and more data follow up to byte {end}")
+
+
+# --- The file ---
 
 #: Records that chunks are made of.
 _INSIDE_CHUNKS = frozenset({OP_MESSAGE, int(Opcode.SCHEMA), int(Opcode.CHANNEL)})
@@ -114,7 +352,8 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog, *, ver
     else:
         indexed = summary.segments
     index.statistics = summary.statistics
-    gaps = list(_walk(file, index, summary.channels, end))
+    has_summary = summary.summarized or summary.statistics is not None
+    gaps = list(_walk(file, index, summary.channels, end, own=end if has_summary else 0))
     for identity, schema in summary.schemas.items():
         index.schemas.setdefault(identity, schema)
     for identity, channel in summary.channels.items():
@@ -141,10 +380,23 @@ def _ends_with_magic(file: RecordFile) -> bool:
     return file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
 
 
-def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: int) -> Iterator[_Gap]:
+def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: int, *, own: int) -> Iterator[_Gap]:
     """Walk over all records up to a byte; if that fails, continue at the next one, and yield the gap.
 
-    ``summarized`` are the channels in the summary.
+    Parameters
+    ----------
+    file, index, end
+        As for `RecordWalk`.
+    summarized
+        The channels in the summary.
+    own
+        Up to here everything belongs to this recording, because its summary follows: another one is part of a message.
+        0 if that is unknown.
+
+    Raises
+    ------
+    AnotherRecordingError
+        If another one begins where something is damaged.
     """
     position = len(MAGIC)
     while position < end:
@@ -162,7 +414,7 @@ def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: 
         chunk = chunk_in_front(file, failed, end)
         if chunk is not None:
             position = end_of_chunk(file, chunk, end, known)
-            refuse_another(file, failed, position)
+            refuse_another(file, max(failed, own), position)
             index.segments.append(replace(chunk, length=min(chunk.length, position - chunk.offset), padding=0))
             index.all_counted = False
             if position < chunk.offset + chunk.length:
@@ -179,12 +431,13 @@ def _walk(file: RecordFile, index: McapIndex, summarized: Collection[int], end: 
             stop = payload_stop(file, previous, end)
             again = included_record(file, stop or previous + 1, failed, end, known)
             if again is not None:
+                refuse_another(file, max(stop or previous, own), again)
                 _forget(index, previous)
                 yield _Gap(stop or previous, again, error)
                 position = again
                 continue
         position = next_record(file, failed + 1, end, known)
-        refuse_another(file, previous or failed, position)
+        refuse_another(file, max(previous or failed, own), position)
         yield _Gap(failed, position, error)
 
 
@@ -251,8 +504,7 @@ def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int,
         the next chunk that the index does not have at all.
     """
     walked = McapIndex()
-    with suppress(NextRecordingError):
-        deque(_walk(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file)), maxlen=0)
+    deque(_walk(file, walked, (), file.size - len(MAGIC) * _ends_with_magic(file), own=file.size), maxlen=0)
     there = _chunks_by_identity(walked.segments)
     missing = _chunks_by_identity(segments)
     # Chunks at their places, then chunks elsewhere, and then chunks in the places of others or of none.

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from pc2scan.bags.chunked.salvage import SalvagedMessages, clamp_times, note_salvaged
-from pc2scan.bags.chunked.segments import Segment
+from pc2scan.bags.chunks import Segment
 from pc2scan.bags.damage import DamageLog
+from pc2scan.bags.salvage import SalvagedMessages, clamp_times, note_salvaged
 from pc2scan.errors import DamageError
 from pc2scan.model import Connection, RawMessage
 

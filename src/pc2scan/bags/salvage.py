@@ -8,7 +8,7 @@ from itertools import islice
 from operator import le
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.lazy_items import LazyItems, filter_items
+from pc2scan.bags.units import LazyItems, filter_items
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pc2scan.errors import DamageError
     from pc2scan.model import RawMessage
 
-    from .segments import Segment
+    from .chunks import Segment
 
 
 class SalvagedMessages(NamedTuple):

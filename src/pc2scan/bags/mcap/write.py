@@ -207,8 +207,10 @@ class McapWriter:
         self._counts[handle] += 1
         if self._chunk.size and self._chunk.size + len(head) + len(data) > self._chunk_size:
             self._finish_chunk()
-        self._chunk.add(handle, log_time_ns, head, data)
-        if self._chunk.size >= self._chunk_size:
+        chunk = self._chunk
+        chunk.index.setdefault(handle, []).append((log_time_ns, chunk.size))
+        chunk.size += chunk.buffer.write(head) + chunk.buffer.write(data)
+        if chunk.size >= self._chunk_size:
             self._finish_chunk()
 
     def write_chunk(self, chunk: StoredChunk) -> None:
@@ -372,11 +374,6 @@ class _OpenChunk:
         self.buffer = buffer
         self.size = 0
         self.index: dict[int, list[tuple[int, int]]] = {}
-
-    def add(self, channel_id: int, log_time_ns: int, head: bytes, data: Buffer) -> None:
-        """Append a message."""
-        self.index.setdefault(channel_id, []).append((log_time_ns, self.size))
-        self.size += self.buffer.write(head) + self.buffer.write(data)
 
 
 def _schema_name(connection: Connection) -> str:

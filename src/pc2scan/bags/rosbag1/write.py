@@ -12,7 +12,6 @@ from pc2scan.files.compression import compress
 from pc2scan.files.new_file import FreeIds, NewFile, WriteAhead
 from pc2scan.model import StoredChunk, ros1_type
 
-from .chunks import USUAL_LAYOUT, compress_lz4
 from .records import (
     BAG_HEADER,
     CHUNK,
@@ -27,6 +26,7 @@ from .records import (
     UINT32,
     UINT32_MAX,
     UINT64,
+    USUAL_LAYOUT,
 )
 
 if TYPE_CHECKING:
@@ -349,3 +349,17 @@ def _pack_chunk_info(chunk: StoredChunk, chunk_pos: int) -> bytes:
     }
     counts = (PAIR.pack(handle, len(entries)) for handle, entries in chunk.index.items())
     return _pack_record(CHUNK_INFO, fields, b"".join(counts))
+
+
+def compress_lz4(data: Buffer) -> bytes:
+    """Compress data into an LZ4 frame that ROS 1's own reader accepts: independent blocks, a checksum, and no size."""
+    import lz4.frame  # noqa: PLC0415  # heavy
+
+    frame: bytes = lz4.frame.compress(
+        data,
+        block_size=lz4.frame.BLOCKSIZE_MAX1MB,
+        block_linked=False,
+        store_size=False,
+        content_checksum=True,
+    )
+    return frame

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.mcap.writer import McapWriter
+    from pc2scan.bags.mcap.write import McapWriter
     from pc2scan.bags.splitting import Cut, RecordingPart, SplitWriter
     from pc2scan.model import Attachment, Buffer, StoredChunk, Writer
     from pc2scan.threads import Threads
@@ -46,7 +46,7 @@ def open_writer(path: Path, options: WriteOptions) -> Rosbag2Writer:
 
 def open_mcap_storage(path: Path, options: WriteOptions) -> tuple[McapWriter, Callable[[str], None]]:
     """Start the MCAP file of a directory, which repeats metadata.yaml; see `pc2scan.bags.formats.Format`."""
-    from pc2scan.bags.mcap.writer import McapWriter  # noqa: PLC0415  (not every directory has MCAP in it)
+    from pc2scan.bags.mcap.write import McapWriter  # noqa: PLC0415  (not every directory has MCAP in it)
 
     writer = McapWriter(path, options.compression, "ros2")
     return writer, lambda text: writer.add_metadata(Metadata(RECORD_NAME, {"serialized_metadata": text}))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from pc2scan.bags.chunked.segments import MIN_WHOLE_BYTES, Segment, isolated_chunks, segment_units
+from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, isolated_chunks, segment_units
 from pc2scan.model import ChunkRule
 
 if TYPE_CHECKING:

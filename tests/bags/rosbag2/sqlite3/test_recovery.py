@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.bags.rosbag2.sqlite3.logs import side_logs
-from pc2scan.bags.rosbag2.sqlite3.pages import PageFile, declared_size, rebuild_database
-from pc2scan.bags.rosbag2.sqlite3.reader import Sqlite3Reader
-from pc2scan.bags.rosbag2.sqlite3.writer import Sqlite3Writer
+from pc2scan.bags.rosbag2.sqlite3.read import Sqlite3Reader
+from pc2scan.bags.rosbag2.sqlite3.recover import PageFile, declared_size, rebuild_database
+from pc2scan.bags.rosbag2.sqlite3.write import Sqlite3Writer
 from pc2scan.errors import DamageError, RecordingError
 from support import sampled
 from support.bounded import watched

@@ -15,13 +15,12 @@ from pc2scan.errors import DamageError, RecordingError
 from pc2scan.model import RawMessage, Summary, declared_counts
 
 from .database import SQLITE_ERRORS, Database
-from .tables import SOUND, message_row, read_tables, shown_value
+from .index import SOUND, message_row, read_tables, shown_value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator
     from pathlib import Path
 
-    from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.units import Item
     from pc2scan.model import ChunkRule, Connection
@@ -75,9 +74,8 @@ class Sqlite3Reader(Reader):
     """
 
     def __init__(self, path: Path, *, message_compression: str = "none", strict: bool = False) -> None:
-        self._path = path
+        self.path = path
         self._log = DamageLog(strict=strict)
-        self._bytes_read = 0
         self._database = Database(path, self._log)
         read = partial(read_tables, self._database, self._log, message_compression=message_compression)
         try:
@@ -93,41 +91,16 @@ class Sqlite3Reader(Reader):
         except BaseException:
             self.close()
             raise
-        self._connections, start_ns, end_ns, self._index, self._packed_topics = tables
-        self._summary = Summary(
+        self.connections, start_ns, end_ns, self._index, self._packed_topics = tables
+        self.summary = Summary(
             container="sqlite3",
             storage="",
             compression=("zstd" if self._packed_topics else "none",),
             size_bytes=self._database.size,
-            message_count=sum(connection.message_count or 0 for connection in self._connections),
+            message_count=sum(connection.message_count or 0 for connection in self.connections),
             start_ns=start_ns,
             end_ns=end_ns,
         )
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self._path
-
-    @property
-    def connections(self) -> Sequence[Connection]:
-        """A connection for each row of ``topics``."""
-        return self._connections
-
-    @property
-    def summary(self) -> Summary:
-        """The summary, with counts and times of the table of messages."""
-        return self._summary
-
-    @property
-    def bytes_read(self) -> int:
-        """Bytes of messages read so far."""
-        return min(self._bytes_read, self._database.size)
-
-    @property
-    def damage(self) -> tuple[Damage, ...]:
-        """The damage in the parts that were read."""
-        return self._log.found
 
     def units(
         self,
@@ -172,7 +145,7 @@ class Sqlite3Reader(Reader):
         The key that stands before each is its log time and the row's id.
         """
         wanted = None if connections is None else {connection.id for connection in connections}
-        known = {own.id: own for own in self._connections if wanted is None or own.id in wanted}
+        known = {own.id: own for own in self.connections if wanted is None or own.id in wanted}
         expected = sum(own.message_count or 0 for own in known.values())
         while True:
             try:
@@ -181,7 +154,7 @@ class Sqlite3Reader(Reader):
                     # Pages of a damaged tree may form a loop.
                     expected -= 1
                     if expected < 0:
-                        raise RecordingError("has more messages than it counts", path=self._path)
+                        raise RecordingError("has more messages than it counts", path=self.path)
                     after = (time_ns, message_id)
                     if isinstance(data, bytes) and topic_id not in self._packed_topics:
                         self._bytes_read += len(data)
@@ -203,7 +176,7 @@ class Sqlite3Reader(Reader):
                 what = "has lost its data" if gone else f"has data {shown_value(data)}, not a blob"
                 raise self._database.damage(f"{message_row(message_id, connection.topic)} {what}", connection.topic)
             self._bytes_read += len(data)
-            unpacked = zstd.decompress_message(data, self._path, connection.topic)
+            unpacked = zstd.decompress_message(data, self.path, connection.topic)
         except DamageError as err:
             self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
             return None

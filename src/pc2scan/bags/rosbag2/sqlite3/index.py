@@ -34,13 +34,11 @@ from pc2scan.model import Connection, Definition
 from pc2scan.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from pc2scan.bags.damage import DamageLog
 
     from .database import Database
-
-    Query = Callable[[str, Sequence[Any]], Any]
 
 #: The columns that place a message.
 _COLUMNS = ("id", "topic_id", "timestamp")
@@ -71,7 +69,7 @@ def message_row(row_id: object, topic: str | None) -> str:
     return f"row {shown_value(row_id)} of messages{of_topic}"
 
 
-def note_unsound(database: Database, noted: DamageLog, count: int, topics: Mapping[int, str]) -> None:
+def _note_unsound(database: Database, noted: DamageLog, count: int, topics: Mapping[int, str]) -> None:
     """Note the rows of ``messages`` that are not sound, of which there are ``count``; topics have names by id."""
     # Not the values themselves, which may be long.
     short = ", ".join(
@@ -98,10 +96,10 @@ def note_unsound(database: Database, noted: DamageLog, count: int, topics: Mappi
         noted.note(error, key=("messages", "further"), messages_lost=more)
 
 
-def kinds_of(columns: Sequence[str]) -> str:
+def _kinds_of(columns: Sequence[str]) -> str:
     """Return an SQL expression for the columns of text that have something else, and what; empty if all have text.
 
-    NULL, where a column forbids it, is found by `check_table`.
+    NULL, where a column forbids it, is found by `_check_small_tables`.
     """
     return " || ".join(
         f"CASE WHEN typeof({column}) IN ('text', 'null') THEN '' ELSE '{column} is ' || typeof({column}) || ', ' END"
@@ -109,53 +107,15 @@ def kinds_of(columns: Sequence[str]) -> str:
     )
 
 
-def note_kinds(database: Database, noted: DamageLog, row: str, kinds: str) -> None:
-    """Note the columns of a row that have no text (see `kinds_of`); they are read as text."""
+def _note_kinds(database: Database, noted: DamageLog, row: str, kinds: str) -> None:
+    """Note the columns of a row that have no text (see `_kinds_of`); they are read as text."""
     if kinds:
         noted.note(database.damage(f"in {row} {kinds}not text"), key=row, messages_lost=0)
 
 
 #: A sum over rows that changes if a row has another time or replaces another. It is exact: a sum with one REAL would be
 #: rounded, and neither text nor numbers of 64 bits may end it.
-TIMES_SUM = "coalesce(sum(CAST(timestamp AS INTEGER) % 2147483647 + CAST(id AS INTEGER) % 2147483647), 0)"
-
-
-class TableFault(NamedTuple):
-    """The problem of a table; ``unreachable`` if there may be rows that its tree does not reach."""
-
-    what: str
-    unreachable: bool
-
-
-def check_table(query: Query, table: str) -> TableFault | None:
-    """Return the problem that SQLite finds in a small table: damaged pages, or values that its columns do not allow."""
-    found = [str(text) for (text,) in query(f"PRAGMA quick_check({table})", ())]
-    if found == ["ok"]:
-        return None
-    # The first line only has the name of the database.
-    first = next((line for text in found for line in text.splitlines() if not line.startswith("***")), "no answer")
-    return TableFault(f"table {table} contradicts itself: {first}", any(text.startswith("***") for text in found))
-
-
-def check_index(query: Query, index: str, count: int, times_sum: int) -> str | None:
-    """Describe how the complete index of times differs from the rows; None if it does not.
-
-    Parameters
-    ----------
-    query
-        Executes a statement.
-    index
-        Its name, quoted.
-    count, times_sum
-        Of the rows: how many there are, and their `TIMES_SUM`.
-    """
-    sql = f"SELECT count(*), {TIMES_SUM} FROM messages INDEXED BY {index}"  # noqa: S608
-    indexed, indexed_sum = query(sql, ()).fetchone()
-    if indexed != count:
-        return f"the index of timestamps has {indexed} messages, the table {count}"
-    if indexed_sum != times_sum:
-        return "the index of timestamps has other times than the messages"
-    return None
+_TIMES_SUM = "coalesce(sum(CAST(timestamp AS INTEGER) % 2147483647 + CAST(id AS INTEGER) % 2147483647), 0)"
 
 
 #: Messages among which one in CDR is searched, to detect whether they are compressed one by one.
@@ -229,11 +189,34 @@ def _check_small_tables(database: Database, noted: DamageLog) -> None:
     """Check the tables that describe the messages, unless they are rebuilt from pages."""
     # The first one lists all others; if it is damaged, it may list fewer.
     for table in ("sqlite_master", "topics", "message_definitions") if not database.is_rebuilt else ():
-        if database.columns(table) and (trouble := check_table(database.query, table)):
-            error = database.damage(trouble.what)
-            if trouble.unreachable:
-                raise error
-            noted.note(error, key=("table", table), messages_lost=0)
+        if not database.columns(table):
+            continue
+        found = [str(text) for (text,) in database.query(f"PRAGMA quick_check({table})")]
+        if found == ["ok"]:
+            continue
+        # The first line only has the name of the database.
+        first = next((line for text in found for line in text.splitlines() if not line.startswith("***")), "no answer")
+        error = database.damage(f"table {table} contradicts itself: {first}")
+        # There may be rows that its tree does not reach.
+        if any(text.startswith("***") for text in found):
+            raise error
+        noted.note(error, key=("table", table), messages_lost=0)
+
+
+def _check_index(database: Database, index: str, count: int, times_sum: int) -> None:
+    """Raise if the complete index of times, of this quoted name, differs from the rows.
+
+    Parameters
+    ----------
+    count, times_sum
+        Of the rows: how many there are, and their `_TIMES_SUM`.
+    """
+    sql = f"SELECT count(*), {_TIMES_SUM} FROM messages INDEXED BY {index}"  # noqa: S608
+    indexed, indexed_sum = database.query(sql).fetchone()
+    if indexed != count:
+        raise database.damage(f"the index of timestamps has {indexed} messages, the table {count}")
+    if indexed_sum != times_sum:
+        raise database.damage("the index of timestamps has other times than the messages")
 
 
 def _timestamp_index(database: Database) -> str | None:
@@ -256,17 +239,17 @@ def _read_connections(
         topic_id: numbers
         for topic_id, *numbers in database.query(
             f"SELECT CASE WHEN {SOUND} THEN topic_id END, count(*), min(timestamp), max(timestamp), "  # noqa: S608
-            f"{TIMES_SUM} FROM messages GROUP BY 1 LIMIT ?",
+            f"{_TIMES_SUM} FROM messages GROUP BY 1 LIMIT ?",
             (MAX_CONNECTIONS + 2,),
         )
     }
     total, times_sum = (sum(numbers[place] for numbers in counts.values()) for place in (0, 3))
     unsound, *_ = counts.pop(None, (0,))
     ConnectionLimit(database.path).add(count=len(counts))
-    if index is not None and (trouble := check_index(database.query, index, total, times_sum)):
-        raise database.damage(trouble)
+    if index is not None:
+        _check_index(database, index, total, times_sum)
     if unsound:
-        note_unsound(database, noted, unsound, {topic_id: row[0] for topic_id, row in topics.items()})
+        _note_unsound(database, noted, unsound, {topic_id: row[0] for topic_id, row in topics.items()})
     definitions = _read_definitions(database, noted)
     connections = [
         Connection(
@@ -293,7 +276,7 @@ def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
     names = ("name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash")
     available = database.columns("topics")
     columns = ", ".join(_column_as_text(name) if name in available else "''" for name in names)
-    kinds = kinds_of([name for name in names if name in available])
+    kinds = _kinds_of([name for name in names if name in available])
     found: dict[int, list[str]] = {}
     limit = ConnectionLimit(database.path, database.size)
     for topic_id, kind, *values in database.bounded_rows(
@@ -304,7 +287,7 @@ def _read_topics(database: Database, noted: DamageLog) -> dict[int, list[str]]:
             error = database.damage(f"topic {values[0]!r:.80} has id {shown_value(topic_id)}, {what}")
             noted.note(error, key=("topics", topic_id, values[0]), messages_lost=0)
             continue
-        note_kinds(database, noted, f"row {topic_id} of topics", kind)
+        _note_kinds(database, noted, f"row {topic_id} of topics", kind)
         found[topic_id] = values
         limit.add(sum(map(len, values)))
     return found
@@ -326,12 +309,12 @@ def _read_definitions(database: Database, noted: DamageLog) -> dict[tuple[str, s
     names = ["topic_type", "encoding", *(["type_description_hash"] if "type_description_hash" in columns else [])]
     digest = _column_as_text("type_description_hash") if "type_description_hash" in columns else "''"
     rows = database.query(
-        f"SELECT id, {kinds_of(names)}, {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608
+        f"SELECT id, {_kinds_of(names)}, {_column_as_text('topic_type')}, {_column_as_text('encoding')}, "  # noqa: S608
         f"CAST(encoded_message_definition AS BLOB), {digest} FROM message_definitions ORDER BY id LIMIT ?",
         (MAX_CONNECTIONS,),
     )
     for row_id, kind, msgtype, encoding, data, own_digest in database.bounded_rows(rows):
-        note_kinds(database, noted, f"row {shown_value(row_id)} of message_definitions", kind)
+        _note_kinds(database, noted, f"row {shown_value(row_id)} of message_definitions", kind)
         # rosbag2 writes "unknown" if it did not find the definition.
         if data and encoding not in {"", "unknown"}:
             definition = Definition(encoding, data)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.formats import Format
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection, Metadata, Summary
+    from pc2scan.model import Connection, Metadata
 
 
 def open_reader(path: Path, options: ReadOptions) -> Rosbag2Reader:
@@ -63,7 +63,7 @@ class Rosbag2Reader(MergedReader):
     """
 
     def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
-        self._path = path
+        self.path = path
         self._log = DamageLog(strict=strict)
         self._temporary: TemporaryDirectory[str] | None = None
         #: Decompressed files, and the file of each.
@@ -90,7 +90,7 @@ class Rosbag2Reader(MergedReader):
                 opened.append(reader)
             if self._info.is_guessed:
                 refuse_unrelated(path, files, opened)
-            super().__init__(opened)
+            super().__init__(opened, path)
             undo.pop_all()
         try:
             self._compare_counts()
@@ -101,29 +101,20 @@ class Rosbag2Reader(MergedReader):
             raise
         amended, added = _complete_connections(self.connections, self._info.topics)
         self._amend(amended, added)
-        self._inner = super().summary
+        #: With the counts and times of the storage, not of metadata.yaml.
+        self._inner = inner = self.summary
         packed = self._info.message_compression == "zstd" or any(zstd.is_zstd(file) for file in files)
-        self._summary = self._inner._replace(
+        self.summary = inner._replace(
             container="rosbag2",
             storage=self._info.storage,
-            compression=zstd.compressions(self._inner.compression) if packed else self._inner.compression,
+            compression=zstd.compressions(inner.compression) if packed else inner.compression,
             size_bytes=sum(file.stat().st_size for file in files),
         )
 
     @property
-    def path(self) -> Path:
-        """The directory."""
-        return self._path
-
-    @property
-    def summary(self) -> Summary:
-        """The summary, with counts and times of the storage, not of metadata.yaml."""
-        return self._summary
-
-    @property
     def bytes_read(self) -> int:
         """Bytes read so far; of compressed files in proportion."""
-        return super().bytes_read * self._summary.size_bytes // max(1, self._inner.size_bytes)
+        return super().bytes_read * self.summary.size_bytes // max(1, self._inner.size_bytes)
 
     @property
     def custom_data(self) -> Mapping[str, str]:
@@ -148,7 +139,7 @@ class Rosbag2Reader(MergedReader):
     def _open(self, file: Path, *, verify: bool) -> Reader:
         if zstd.is_zstd(file):
             if self._temporary is None:
-                self._temporary = private_folder(self._path)
+                self._temporary = private_folder(self.path)
             unpacked = zstd.decompress_file(file, Path(self._temporary.name), self._log)
             self._origins[unpacked] = file
             file = unpacked
@@ -172,7 +163,7 @@ class Rosbag2Reader(MergedReader):
 
     def _compare_counts(self) -> None:
         """Note if the numbers of messages in metadata.yaml, in all or of a topic, differ from those in the files."""
-        stored, declared = super().summary.message_count, self._info.message_count
+        stored, declared = self.summary.message_count, self._info.message_count
         known = [damage.messages_lost for damage in self._log.found if damage.loses]
         if stored is None or declared is None or None in known:
             return
@@ -193,7 +184,7 @@ class Rosbag2Reader(MergedReader):
         if missing > 0 or details:
             problem = f"{METADATA_NAME} counts {declared} messages, its files have {stored}{details}"
             self._log.note(
-                DamageError(problem, path=self._path, hint=RECOVER), key="count", messages_lost=max(0, missing)
+                DamageError(problem, path=self.path, hint=RECOVER), key="count", messages_lost=max(0, missing)
             )
 
     def _compare_times(self) -> None:
@@ -202,7 +193,7 @@ class Rosbag2Reader(MergedReader):
         The times of a snapshot begin when the recorder was started. Those of split recordings cannot be relied on:
         rosbag2 wrote those of the last file until Humble (https://github.com/ros2/rosbag2/issues/1413).
         """
-        summary, declared = super().summary, self._info.span_ns
+        summary, declared = self.summary, self._info.span_ns
         if not (
             len(self._info.files) == 1
             and declared
@@ -216,7 +207,7 @@ class Rosbag2Reader(MergedReader):
                 f"{METADATA_NAME} has log times {stamp_text(declared[0])} to {stamp_text(declared[1])}, "
                 f"its files {stamp_text(summary.start_ns)} to {stamp_text(summary.end_ns)}"
             )
-            self._log.note(DamageError(problem, path=self._path, hint=RECOVER), key="times", messages_lost=0)
+            self._log.note(DamageError(problem, path=self.path, hint=RECOVER), key="times", messages_lost=0)
 
     def _compare_topics(self) -> None:
         """Note topics whose type or serialization in metadata.yaml differs from the files."""
@@ -230,7 +221,7 @@ class Rosbag2Reader(MergedReader):
                 declared, found = (f"{msgtype!r:.80} in {form!r:.40}" for msgtype, form in (kinds[0], stored))
                 problem = f"{METADATA_NAME} lists {connection.topic} as {declared}, its files have {found}"
                 self._log.note(
-                    DamageError(problem, path=self._path, hint=RECOVER),
+                    DamageError(problem, path=self.path, hint=RECOVER),
                     key=("topic", connection.topic),
                     messages_lost=0,
                 )

@@ -1,1 +1,0 @@
-"""Common parts of containers that store messages in chunks."""

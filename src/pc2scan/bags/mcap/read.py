@@ -1,0 +1,630 @@
+"""Reads MCAP files, one chunk at a time."""
+
+from __future__ import annotations
+
+from collections import deque
+from contextlib import suppress
+from functools import partial
+from operator import attrgetter
+from threading import Lock
+from typing import TYPE_CHECKING, NamedTuple
+
+from pc2scan.bags.chunks import ChunkedReader, isolated_chunks, segment_units
+from pc2scan.bags.damage import AnotherRecordingError, DamageLog
+from pc2scan.bags.qos import latches
+from pc2scan.bags.units import LazyItems, map_items
+from pc2scan.bags.zstd import decompress_messages, is_frame
+from pc2scan.errors import DamageError, stamp_text
+from pc2scan.files.compression import combine_crc32, crc32
+from pc2scan.files.limits import MAX_CONNECTIONS
+from pc2scan.files.source import BorrowedBytes
+from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
+
+from . import records
+from .chunks import ChunkSegment, borrow_payload, chunk_at, copy_by_content, copy_by_index, payload
+from .index import McapIndex, find_declarations, find_index, indexed_times
+from .records import ANY_TIME, MESSAGE, RECORD, Opcode, RecordFile, encode_record, parse, scan_messages, split
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from pc2scan.bags.chunks import Segment
+    from pc2scan.bags.formats import ReadOptions
+    from pc2scan.bags.reader import Reader
+    from pc2scan.bags.salvage import SalvagedMessages
+    from pc2scan.bags.units import Item, Loaded, Unit
+    from pc2scan.model import Buffer, ChunkRule, RawMessage
+
+    from .records import Messages
+
+
+def open_reader(path: Path, options: ReadOptions) -> Reader:
+    """Open an MCAP file; see `pc2scan.bags.formats.Format`."""
+    return McapReader(path, verify=options.verify, strict=options.strict)
+
+
+class _Selection(NamedTuple):
+    """What is wanted of the segments.
+
+    Attributes
+    ----------
+    wanted
+        The connections, by channel.
+    start_ns, stop_ns
+        Only messages with ``start_ns <= log_time_ns < stop_ns``.
+    rule
+        Which chunks may be copied as a whole; None: none.
+    blindly
+        Channels whose chunks may be copied without decompressing them.
+    """
+
+    wanted: Mapping[int, Connection]
+    start_ns: int
+    stop_ns: int
+    rule: ChunkRule | None
+    blindly: frozenset[int]
+
+
+class McapReader(ChunkedReader):
+    """Reads an open MCAP file; see `pc2scan.bags.reader.Reader`.
+
+    Each channel becomes a connection: two channels of one topic stay two. Types, definitions and metadata are
+    returned as recorded, whatever the profile.
+
+    Parameters
+    ----------
+    path
+        The file. If another one follows in it, it is not read, which is damage.
+    verify
+        Whether to compare the recorded CRCs of the summary, the chunks and the attachments, and in a file without
+        chunks that of the data section. The last is compared when all messages were read.
+    strict
+        Whether damage is an error; otherwise it is in `damage`, and the rest is recovered.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be read or is not MCAP.
+    DamageError
+        With ``strict``, if it is cut off or contradicts itself. Damage inside chunks is found when they are read.
+    """
+
+    _file: RecordFile
+
+    def __init__(self, path: Path, *, verify: bool = True, strict: bool = False) -> None:
+        self.path = path
+        self._file = RecordFile(path)
+        self._log = DamageLog(strict=strict)
+        self._verify = verify
+        #: The connections by channel.
+        self._known: dict[int, Connection] = {}
+        #: Declarations in chunks that agree with those of the file.
+        self._agreed: set[bytes] = set()
+        #: Chunks that are not where the index places them, by their places in the index; None until one is missing.
+        self._displaced: dict[int, ChunkSegment] | None = None
+        self._lock = Lock()
+        try:
+            try:
+                self._index = self._found_index()
+            except AnotherRecordingError as another:
+                self._log.note_another(self._file, another.offset)
+                self._index = self._found_index()
+            find_declarations(self._file, self._index, self._records, self._log)
+            if self._index.differing is not None:
+                self._log.note_index(self._file, self._index.differing[1], _twice(*self._index.differing))
+            compare_counts(self._index, self._file, self._log)
+            #: In the order of the summary or, without one, of the file.
+            self.connections = tuple(connections_of(self._index, self._file, self._log))
+            self._known = {item.id: item for item in self.connections}
+            self._segments = self._index.segments
+            self._indexed_times = partial(indexed_times, self._file)
+            self._are_times_verified = self._index.verified
+            self._confirm_ends()
+            sound = verify and not self._log.found
+            self._data_crc = data_crc(self._file, self._index, self._log) if sound else None
+            self.summary = summary_of(self._index, self._file, self._log)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _found_index(self) -> McapIndex:
+        """Index the file, sound or damaged."""
+        try:
+            index = find_index(self._file, verify=self._verify)
+            if index.rest is not None:
+                from .recover import refuse_more  # noqa: PLC0415  # few files have anything there
+
+                refuse_more(self._file, *index.rest)
+        except DamageError as err:
+            problem = err
+        else:
+            return index
+        from .recover import recover_index  # noqa: PLC0415  # only damaged files pay for it
+
+        return recover_index(self._file, problem, self._log, verify=self._verify)
+
+    def units(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> list[Unit]:
+        """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`.
+
+        Without verification, whole chunks with complete message indexes are not decompressed.
+        """
+        known = wanted = self._known
+        if connections is not None:
+            wanted = {connection.id: known[connection.id] for connection in connections if connection.id in known}
+        # An index that is damaged may have wrong ids.
+        ids = None if connections is None or len(wanted) == len(known) else frozenset(wanted)
+        if ids is not None and not ids:
+            return []
+        rule = rule if rule and rule.container == "mcap" else None
+        segments = self._segments_with(ids, start_ns, stop_ns)
+        alone = isolated_chunks(segments, rule, start_ns, stop_ns) if rule else frozenset()
+        blindly: frozenset[int] = frozenset()
+        if rule and alone and not self._verify and not self._packs(segments[0]):
+            blindly = shared_channels(self._index, rule)
+        times = (0 if start_ns is None else start_ns, 1 << 64 if stop_ns is None else stop_ns)
+        selection = _Selection(wanted, *times, rule, blindly)
+        return segment_units(segments, partial(self._load, selection), alone, self._file)
+
+    def _load(
+        self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
+    ) -> Loaded[Item]:
+        """Load a segment; see `pc2scan.bags.units.Load`."""
+        self._bytes_read += segment.length
+        found: StoredChunk | Messages | None = None
+        payload: BorrowedBytes | None = None
+        # A damaged segment is read again to recover its messages; a damaged chunk is not copied.
+        with suppress(DamageError):
+            found, payload = self._sound(selection, segment, whole=whole)
+        if found is None:
+            found = self._recovered(selection, segment)
+        loaded = found if isinstance(found, StoredChunk) else map_items(callback, found)
+        # The messages refer to the payload, which is overwritten as soon as nothing refers to it.
+        del payload
+        if self._data_crc is not None:
+            self._data_crc.compare()
+        return loaded
+
+    def _sound(
+        self, selection: _Selection, segment: Segment, *, whole: bool
+    ) -> tuple[StoredChunk | Messages, BorrowedBytes | None]:
+        """Return the wanted messages of a segment, or the chunk as a whole; and what the messages refer to.
+
+        Raises
+        ------
+        DamageError
+            If it is damaged, or a message of it cannot be decompressed.
+        """
+        seen: StoredChunk | memoryview | None = None
+        if whole and selection.rule and isinstance(segment, ChunkSegment):
+            if segment.connection_ids and segment.connection_ids <= selection.blindly:
+                seen = copy_by_index(self._file, segment, selection.rule)
+            seen = seen or copy_by_content(self._file, segment, selection.rule, verify=self._verify)
+        if isinstance(seen, StoredChunk):
+            return seen, None
+        if seen is None:
+            payload = borrow_payload(self._file, segment, verify=self._verify)
+        else:
+            payload = BorrowedBytes(seen, None)
+        if self._data_crc is not None:
+            self._data_crc.add(segment, payload.data)
+        messages = self._scan(selection, segment, payload.data)
+        return decompress_messages(messages, DamageLog(strict=True), segment.offset, self._file.path), payload
+
+    def _scan(self, selection: _Selection, segment: Segment, data: memoryview) -> Messages:
+        """Find the wanted messages among a segment's records.
+
+        Raises
+        ------
+        DamageError
+            If the records are not sound, or contradict what the segment declares.
+        """
+        wanted, start_ns, stop_ns, _, _ = selection
+        span = _declared_span(segment)
+        further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
+        scan = scan_messages(data, wanted, start_ns, stop_ns, span or ANY_TIME, further)
+        if scan.astray is not None and span:
+            raise self._file.damage(
+                f"the chunk at byte {segment.offset} has a message of log time {stamp_text(scan.astray)}, "
+                f"declared are {stamp_text(span[0])} to {stamp_text(span[1])}"
+            )
+        if scan.size != len(data):
+            raise self._file.damage(
+                f"the records from byte {segment.offset} on are sound for {scan.size} of {len(data)} bytes"
+            )
+        if scan.others and (unknown := scan.others - self._known.keys()):
+            raise self._file.damage(
+                f"channel {min(unknown)} has messages near byte {segment.offset}, but is not declared"
+            )
+        return scan.messages
+
+    def _recovered(self, selection: _Selection, segment: Segment) -> Messages:
+        """Read a damaged segment, and return what can be recovered of it; the damage is noted."""
+        place = self._locate(segment)
+        data, problem = self._prefix(place)
+        found: Messages = []
+        try:
+            if problem is None:
+                found = self._scan(selection, place, data)
+        except DamageError as err:
+            problem = err
+        if problem is not None:
+            left = self._salvage(place, data, problem)
+            found = left.select(selection.wanted, selection.start_ns, selection.stop_ns)
+        return decompress_messages(found, self._log, place.offset, self._file.path)
+
+    def _prefix(self, segment: Segment) -> tuple[memoryview, DamageError | None]:
+        """A segment's records as far as they can be decompressed, and why that is not all."""
+        try:
+            return payload(self._file, segment, verify=self._verify), None
+        except DamageError as err:
+            if self._log.strict:
+                raise
+            if (found := self._locate(segment)) is not segment:
+                return self._prefix(found)
+            from .recover import payload_prefix  # noqa: PLC0415
+
+            return payload_prefix(self._file, segment, err)
+
+    def _locate(self, segment: Segment) -> Segment:
+        """Return a damaged segment, or the chunk elsewhere in the file that the index has in its place."""
+        if self._log.strict or not isinstance(segment, ChunkSegment):
+            return segment
+        from .recover import displaced_chunks, is_at_its_place  # noqa: PLC0415
+
+        if is_at_its_place(self._file, segment):
+            return segment
+        with self._lock:
+            if self._displaced is None:
+                self._displaced = displaced_chunks(self._file, self._index.segments)
+        found = self._displaced.get(segment.record_offset)
+        if found is None:
+            return segment
+        problem = f"the index places a chunk at byte {segment.record_offset}, it is at byte {found.record_offset}"
+        lost = 0 if self._is_counted else None
+        self._log.note(self._file.damage(problem), offset=segment.record_offset, key="place", messages_lost=lost)
+        return found
+
+    @property
+    def _is_counted(self) -> bool:
+        """Whether the file declares how many messages it has, apart from where they are."""
+        return self._index.statistics is not None
+
+    def _packs(self, segment: Segment) -> bool:
+        """Whether messages are single zstd frames, which one segment shows for all."""
+        data, _ = self._prefix(segment)
+        return any(map(is_frame, scan_messages(data, self._known, 0, 1 << 64).messages))
+
+    def _records(self, chunk: Segment) -> Iterator[tuple[int, memoryview]]:
+        """A chunk's records, as far as they can be read."""
+        data, problem = self._prefix(chunk)
+        if problem is None:
+            try:
+                # All of them first, and none is kept: there may be millions.
+                deque(split(data, chunk.offset, self._file), maxlen=0)
+                return split(data, chunk.offset, self._file)
+            except DamageError as err:
+                problem = err
+        from .recover import salvage_records  # noqa: PLC0415
+
+        self._salvage(chunk, data, problem)
+        return salvage_records(data)
+
+    def _compare_declaration(self, data: memoryview, chunk: ChunkSegment, position: int) -> None:
+        """Compare a schema or a channel in a chunk with the rest of the file, and note it if it is another.
+
+        Raises
+        ------
+        DamageError
+            If the record is of a kind that no chunk may have. Unknown kinds are ignored, unless the record has the
+            channel and the log time of a message.
+        """
+        opcode, length = RECORD.unpack_from(data, position)
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            if opcode > Opcode.DATA_END and not self._resembles_message(data, chunk, position):
+                return
+            raise self._file.damage(f"the chunk at byte {chunk.record_offset} has a record of kind {opcode} in it")
+        start = position + RECORD.size
+        record = bytes(data[position : start + length])
+        if record in self._agreed:
+            return
+        try:
+            differing = self._index.contradicted_by(opcode, record[RECORD.size :], chunk.record_offset, self._file)
+        except DamageError as err:
+            self._log.note(err, offset=chunk.record_offset, key=record[:64], messages_lost=0)
+            return
+        if differing:
+            self._log.note_index(self._file, chunk.record_offset, _twice(differing, chunk.record_offset))
+        elif len(self._agreed) < MAX_CONNECTIONS:
+            self._agreed.add(record)
+
+    def _resembles_message(self, data: memoryview, chunk: ChunkSegment, position: int) -> bool:
+        """Whether a record of a chunk would be a message of a known channel and time, if it were of that kind."""
+        if position + MESSAGE.size > len(data):
+            return False
+        _, _, channel_id, _, log_time_ns, _ = MESSAGE.unpack_from(data, position)
+        first_ns, last_ns = _declared_span(chunk) or ANY_TIME
+        return channel_id in self._known and first_ns <= log_time_ns <= last_ns
+
+    def _header(self, chunk: ChunkSegment) -> ChunkSegment:
+        """Read the header of a chunk."""
+        head = self._file.read(chunk.record_offset, chunk.offset - chunk.record_offset)
+        return chunk_at(head, 0, chunk.record_offset, self._file)
+
+    def _repeated_span(self, segment: Segment) -> tuple[int, int] | None:
+        """Return the times in the message indexes after a chunk, or in its header."""
+        if not isinstance(segment, ChunkSegment):
+            return segment.start_ns, segment.end_ns
+        if span := super()._repeated_span(segment):
+            return span
+        if self._index.summarized:
+            with suppress(DamageError):
+                chunk = self._header(segment)
+                return chunk.start_ns, chunk.end_ns
+        return None
+
+    def _contained_span(self, segment: Segment) -> tuple[int, int] | None:
+        """Read a chunk and return the log times of its messages."""
+        data, problem = self._prefix(segment)
+        messages = scan_messages(data, self._known, 0, 1 << 64).messages
+        times = messages.times if isinstance(messages, LazyItems) else [message.log_time_ns for message in messages]
+        return (min(times), max(times)) if times and problem is None else None
+
+    def _salvage(self, segment: Segment, data: memoryview, problem: DamageError) -> SalvagedMessages:
+        """Note a damaged segment, and recover its messages."""
+        if self._log.strict:
+            raise problem
+        from pc2scan.bags.salvage import note_salvaged  # noqa: PLC0415  # only damaged files pay for it
+
+        from .recover import salvage_messages  # noqa: PLC0415
+
+        complete = len(data) == segment.uncompressed_size
+        left = salvage_messages(data, self._known, _declared_span(segment), complete=complete)
+        offset = segment.record_offset if isinstance(segment, ChunkSegment) else segment.offset
+        times = indexed_times(self._file, segment) if segment.connection_ids else None
+        indexed = sum(map(len, times.values())) if times else None
+        note_salvaged(self._log, problem, segment, offset, len(data), left, indexed, counted=self._is_counted)
+        return left
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Yield attachments in the order of the file; each is read when it is needed."""
+        for offset in sorted(self._index.attachments):
+            content = self._file.record(offset, Opcode.ATTACHMENT)
+            try:
+                record = parse(records.AttachmentRecord, content, offset, self._file)
+                # The CRC follows the data, which follow two times, two strings and their own length.
+                texts = len(record.name.encode()) + len(record.media_type.encode())
+                covered = 8 + 8 + 4 + 4 + texts + 8 + len(record.data)
+            except DamageError as err:
+                self._log.note(err, offset=offset, bytes_lost=len(content))
+                continue
+            if self._verify and record.crc and (actual := crc32(memoryview(content)[:covered])) != record.crc:
+                self._log.note(
+                    self._file.damage(f"attachment {record.name!r} has CRC {actual:08x}, recorded is {record.crc:08x}"),
+                    offset=offset,
+                )
+            yield Attachment(record.name, record.media_type, record.log_time, record.create_time, record.data)
+
+    def metadata(self) -> Iterator[Metadata]:
+        """Yield metadata records in the order of the file."""
+        for offset in sorted(self._index.metadata):
+            content = self._file.record(offset, Opcode.METADATA)
+            try:
+                record = parse(records.MetadataRecord, content, offset, self._file)
+            except DamageError as err:
+                self._log.note(err, offset=offset, bytes_lost=len(content))
+                continue
+            yield Metadata(record.name, record.metadata)
+
+
+def _twice(what: str, offset: int) -> str:
+    return f"{what} is declared again, and differently, at byte {offset}"
+
+
+def _declared_span(segment: Segment) -> tuple[int, int] | None:
+    """Return the first and the last log time that a chunk declares; None if it declares none."""
+    if isinstance(segment, ChunkSegment) and 0 < segment.start_ns <= segment.end_ns:
+        return segment.start_ns, segment.end_ns
+    return None
+
+
+# --- What the index has ---
+
+_SERIALIZATION_OF_SCHEMA = {"ros1msg": "ros1", "ros2msg": "cdr", "ros2idl": "cdr"}
+
+
+_SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
+
+
+def connections_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
+    """Yield a connection for each channel; a schema that is missing is noted as damage."""
+    for channel in index.channels.values():
+        schema = index.schemas.get(channel.schema_id)
+        if schema is None and channel.schema_id:
+            missing = f"channel {channel.id} has schema {channel.schema_id}, which is not in the file"
+            log.note(file.damage(missing), key=channel.id)
+        yield _connection(channel, schema, index)
+
+
+def _connection(channel: records.Channel, schema: records.Schema | None, index: McapIndex) -> Connection:
+    metadata = channel.metadata
+    encoding = schema.encoding if schema else ""
+    serialization = (
+        channel.message_encoding
+        or _SERIALIZATION_OF_SCHEMA.get(encoding)
+        or _SERIALIZATION_OF_PROFILE.get(index.profile, "")
+    )
+    qos = metadata.get("offered_qos_profiles", "")
+    ros1 = serialization == "ros1"
+    statistics = index.statistics
+    if statistics is None:
+        count = index.counts[channel.id] if index.all_counted else None
+    elif statistics.message_count and not statistics.channel_message_counts:
+        # Writers may omit the counts by channel.
+        count = None
+    else:
+        count = statistics.channel_message_counts.get(channel.id, 0)
+    return Connection(
+        id=channel.id,
+        topic=channel.topic,
+        msgtype=schema.name if schema else "",
+        serialization=serialization,
+        definition=Definition(encoding, schema.data) if schema else Definition(),
+        digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
+        callerid=metadata.get("callerid"),
+        latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
+        qos=qos,
+        metadata=metadata,
+        message_count=count,
+        schema_id=channel.schema_id,
+    )
+
+
+def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
+    """Return the summary; statistics that contradict the messages' log times are noted."""
+    statistics = index.statistics
+    if statistics is not None:
+        count: int | None = statistics.message_count
+        times = (statistics.message_start_time, statistics.message_end_time) if count else None
+    else:
+        count, times = index.counts.total() if index.all_counted else None, None
+    # A chunk without messages has both times zero.
+    held = [s for s in index.segments if s.connection_ids is not None or s.end_ns]
+    found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
+    covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
+    if times and found and not covers:
+        declared, actual = (f"{stamp_text(first)} to {stamp_text(last)}" for first, last in (times, found))
+        log.note_index(file, 0, f"the statistics have log times {declared}, the messages {actual}")
+    # For a damaged recording, the statistics are more complete.
+    times = times if covers and log.found else found or times
+    return Summary(
+        container="mcap",
+        storage="",
+        compression=tuple(sorted({segment.compression for segment in index.segments})),
+        size_bytes=file.size,
+        message_count=count,
+        start_ns=times[0] if times else None,
+        end_ns=times[1] if times else None,
+        profile=index.profile,
+    )
+
+
+def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
+    """Note attachments, metadata records and chunks that the summary counts and the file does not have."""
+    statistics = index.statistics
+    if statistics is None or log.found:
+        return
+    chunks = sum(isinstance(segment, ChunkSegment) for segment in index.segments)
+    # Messages are counted, too.
+    for kind, declared, found, lost in (
+        ("attachments", statistics.attachment_count, len(index.attachments), None),
+        ("metadata records", statistics.metadata_count, len(index.metadata), None),
+        ("chunks", statistics.chunk_count, chunks, 0),
+    ):
+        if found < declared:
+            error = file.damage(f"the statistics count {declared} {kind}, {found} were found")
+            log.note(error, key=kind, messages_lost=lost)
+
+
+def shared_channels(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
+    """Find the channels that the destination declares as this file does, so that a chunk may repeat the declaration."""
+    found = []
+    for channel_id in rule.connection_ids & index.channels.keys():
+        channel = index.channels[channel_id]
+        schema = index.schemas.get(channel.schema_id)
+        records = {encode_record(channel)} if schema is None else {encode_record(channel), encode_record(schema)}
+        if records <= rule.declarations:
+            found.append(channel_id)
+    return frozenset(found)
+
+
+# --- The CRC of a data section ---
+
+#: Bytes between messages are read in pieces of this size.
+_PIECE = 4 << 20
+
+
+class DataCrc:
+    """Compares the CRC of a data section when all of its messages were read.
+
+    Parameters
+    ----------
+    file
+        The file.
+    segments
+        All segments with messages.
+    stop
+        The end of the data section.
+    recorded
+        Its recorded CRC.
+    log
+        Gets a difference.
+    counted
+        Whether statistics tell if messages are missing.
+    """
+
+    def __init__(
+        self,
+        file: RecordFile,
+        segments: Sequence[Segment],
+        stop: int,
+        recorded: int,
+        log: DamageLog,
+        *,
+        counted: bool,
+    ) -> None:
+        self._file = file
+        self._segments = sorted(segments, key=attrgetter("offset"))
+        self._stop = stop
+        self._recorded = recorded
+        self._log = log
+        self._counted = counted
+        self._found: dict[int, int] = {}
+        self._lock = Lock()
+
+    def add(self, segment: Segment, data: Buffer) -> None:
+        """Add a segment that was read; may be called on any thread, and again."""
+        self._found[segment.offset] = crc32(data)
+
+    def compare(self) -> None:
+        """Compare the CRC when all segments were read.
+
+        Raises
+        ------
+        DamageError
+            If it differs, and damage is an error.
+        """
+        with self._lock:
+            if len(self._found) < len(self._segments):
+                return
+            found, self._found = self._found, {}
+        value = position = 0
+        for segment in self._segments:
+            value = self._between(value, position, segment.offset)
+            value = combine_crc32(value, found[segment.offset], segment.length)
+            position = segment.offset + segment.length
+        value = self._between(value, position, self._stop)
+        if value != self._recorded:
+            error = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
+            self._log.note(self._file.damage(error), key="data", messages_lost=0 if self._counted else None)
+
+    def _between(self, value: int, start: int, stop: int) -> int:
+        for position in range(start, stop, _PIECE):
+            value = crc32(self._file.read(position, min(_PIECE, stop - position)), value)
+        return value
+
+
+def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | None:
+    """Return the comparison for a file; None if it has no CRC, or its chunks have their own."""
+    if index.data_end is None or not index.segments:
+        return None
+    stop, recorded = index.data_end
+    if not recorded or any(isinstance(segment, ChunkSegment) for segment in index.segments):
+        return None
+    return DataCrc(file, index.segments, stop, recorded, log, counted=index.statistics is not None)
