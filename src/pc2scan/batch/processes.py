@@ -3,7 +3,7 @@
 A worker is a new interpreter that does not import the parent's program, so that a notebook, or a script without
 ``if __name__ == "__main__"``, can start it. It converts one recording after the other until its standard input ends,
 which the parent closes, or which ends when the parent dies. Then the conversion is interrupted, its unfinished output
-is removed, and the process ends. A message between the two is the length of a pickled object, then the object.
+is removed, and the process ends. A message between the two is a pickled object.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import json
 import os
 import pickle
 import signal
-import struct
 import subprocess
 import sys
 import tempfile
@@ -57,8 +56,6 @@ _SAID = 2_000
 
 #: Memory that is counted for a worker. A conversion with one thread takes less, unless chunks or clouds are very large.
 _WORKER_BYTES = 300_000_000
-
-_LENGTH = struct.Struct(">Q")
 
 
 @dataclass(slots=True)
@@ -329,9 +326,7 @@ def send(stream: BinaryIO, message: object) -> None:
     OSError
         If the other process has closed the pipe.
     """
-    data = pickle.dumps(message)
-    stream.write(_LENGTH.pack(len(data)))
-    stream.write(data)
+    stream.write(pickle.dumps(message))
     stream.flush()
 
 
@@ -343,15 +338,11 @@ def receive(stream: BinaryIO) -> Any:
     EOFError
         If the other process has ended, or died while it wrote a message.
     """
-    head = stream.read(_LENGTH.size)
-    if len(head) < _LENGTH.size:
-        raise EOFError
-    (length,) = _LENGTH.unpack(head)
-    data = stream.read(length)
-    if len(data) < length:
-        raise EOFError
-    # Safe: the data comes from a process that this program started, through a pipe that no other process has.
-    return pickle.loads(data)  # noqa: S301
+    try:
+        # Safe: the data comes from a process that this program started, through a pipe that no other process has.
+        return pickle.load(stream)  # noqa: S301
+    except pickle.UnpicklingError as err:
+        raise EOFError from err
 
 
 # --- How many at a time ---
