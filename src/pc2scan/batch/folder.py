@@ -241,19 +241,19 @@ class BatchFolder:
             If it cannot be written.
         """
         line = f"{json.dumps(record.as_dict(), ensure_ascii=True)}\n".encode("ascii")
-        self._ended.add(record.output)
         if isinstance(self.path, UrlPath):
             self._lines += line
             self._push()
-            return
-        try:
-            if self._file is None:
-                self._file = self._open_manifest()
-            self._file.write(line)
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        except OSError as err:
-            raise OutputError(f"the manifest cannot be written: {err.strerror}", path=self.path / MANIFEST) from err
+        else:
+            try:
+                if self._file is None:
+                    self._file = self._open_manifest()
+                self._file.write(line)
+                self._file.flush()
+                os.fsync(self._file.fileno())
+            except OSError as err:
+                raise OutputError(f"the manifest cannot be written: {err.strerror}", path=self.path / MANIFEST) from err
+        self._ended.add(record.output)
 
     def close(self) -> None:
         """Complete the manifest."""
