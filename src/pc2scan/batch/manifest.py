@@ -400,6 +400,23 @@ class History:
             if record.output and (record.output in self.left or record.outcome == "died")
         }
 
+    @cached_property
+    def _containers(self) -> dict[tuple[str, Any], str]:
+        """The formats of recordings and their parts, by path and files."""
+        containers: dict[tuple[str, Any], str] = {}
+        for record in self.records.values():
+            if not record.container:
+                continue
+            containers[record.sources[0], record.identity.files] = record.container
+            if len(record.sources) == len(record.identity.files) > 1:
+                for path, file in zip(record.sources, record.identity.files, strict=True):
+                    containers[path, (file,)] = record.container
+        return containers
+
+    def container_of(self, path: Path, identity: Identity) -> str:
+        """Return the format of a recording that an earlier run has found, by its first path and files; else empty."""
+        return self._containers.get((str(path), identity.files), "")
+
     def record(self, output: str, there: Identity | None = None) -> Record | None:
         """Return what is recorded about the files of an output, relative to its folder; None if nothing is.
 

@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
     from pc2scan.options.call import Options
 
-    from .find import Known, Recording
+    from .find import Recording
     from .folder import BatchFolder
     from .jobs import Executor
-    from .manifest import History, ManifestRecord
+    from .manifest import ManifestRecord
     from .plan import BatchPlan, Step
 
 #: Sizes of recordings that are converted as a sample: smaller ones say little, larger ones take too long.
@@ -232,7 +232,7 @@ def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options
     """Find the recordings, and decide what is done with each."""
     history = folder.history
     outputs = [path for output in {*history.owned, *history.left} for path in folder.files_of(output)]
-    found = find(sources, folder.path, known=_known_recordings(history), outputs=outputs)
+    found = find(sources, folder.path, known=history.container_of, outputs=outputs)
     if not found:
         raise UsageError(f"no recording found in {', '.join(sources)}")
     requests = choices.of(each.key for each in found)
@@ -277,19 +277,6 @@ def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> Destinatio
         hint="remove the link; or convert what belongs there in a batch of its own, "
         f"`destination={os.path.realpath(link)}`",
     )
-
-
-def _known_recordings(history: History) -> Known:
-    """Return a function that looks up recordings that earlier runs have found, by path and identity."""
-    containers: dict[tuple[str, Any], str] = {}
-    for record in history.records.values():
-        if not record.container:
-            continue
-        containers[record.sources[0], record.identity.files] = record.container
-        if len(record.sources) == len(record.identity.files) > 1:
-            for path, file in zip(record.sources, record.identity.files, strict=True):
-                containers[path, (file,)] = record.container
-    return lambda path, identity: containers.get((str(path), identity.files), "")
 
 
 def _source_checksum(found: Recording) -> str:
