@@ -192,7 +192,7 @@ def info(sources: Sequence[Path], options: Options) -> Info:
         described=options.topics,
         target_frame=options.target_frame,
         frames=frames_of(options),
-        given=options.among(_OF_FRAMES),
+        given={name: options.given[name] for name in _OF_FRAMES if name in options.given},
     )
 
 

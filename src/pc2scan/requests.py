@@ -16,7 +16,7 @@ from .options.table import PARAMETERS
 from .pipeline.options import ConvertOptions, ScanSpec, TopicRequest
 from .pipeline.param_sources import resolve_sources
 from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
-from .tf.options import FrameOptions
+from .tf.placing import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -108,7 +108,8 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConversionReque
     UsageError
         If an option has a wrong value, or contradicts another one.
     """
-    settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in options.parameters.items()]
+    given = options.among(PARAMETERS)
+    settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in given.items()]
     if options.scans is not None:
         return _several_scans(options, settings, warn)
     try:
@@ -229,7 +230,7 @@ def _changed_params(options: Options) -> ResolvedParams:
             f"params has all parameters, so {' and '.join(given)} would have no effect",
             hint="use ProjectionParams.preset() or ProjectionParams.from_file(), which take changes by name",
         )
-    changes: dict[str, Any] = options.parameters
+    changes = options.among(PARAMETERS)
     angles = {name: getattr(params, name) for name in ("angle_min", "angle_max", "geometry")}
     refuse_degrees(angles | changes, dict.fromkeys(PARAMETERS, CALL))
     origins = {name: CALL if getattr(params, name) != row.default else "default" for name, row in PARAMETERS.items()}
@@ -239,7 +240,8 @@ def _changed_params(options: Options) -> ResolvedParams:
 def params_from_file(path: PathText, node: str | None, changes: Mapping[str, Any]) -> ProjectionParams:
     """See `pc2scan.ProjectionParams.from_file`."""
     refuse_unknown("ProjectionParams.from_file", changes, PARAMETERS)
-    settings = [Setting(name, value, CALL) for name, value in Options("convert", changes).parameters.items()]
+    given = Options("convert", changes).among(PARAMETERS)
+    settings = [Setting(name, value, CALL) for name, value in given.items()]
     resolved = resolve_sources(settings, file=path_of("params_file", path), node=node)
     if resolved.reverse:
         raise UsageError("its parameters are for laserscan_to_pointcloud", path=path)

@@ -143,15 +143,13 @@ class Result:
 
     def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
         """Yield what is not as it should be; ``verbose`` for every damaged place."""
-        yield from self.damage_remarks(verbose=verbose)
-        yield from self.warning_remarks()
+        yield from self.usual_remarks(verbose=verbose)
 
-    def damage_remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
-        """Yield the damaged places."""
+    def usual_remarks(self, recovered: str = "", *, verbose: bool = False) -> Iterator[Remark]:
+        """Yield the damaged places, what was recovered of them, and the warnings."""
         yield from listed("damaged", self.damage, None if verbose else SHOWN)
-
-    def warning_remarks(self) -> Iterator[Remark]:
-        """Yield the warnings."""
+        if recovered:
+            yield Remark("recovered", recovered)
         yield from (Remark("warning", warning) for warning in self.warnings)
 
     def parts(self) -> Iterator[Part]:

@@ -31,14 +31,11 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[str]]
     left: Sequence[str] = ()
 
-    def cells(self, *, ascii_only: bool = False) -> list[list[str]]:
-        """Return the headings and the cells, which have names of untrusted recordings, as safe text."""
-        rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in self.rows)
-        return [list(self.columns), *([leading(cell) for cell in row[:1]] + row[1:] for row in rows)]
-
     def lines(self, width: int | None = None, *, ascii_only: bool = False) -> Iterator[str]:
-        """Yield the lines of the table as text, at most ``width`` columns wide."""
-        return fitted(self.cells(ascii_only=ascii_only), self.left, width)
+        """Yield the lines of the table, at most ``width`` columns wide; cells have names of untrusted recordings."""
+        rows = ([visible(cell, _MAX_CELL, ascii_only=ascii_only) for cell in row] for row in self.rows)
+        safe = ([leading(cell) for cell in row[:1]] + row[1:] for row in rows)
+        return fitted([self.columns, *safe], self.left, width)
 
     def html(self) -> Iterator[str]:
         """Yield the table as HTML."""

@@ -193,7 +193,8 @@ def test_compiled_loops_equal_those_in_numpy(
     x, y, z = (axis.copy() if apart else axis for axis in fields(rng, shape, kinds, gap))
     project = Projector(params)
     pose = rng.normal(size=4), rng.normal(size=3) * [1, 1, 0.2]
-    for transform in (None, Rigid(*pose).as_float32(), (np.linalg.qr(rng.normal(size=(3, 3)))[0], pose[1])):
+    rows = np.vstack([np.linalg.qr(rng.normal(size=(3, 3)))[0], pose[1]]).astype(np.float32)
+    for transform in (None, Rigid(*pose).as_float32(), rows):
         with loops_in_numpy():
             expected = project(x, y, z, transform)
         for most in WIDTHS:

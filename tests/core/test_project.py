@@ -171,7 +171,7 @@ def parts_of(
         own = values[:cut] if k == 0 else values[cut:]
         if not lit[k]:
             own[:] = 0
-        placed.append(reference_moved(points.tolist(), *MOUNT) if moved[k] else points)
+        placed.append(reference_moved(points.tolist(), MOUNT[:3], MOUNT[3]) if moved[k] else points)
         x, y, z = points.T
         parts.append(PointsPart(x, y, z, MOUNT if moved[k] else None, own if lit[k] else None))
     return parts, np.concatenate(placed), [float(value) for value in values]
@@ -438,7 +438,7 @@ def test_a_transform_is_applied_in_float32(dtype: str) -> None:
     moved = reference_moved(cloud.tolist(), rotation, translation)
     for loops in BOTH_LOOPS:
         with loops():
-            scan = Projector(OPEN)(*columns_of(cloud), (rotation, translation))
+            scan = Projector(OPEN)(*columns_of(cloud), np.vstack([rotation, translation]).astype(np.float32))
         assert_same(scan, reference_scan(moved.tolist(), OPEN))
     # One rounding at the end is something else, so that the test can tell them apart.
     with np.errstate(invalid="ignore"):

@@ -15,7 +15,7 @@ import pytest
 
 import pc2scan
 from pc2scan.errors import DestinationError
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 from support import ROOT, sampled
 from support.builders import CONTENT, POINTS, T0, Recording, cloud, item, points_of, write_rosbag1, write_rosbag2
 from support.command import COMMAND, environment, run

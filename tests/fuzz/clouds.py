@@ -50,7 +50,7 @@ _GRIDS: tuple[dict[str, Any], ...] = (
     {"angle_min": 3.0, "angle_max": 3.3, "angle_increment": 0.001, "range_min": 1.0, "range_max": 2.0},
 )
 _REDUCTIONS = ("min", "max", "mean", "median", "kth")
-_TRANSFORM = (np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), np.array([0.1, -3e38, 2.0]))
+_TRANSFORM = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.1, -3e38, 2.0]], np.float32)
 
 
 @cache

@@ -16,7 +16,7 @@ import gc
 import pkgutil
 import sys
 import tempfile
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 from types import FunctionType
@@ -55,7 +55,7 @@ def _cloud(data: bytes) -> None:
     content, serialization = _serialization(data)
     conversion = CloudToScan(ProjectionParams(min_height=-9.0), Placer())
     value: object = content
-    for step in steps_of([conversion], "/points", serialization, "", [conversion.encoder("cdr")]):
+    for step in steps_of([conversion], "/points", serialization, "", [partial(conversion.serialise, "cdr")]):
         value = step(value)
 
 
@@ -99,8 +99,8 @@ def _wire(data: bytes) -> None:
     cursor = Cursor(*_serialization(data))
     cursor.header()
     cursor.string()
-    cursor.float32s(2)
-    cursor.take(cursor.uint32())
+    cursor.read("2f")
+    cursor.take(*cursor.read("I"))
 
 
 def _schema(data: bytes) -> None:

@@ -12,7 +12,7 @@ import pc2scan
 from pc2scan import check
 from pc2scan.core.consumers import CONSUMERS
 from pc2scan.errors import RecordingError, TopicError, UsageError
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 from pc2scan.tf.static import StaticTransform
 from support import RECORDINGS, ROOT, needs_shared, sampled
 from support.builders import IMU, Recording, Stream, imu_message, item, write_mcap, write_rosbag1, write_rosbag2

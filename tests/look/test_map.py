@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from pc2scan.errors import ResultError, UsageError
 from support import ROOT
 from support.builders import T0, Item, Recording, write_mcap
 from support.command import run
+from support.scan_recordings import GOOD, scans, write
 from support.worlds.drives import (
     ROOMS,
     cast,
@@ -290,6 +292,20 @@ def test_a_recording_without_transforms(tmp_path: Path) -> None:
     assert "the recording has no transforms" in done.stderr
     assert "--odom-frame laser draws all scans as if the robot stood still" in done.stderr
     assert run("map", source, "--png", tmp_path / "map.png", "--odom-frame", "laser").status == 0
+
+
+def test_hints_about_frames_lead_somewhere(tmp_path: Path) -> None:
+    """Nobody is sent in a circle: what a hint says draws a map, or ends with what is missing."""
+    drive = drive_recording(seconds=1.0, rate=5.0, beams=91, odom="robot1/odom")
+    done = run("map", write_mcap(tmp_path / "a.mcap", drive), "--png", tmp_path / "map.png")
+    assert "hint: --odom-frame robot1/odom\n" in done.stderr
+    # Two lidars, and no transforms: the second one cannot be placed in the frame of the first.
+    front = scans(6, replace(GOOD, frame_id="front"))
+    rear = scans(6, replace(GOOD, frame_id="rear"))
+    both = [write(tmp_path / f"{name}.mcap", *own, tree=()) for name, own in (("front", front), ("rear", rear))]
+    assert run("convert", both[1], "--rebin", "--topic", "/scan:=/rear", "-o", tmp_path / "r.mcap").status == 0
+    done = run("map", both[0], tmp_path / "r.mcap", "--png", tmp_path / "b.png", "--odom-frame", "front")
+    assert "--topic /scan draws what can be placed; --static-tf 'front rear X Y Z ROLL PITCH YAW'" in done.stderr
 
 
 def test_notebooks_show_the_picture(source: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from functools import reduce
+from functools import partial, reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.opening import open_recording
@@ -24,7 +24,7 @@ __all__ = ["Made", "converted", "serialized_by"]
 
 def serialized_by(conversion: Conversion, topic: str, source: str, target: str) -> Callable[[bytes], Any]:
     """Return what makes serialised messages of serialised messages, each with what is counted of it."""
-    steps = steps_of([conversion], topic, source, "", [conversion.encoder(target)])
+    steps = steps_of([conversion], topic, source, "", [partial(conversion.serialise, target)])
     return lambda message: reduce(lambda value, step: step(value), steps, message)
 
 

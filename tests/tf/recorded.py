@@ -7,8 +7,7 @@ from typing import Any
 
 from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import Connection
-from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Placer
+from pc2scan.tf.placing import FrameOptions, Placer
 from pc2scan.tf.reading import read_transforms
 from support.memory_reader import MemoryReader
 

@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 
 from pc2scan.errors import TransformError
-from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Placement, Placer
+from pc2scan.tf.placing import FrameOptions, Placement, Placer
 from tf.recorded import frames, made, row
 
 

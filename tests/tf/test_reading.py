@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from pc2scan.errors import UsageError
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 from pc2scan.tf.reading import tf_connections
 from pc2scan.tf.static import StaticTransform
 from tf.recorded import connection, frames, made, row

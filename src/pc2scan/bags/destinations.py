@@ -148,7 +148,7 @@ def plan_destination(
         raise DestinationError(
             f"{suffix} is not a destination", path=path, hint=f"{why}. Use {names}, or NAME for a rosbag2 directory"
         )
-    entry = _format_of(path)
+    entry = written.get(suffix, written[""])
     if storage is not None and not entry.storages:
         raise DestinationError(
             "`storage` is for rosbag2 directories",
@@ -248,7 +248,7 @@ def name_after(
     return (source.parent if folder is None else folder) / f"{stem}{mark}{written.suffix}"
 
 
-def check_to(path: Path, to: str | None) -> None:
+def check_to(path: Path, to: str) -> None:
     """Raise if the suffix of a destination contradicts the requested format.
 
     Raises
@@ -256,7 +256,7 @@ def check_to(path: Path, to: str | None) -> None:
     DestinationError
         If it does, or there is no such format.
     """
-    if to is not None and (wanted := _to_text(to)) is not _format_of(path):
+    if (wanted := _to_text(to)) is not _format_of(path):
         raise DestinationError(
             f"`to={to}` asks for another format than this name does",
             path=path,

@@ -11,7 +11,7 @@ import typer
 from pc2scan.bags.formats import FORMATS
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
-from pc2scan.pipeline.parameters import from_preset
+from pc2scan.pipeline.parameters import preset_of
 
 from .options import Destination
 from .render import LiveWarnings, progress_bar, say, show
@@ -77,7 +77,7 @@ def next_command(report: Report) -> str:
     destination = _destination(report)
     if report.all_empty:
         return f"pc2scan info {_quoted(report.sources[0])}"
-    consumer = next((origin.split()[-1] for origin in report.origins.values() if from_preset(origin)), "")
+    consumer = next(filter(None, map(preset_of, report.origins.values())), "")
     if consumer:
         return f"pc2scan check {destination} --for {consumer}"
     converted = [topic.spec for topic in report.topics if topic.action == "converted"]

@@ -66,23 +66,23 @@ class Screen:
         The stream to write to.
     guarded
         Whether errors are raised as `StdoutError`, to distinguish them from those of other files.
+
+    Attributes
+    ----------
+    width
+        The maximum width of lines in columns; None for no limit.
     """
 
     def __init__(self, stream: TextIO, *, guarded: bool = False) -> None:
         self._stream = stream
         self._guarded = guarded
-        self._width = width_of(stream)
+        self.width = width_of(stream)
         self._colours = _has_colours(stream)
         # Whether the cursor is at the end of a progress bar.
         self._at_bar = False
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
-
-    @property
-    def width(self) -> int | None:
-        """The maximum width of lines in columns; None for no limit."""
-        return self._width
 
     def write(self, text: str) -> int:
         """Write text with its lines fitted. Text that moves the cursor (a progress bar) is written unchanged.
@@ -92,7 +92,7 @@ class Screen:
         if "\x1b" in text or "\r" in text:
             self._at_bar = not text.endswith("\n")
         elif text.endswith("\n"):
-            if self._width or self._colours:
+            if self.width or self._colours:
                 text = "".join(f"{self._shown(line)}\n" for line in text[:-1].split("\n"))
             if self._at_bar:
                 text, self._at_bar = f"{_ERASED}{text}", False
@@ -117,8 +117,8 @@ class Screen:
             raise
 
     def _shown(self, line: str) -> str:
-        if self._width and len(line) > self._width:
-            line = _wrapped(line, self._width)
+        if self.width and len(line) > self.width:
+            line = _wrapped(line, self.width)
         return _coloured(line) if self._colours else line
 
 

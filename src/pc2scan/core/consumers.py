@@ -35,8 +35,6 @@ from .verdicts import ConsumerScan, ScanTransforms, Verdict
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from .verdicts import Outcome
 
 #: gmapping asserts ``beams < LASER_MAXBEAMS``.
@@ -106,10 +104,9 @@ def judge(
     KeyError
         If there is no such consumer.
     """
-    place = placed or _ANYWHERE
-    return _unplaced(consumer, place, started=first is not None) or CONSUMERS[consumer](
-        scan, scan if first is None else first, place
-    )
+    if placed is not None and (unplaced := _unplaced(consumer, placed, started=first is not None)):
+        return unplaced
+    return CONSUMERS[consumer](scan, first or scan, placed or _ANYWHERE)
 
 
 def last_beam(scan: ConsumerScan) -> float:
@@ -373,20 +370,15 @@ def _amcl(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> V
     kept = _kept_pose("amcl", placed, angle=False)
     if kept.outcome != "accepted" or not has_angles(scan) or not scan.beams:
         return kept
-    return _added_once(scan.angle_min, scan.angle_increment, scan.beams)
-
-
-@lru_cache(maxsize=64)
-def _added_once(angle_min: float, angle_increment: float, beams: int) -> Verdict:
-    """Return the verdict of AMCL on its increment: the difference of two angles, of which one is a sum of floats."""
-    increment = float32(angle_min + angle_increment) - angle_min
-    rounding = math.remainder(increment - angle_increment, _TWO_PI) if math.isfinite(increment) else math.inf
+    # AMCL's increment is the difference of two angles, of which one is a sum of floats.
+    increment = float32(scan.angle_min + scan.angle_increment) - scan.angle_min
+    rounding = math.remainder(increment - scan.angle_increment, _TWO_PI) if math.isfinite(increment) else math.inf
     return _off(
         "amcl",
-        angle_increment,
-        (beams - 1) * rounding if beams > 1 else 0.0,
+        scan.angle_increment,
+        (scan.beams - 1) * rounding if scan.beams > 1 else 0.0,
         "the increment is the float32 sum angle_min + angle_increment, less angle_min",
-        f"angle_increment {angle_increment:.9g}, read as {increment:.9g} for {beams} ranges",
+        f"angle_increment {scan.angle_increment:.9g}, read as {increment:.9g} for {scan.beams} ranges",
         "a rounding that adds up to less than half an increment",
         "fewer beams: give `beams`, or a larger `angle_increment`",
         least=_DRIFTED,
@@ -465,32 +457,26 @@ def _mrpt_sector(angle_min: float, angle_max: float, angle_increment: float, bea
 def _mrpt_off(angle_min: float, angle_max: float, angle_increment: float, beams: int, bridge: str) -> tuple[int, float]:
     """Return how many beams of MRPT have the range of another direction, and the largest angle between the two.
 
-    In radians; inf if the bridge reads outside of the ranges.
+    In radians; inf if the bridge reads outside of the ranges. The index of the range that each beam takes is computed
+    in MRPT's order of operations: the truncated value is often a whole number except for roundings.
     """
     aperture = float32(angle_max - angle_min)
     if not (math.isfinite(aperture) and math.isfinite(angle_increment)) or aperture == 0:
         return beams, math.inf
-    taken = _mrpt_indexes(angle_min, aperture, beams, _MRPT_BRIDGES[bridge])
+    kind = _MRPT_BRIDGES[bridge]
+    last, number = np.float32(beams - 1), np.arange(beams)
+    with np.errstate(all="ignore"):
+        step, inverse = kind(np.float32(aperture) / last), kind(last / np.float32(aperture))
+        first = -(kind(0.5) * kind(aperture)) - kind(angle_min)
+        taken = np.trunc(inverse * (first + step * number.astype(kind))).astype(np.float64)
+    taken += np.where(taken < 0, beams, np.where(taken >= beams, -beams, 0))
     # False for NaN, too.
     if not (taken.min() >= 0 and taken.max() < beams):
         return beams, math.inf
-    seen = aperture * (np.arange(beams) / (beams - 1) - 0.5)
+    seen = aperture * (number / (beams - 1) - 0.5)
     off = seen - (angle_min + taken * angle_increment)
     off = np.abs(off - _TWO_PI * np.rint(off / _TWO_PI))
     return int((off > _OFF * abs(angle_increment)).sum()), float(off.max())
-
-
-def _mrpt_indexes(angle_min: float, aperture: float, beams: int, kind: type[np.floating[Any]]) -> NDArray[np.float64]:
-    """Return the index of the range that each of MRPT's beams takes; NaN and numbers outside of the ranges, too.
-
-    In MRPT's order of operations: the truncated value is often a whole number except for roundings.
-    """
-    last, number = np.float32(beams - 1), np.arange(beams).astype(kind)
-    with np.errstate(all="ignore"):
-        step, inverse = kind(np.float32(aperture) / last), kind(last / np.float32(aperture))
-        half = kind(0.5) * kind(aperture)
-        taken: NDArray[np.float64] = np.trunc(inverse * ((-half - kind(angle_min)) + step * number)).astype(np.float64)
-    return taken + np.where(taken < 0, beams, np.where(taken >= beams, -beams, 0))
 
 
 def _off(

@@ -154,16 +154,12 @@ def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = M
     # Multiples of the golden ratio never coincide with rings or columns.
     order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
     with np.errstate(all="ignore"):
-        points = np.stack([_pick_by_cell(part, order) for part in (x, y, z)], axis=1)
+        # Without a copy of an organised cloud, whose rows may be padded.
+        places = np.unravel_index(order, x.shape)
+        points = np.stack([np.asarray(part[places], np.float64) for part in (x, y, z)], axis=1)
         # The nearest points are the robot itself, or no returns.
         good = (np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)
     return np.asarray(points[good])
-
-
-def _pick_by_cell(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[np.float64]:
-    if values.ndim == 1:
-        return np.asarray(values[order], np.float64)
-    return np.asarray(values[np.unravel_index(order, values.shape)], np.float64)
 
 
 def cells_of(points: _Points) -> _Points:

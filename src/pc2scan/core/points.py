@@ -103,7 +103,7 @@ class Points:
         Parameters
         ----------
         transform
-            (4, 3): the rows of the rotation, then the translation; see `pc2scan.core.project.transform_rows`.
+            (4, 3): the rows of the rotation, then the translation; see `pc2scan.core.rigid.Rigid.as_float32`.
         frame_id
             The name of the other frame.
         """

@@ -28,7 +28,6 @@ from pc2scan.errors import ParameterError
 
 from . import kernel
 from .counts import PointCounts
-from .moving import MovingTransform
 from .params import ProjectionParams
 from .points import Columns, coordinates_of, values_of
 from .rule import rule_of
@@ -38,9 +37,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-#: Rotation (3, 3) and translation (3,), rounded to float32: ``target = rotation @ source + translation``.
-Transform: TypeAlias = "tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]]"
+    from .moving import MovingTransform
 
+#: The rows of a rotation, then a translation, (4, 3): ``target = rotation @ source + translation``; see
+#: `pc2scan.core.rigid.Rigid.as_float32`.
+Transform: TypeAlias = "NDArray[np.float32]"
 
 #: sensor_msgs/PointField's datatypes, in either byte order; NumPy's other types are converted first.
 _READ_AS_IS = {"i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"}
@@ -168,8 +169,8 @@ class Projector:
 
     def nearest(self, part: PointsPart) -> ProjectedScan:
         """Project a part for `nearest_of`: beams without a return read infinity; intensities are ignored."""
-        arrays, transform = self._check_arrays(part)
-        ranges = np.empty(self._beams, _FLOAT32)
+        arrays, ranges = _coordinates(part.x, part.y, part.z, part.intensities), np.empty(self._beams, _FLOAT32)
+        transform = part.target_from_source
         rejected = kernel.project(*arrays, self._rule_for(part), transform, ranges, self._limit, math.inf)
         return ProjectedScan(ranges, PointCounts.of_projection(part.x.size, rejected), _NO_VALUES)
 
@@ -202,7 +203,8 @@ class Projector:
         self, part: PointsPart, bins: NDArray[np.int32], returns: NDArray[np.float32], numbers: NDArray[np.int64]
     ) -> tuple[PointCounts, int]:
         """Overwrite the beginning of arrays with a part's returns; return its counts, and how many returns it has."""
-        arrays, transform = self._check_arrays(part)
+        arrays = _coordinates(part.x, part.y, part.z, part.intensities)
+        transform = part.target_from_source
         rejected = kernel.gather(*arrays, self._rule_for(part), transform, self._beams, bins, returns, numbers)
         counts = PointCounts.of_projection(part.x.size, rejected)
         found = counts.used
@@ -214,12 +216,6 @@ class Projector:
 
     def _rule_for(self, part: PointsPart) -> NDArray[np.float64]:
         return self._rule_of_any_height if part.any_height else self._rule
-
-    def _check_arrays(
-        self, part: PointsPart
-    ) -> tuple[tuple[NDArray[Any], NDArray[Any], NDArray[Any]], NDArray[np.float32] | MovingTransform | None]:
-        """Return the coordinates of a part and its transform, as the loops over points need them."""
-        return _coordinates(part.x, part.y, part.z, part.intensities), _loop_transform(part.target_from_source)
 
     def __call__(
         self,
@@ -254,9 +250,8 @@ class Projector:
             If the shapes differ, or have not one or two dimensions.
         """
         if self.reads_nearest and intensities is None:
-            transform, ranges = _loop_transform(target_from_source), np.empty(self._beams, _FLOAT32)
-            arrays = _coordinates(x, y, z, None)
-            rejected = kernel.project(*arrays, self._rule, transform, ranges, self._limit, self._empty)
+            arrays, ranges = _coordinates(x, y, z, None), np.empty(self._beams, _FLOAT32)
+            rejected = kernel.project(*arrays, self._rule, target_from_source, ranges, self._limit, self._empty)
             return ProjectedScan(ranges, PointCounts.of_projection(x.size, rejected), _NO_VALUES)
         counts, bins, returns, numbers = self._gather_parts(PointsPart(x, y, z, target_from_source, intensities))
         values = None if intensities is None else intensities.reshape(-1)[numbers]
@@ -382,18 +377,6 @@ class _PackedPoints:
         row = {"typestr": "|V12", "descr": [("", "|V12")], "shape": interface["shape"], "version": 3}
         self.__array_interface__ = row | {"data": interface["data"], "strides": interface["strides"]}
         self._owners = owners
-
-
-def _loop_transform(transform: Transform | MovingTransform | None) -> NDArray[np.float32] | MovingTransform | None:
-    """Return a transform, or those of points that move, as the loops over points need them."""
-    return transform if transform is None or isinstance(transform, MovingTransform) else transform_rows(transform)
-
-
-def transform_rows(transform: Transform) -> NDArray[np.float32]:
-    """Return a transform as the loops over points need it, (4, 3): the rows of the rotation, then the translation."""
-    rows = np.empty((4, 3), np.float32)
-    rows[:3], rows[3] = transform
-    return rows
 
 
 def project(

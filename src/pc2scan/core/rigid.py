@@ -379,8 +379,8 @@ class Rigid:
         """Return ``source_from_target``."""
         return Rigid.from_pose(inverse_pose(self.pose))
 
-    def as_float32(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return rotation (3, 3) and translation (3,) as tf2_sensor_msgs computes them, in float32.
+    def as_float32(self) -> NDArray[np.float32]:
+        """Return the rows of the rotation, then the translation, (4, 3), as tf2_sensor_msgs computes them, in float32.
 
         Source of the rule: ``doTransform`` for PointCloud2 in tf2_sensor_msgs, and ``toRotationMatrix`` of Eigen's
         ``QuaternionBase``: the quaternion is rounded to float32 and not normalised; each product and each sum is
@@ -393,8 +393,7 @@ class Rigid:
         xx, xy, xz, xw, yy, yz, yw, zz, zw = _NINE.unpack(_as_float32(_NINE, products))
         one, two, three = _THREE.unpack(_as_float32(_THREE, (yy + zz, xx + zz, xx + yy)))
         rotation = (1 - one, xy - zw, xz + yw, xy + zw, 1 - two, yz - xw, xz - yw, yz + xw, 1 - three)
-        both = np.frombuffer(_as_float32(_TWELVE, (*rotation, *self.translation.tolist())), np.float32)
-        return both[:9].reshape(3, 3), both[9:]
+        return np.frombuffer(_as_float32(_TWELVE, (*rotation, *self.translation.tolist())), np.float32).reshape(4, 3)
 
     def apply(self, points: NDArray[Any]) -> NDArray[Any]:
         """Transform points from ``source`` to ``target``.
@@ -413,13 +412,11 @@ class Rigid:
             becomes infinite or NaN (0 times inf), as in any matrix product, also upstream's.
         """
         narrow = points.dtype == np.float32
-        rotation: NDArray[Any]
-        translation: NDArray[Any]
-        rotation, translation = self.as_float32() if narrow else (self.matrix, self.translation)
-        result = np.empty(points.shape, rotation.dtype)
+        *rotation, translation = self.as_float32() if narrow else (*self.matrix, self.translation)
+        result = np.empty(points.shape, translation.dtype)
         # Column by column, without BLAS, so that the result does not depend on the number of points or threads.
         with np.errstate(invalid="ignore", over="ignore"):
-            x, y, z = points.T.astype(rotation.dtype)
+            x, y, z = points.T.astype(translation.dtype)
             for column, (row, offset) in enumerate(zip(rotation, translation, strict=True)):
                 result[:, column] = x * row[0] + y * row[1] + z * row[2] + offset
         return result

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid
     from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.options import FrameOptions
+    from pc2scan.tf.placing import FrameOptions
 
 #: Usual names of the robot's frame, the best one first.
 _BASES = ("base_link", "base_footprint")

@@ -128,8 +128,7 @@ class ExportReport(Result):
         yield from listed("skipped", reasons, None if verbose else SHOWN)
         if hint := next((entry.hint for entry in self.skipped if entry.hint), ""):
             yield Remark("hint", hint)
-        yield from self.damage_remarks(verbose=verbose)
-        yield from self.warning_remarks()
+        yield from self.usual_remarks(verbose=verbose)
 
     def explained(self, found: tuple[str, int]) -> str:
         """Return why messages were skipped, with the first of them."""

@@ -131,14 +131,14 @@ class WriteAhead:
         size
             Bytes that are held until ``write`` is called.
         """
+        if self._queue is None:
+            write(prepare())
+            return
 
         def prepared() -> Callable[[], None]:
             result = prepare()
             return lambda: write(result)
 
-        if self._queue is None:
-            prepared()()
-            return
         self._make_room(self._queue, size)
         self._queue.put(prepared, size)
 

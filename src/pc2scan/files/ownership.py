@@ -392,12 +392,17 @@ class Inputs:
         """Return how a path is related to an input, and to which; None if to none."""
         found_at = list(path_identities(path))
         # A file that does not exist has no inode, but a log that appears beside a database would be read with it.
-        if found := self._paths.get(found_at[0]) or _find(self._ids, file_ids(*found_at)):
+        if found := self._paths.get(found_at[0]):
             return "is", found
-        if found := _find(self._folders, file_ids(*found_at)):
-            return "contains", found
-        if found := _find(self._ids, file_ids(*(folder for place in found_at for folder in place.parents))):
-            return "is inside", found
+        above = [folder for place in found_at for folder in place.parents]
+        for relation, known, paths in (
+            ("is", self._ids, found_at),
+            ("contains", self._folders, found_at),
+            ("is inside", self._ids, above),
+        ):
+            for identity in file_ids(*paths):
+                if identity in known:
+                    return relation, known[identity]
         return None
 
 
@@ -459,10 +464,6 @@ def _logs(path: Path) -> Iterator[Path]:
 
 def _folder_keys(path: Path) -> set[object]:
     return {path_key(folder) for folder in next(path_identities(path)).parents}
-
-
-def _find(known: dict[FileId, InputPath], ids: Iterable[FileId]) -> InputPath | None:
-    return next((known[identity] for identity in ids if identity in known), None)
 
 
 def _with_article(role: str) -> str:

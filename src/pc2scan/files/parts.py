@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError, name_list
 
 from .ownership import check_existing, existing_error, ruling
-from .places import JOURNAL, OLD, check_length, check_place, part_number, parts_beside
+from .places import JOURNAL, OLD, PARTIAL, check_length, check_place, part_number, parts_beside
 from .records import Record, file_state, is_unchanged
 from .recovery import Journal, restore_old_parts
-from .staging import note_renaming, rename_file, sync, temporary_path
+from .staging import note_renaming, only_run, recover_output, rename_file, sync
 from .system import remove, sync_directory
 from .urls import UrlPath
 
@@ -94,28 +94,31 @@ def staged_parts(
         for text in unrecorded_warning(dst.name, kept):
             warn(text)
         return
-    known, done = owned, False
-
-    def check(earlier: Record | None) -> bool:
-        nonlocal known
-        if owned is not None:
-            known = owned | earlier
+    check_place(dst)
+    partial = dst.with_name(dst.name + PARTIAL)
+    with only_run(dst):
+        earlier = recover_output(dst)
+        known = None if owned is None else owned | earlier
         check_parts(dst, overwrite=overwrite, owned=known)
-        return overwrite
-
-    with temporary_path(dst, check, stays=lambda: done and owned is not None) as (partial, _):
+        journal_stays = False
         try:
-            partial.mkdir()
-        except OSError as err:
-            raise OutputError(f"cannot be written: {err.strerror}", path=dst) from err
-        yield partial
-        try:
-            kept = _commit(partial, dst, known, overwrite=overwrite)
-        except OSError as err:
-            raise OutputError(f"its parts cannot be renamed to their final names: {err.strerror}", path=dst) from err
-        done = True
-        for text in unrecorded_warning(dst.name, kept):
-            warn(text)
+            try:
+                partial.mkdir()
+            except OSError as err:
+                raise OutputError(f"cannot be written: {err.strerror}", path=dst) from err
+            yield partial
+            try:
+                kept = _commit(partial, dst, known, overwrite=overwrite)
+            except OSError as err:
+                message = f"its parts cannot be renamed to their final names: {err.strerror}"
+                raise OutputError(message, path=dst) from err
+            journal_stays = owned is not None
+            for text in unrecorded_warning(dst.name, kept):
+                warn(text)
+        finally:
+            if not journal_stays:
+                with suppress(OSError):
+                    remove(partial)
 
 
 def _commit(partial: Path, dst: Path, owned: Record | None, *, overwrite: bool) -> list[str]:

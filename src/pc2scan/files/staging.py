@@ -90,19 +90,16 @@ def staged_output(
             finish()
         return
 
-    def check(_: Record | None) -> bool:
-        check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
-        return overwrite or (owned is not None and dst.name in owned.files)
-
     def check_again(partial: Path) -> None:
         from .records import files_below  # noqa: PLC0415  # few outputs replace a directory
 
         # Other files may have been added since the beginning.
         refuse_others(dst, owned, record_in, set(files_below(partial)) if partial.is_dir() else ())
 
-    with temporary_path(dst, check, check_again) as (partial, commit):
+    with temporary_path(dst) as partial:
+        check_existing(dst, overwrite=overwrite, owned=owned, record_in=record_in)
         yield partial
-        commit()
+        commit(partial, dst, check_again, overwrite=overwrite or (owned is not None and dst.name in owned.files))
 
 
 def check_destination(
@@ -138,32 +135,10 @@ def check_destination(
 
 
 @contextmanager
-def temporary_path(
-    dst: Path,
-    check: Callable[[Record | None], bool],
-    check_again: Callable[[Path], None] | None = None,
-    *,
-    stays: Callable[[], bool] = lambda: False,
-) -> Iterator[tuple[Path, Callable[[], object]]]:
-    """Yield a path to write to, and a function that renames it to the destination.
+def temporary_path(dst: Path) -> Iterator[Path]:
+    """Yield a path beside a local destination, which does not exist; if `commit` does not rename it, it is removed.
 
-    Parameters
-    ----------
-    dst
-        See `staged_output`.
-    check
-        Raises if ``dst`` may not be written, and returns whether an existing ``dst`` may be replaced. Called once, at
-        the beginning, with the numbered files that a killed run had completed; a file that appears later is replaced
-        only if the result was true.
-    check_again
-        Called with the new directory before it replaces a directory; raises if it may not.
-    stays
-        Returns at the end whether what is left at the temporary path stays.
-
-    Yields
-    ------
-    path, function
-        A path that does not exist, and the function to call when it is complete. Without the call it is removed.
+    What a killed run left is undone or completed before, so the caller checks then whether it may write ``dst``.
 
     Raises
     ------
@@ -171,22 +146,15 @@ def temporary_path(
         See `staged_output`.
     """
     check_place(dst)
-    if isinstance(dst, UrlPath):
-        from .transfers import upload  # noqa: PLC0415  # loads fsspec
-
-        with upload(dst, overwrite=check(None)) as staged:
-            yield staged
-        return
     partial = dst.with_name(dst.name + PARTIAL)
     with only_run(dst):
         # A partial file that exists now was left by a run that died, because a running one would hold the lock.
-        overwrite = check(_recover(dst))
+        recover_output(dst)
         try:
-            yield partial, lambda: _commit(partial, dst, check_again, overwrite=overwrite)
+            yield partial
         finally:
-            if not stays():
-                with suppress(OSError):
-                    remove(partial)
+            with suppress(OSError):
+                remove(partial)
 
 
 def clean_up(dst: Path, *, recorded: bool = False) -> None:
@@ -203,10 +171,10 @@ def clean_up(dst: Path, *, recorded: bool = False) -> None:
     if isinstance(dst, UrlPath) or not any(map(os.path.lexists, working_names(dst))):
         return
     with suppress(DestinationError), only_run(dst):
-        _recover(dst, keep_journal=not recorded)
+        recover_output(dst, keep_journal=not recorded)
 
 
-def _recover(dst: Path, *, keep_journal: bool = False) -> Record | None:
+def recover_output(dst: Path, *, keep_journal: bool = False) -> Record | None:
     """Undo or complete what a killed run left, if one did; see `pc2scan.files.recovery.recover`."""
     if not any(os.path.lexists(dst.with_name(dst.name + ending)) for ending in LEFTOVERS):
         return None
@@ -215,7 +183,18 @@ def _recover(dst: Path, *, keep_journal: bool = False) -> Record | None:
     return recover(dst, keep_journal=keep_journal)
 
 
-def _commit(partial: Path, dst: Path, check_again: Callable[[Path], None] | None, *, overwrite: bool) -> None:
+def commit(partial: Path, dst: Path, check_again: Callable[[Path], None] | None = None, *, overwrite: bool) -> None:
+    """Rename what is complete at a temporary path to the destination.
+
+    Parameters
+    ----------
+    partial, dst
+        See `temporary_path`.
+    check_again
+        Called with the new directory before it replaces a directory; raises if it may not.
+    overwrite
+        Whether what has the destination's name now may be replaced.
+    """
     try:
         sync(partial)
         note_renaming(partial, dst)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
@@ -10,13 +11,12 @@ from pc2scan.errors import DestinationError, OutputError
 from .new_file import NewFile
 from .ownership import check_kind
 from .places import check_place
-from .staging import temporary_path
+from .staging import commit, temporary_path
+from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
-
-    from .records import Record
 
 
 @contextmanager
@@ -51,11 +51,11 @@ def file_output(path: Path, *, beginning: bytes | None, overwrite: bool) -> Iter
     OutputError
         If it cannot be written; by the function too.
     """
-    with _staged_file(path, beginning, overwrite=overwrite) as (put, commit):
+    with _staged_file(path, beginning, overwrite=overwrite) as (put, rename):
 
         def write(data: bytes) -> None:
             put(data)
-            commit()
+            rename()
 
         yield write
 
@@ -72,8 +72,8 @@ def files_output(paths: Sequence[Path], *, overwrite: bool) -> Iterator[Callable
         def write(contents: Sequence[bytes]) -> None:
             for (put, _), data in zip(staged, contents, strict=True):
                 put(data)
-            for _, commit in staged:
-                commit()
+            for _, rename in staged:
+                rename()
 
         yield write
 
@@ -83,11 +83,18 @@ def _staged_file(
     path: Path, beginning: bytes | None, *, overwrite: bool
 ) -> Iterator[tuple[Callable[[bytes], None], Callable[[], object]]]:
     """Yield a function that writes the file under a temporary name, and one that renames it to its final name."""
+    with ExitStack() as stack:
+        rename: Callable[[], object]
+        if isinstance(path, UrlPath):
+            from .transfers import upload  # noqa: PLC0415  # loads fsspec
 
-    def check(_: Record | None) -> bool:
-        return _may_replace(path, beginning, overwrite=overwrite)
-
-    with temporary_path(path, check) as (partial, commit):
+            check_place(path)
+            replaces = _may_replace(path, beginning, overwrite=overwrite)
+            partial, rename = stack.enter_context(upload(path, overwrite=replaces))
+        else:
+            partial = stack.enter_context(temporary_path(path))
+            replaces = _may_replace(path, beginning, overwrite=overwrite)
+            rename = functools.partial(commit, partial, path, overwrite=replaces)
         try:
             file = NewFile(partial)
         except OSError as err:
@@ -102,7 +109,7 @@ def _staged_file(
                 raise OutputError(err.message, path=path) from err
 
         try:
-            yield put, commit
+            yield put, rename
         finally:
             file.abort()
 

@@ -16,7 +16,7 @@ from pc2scan.files.urls import path_or_url
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.result import Part, Result
 from pc2scan.text import counted, did_you_mean
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
 from .cloud_info import FirstSamples

@@ -17,8 +17,7 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
-from pc2scan.tf.options import FrameOptions
-from pc2scan.tf.placing import Placer
+from pc2scan.tf.placing import FrameOptions, Placer
 from pc2scan.tf.reading import RobotTransforms, TransformReading
 
 from .cloud_info import CloudInfo, CloudLook, FirstSamples

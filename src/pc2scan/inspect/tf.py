@@ -11,7 +11,7 @@ from pc2scan.errors import TransformError, leading, stamp_text
 from pc2scan.result import Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:

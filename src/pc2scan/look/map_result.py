@@ -155,8 +155,7 @@ class Map(Result):
     def remarks(self, *, verbose: bool = False) -> Iterator[Remark]:
         """Yield why scans were skipped, damage and warnings."""
         yield from skipped_remarks(self.skipped, self.skipped_count, verbose=verbose)
-        yield from self.damage_remarks(verbose=verbose)
-        yield from self.warning_remarks()
+        yield from self.usual_remarks(verbose=verbose)
 
 
 def contents_of(made: Map, path: Path) -> list[bytes]:

@@ -13,7 +13,7 @@ from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Part, Result
 from pc2scan.text import size
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 
 from .clouds import clouds_page
 from .html import BEGINNING, check_page_name, html

@@ -6,6 +6,7 @@ A new type is one entry, because everything that needs to know which topics can 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pc2scan.core.points import Points
@@ -22,33 +23,31 @@ if TYPE_CHECKING:
 Decode: TypeAlias = Callable[[Buffer], Points]
 
 
+@dataclass(slots=True, eq=False)
 class _Fields(Mapping[str, "NDArray[Any]"]):
     """The fields of a PointCloud2, which become arrays on request."""
 
-    __slots__ = ("_cloud",)
-
-    def __init__(self, cloud: PointCloud2) -> None:
-        self._cloud = cloud
+    cloud: PointCloud2
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name == "x":
-            self._cloud.check_size()
-        return self._cloud.field(name)
+            self.cloud.check_size()
+        return self.cloud.field(name)
 
     def __contains__(self, name: object) -> bool:
-        return any(field.name == name for field in self._cloud.fields)
+        return any(field.name == name for field in self.cloud.fields)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys(field.name for field in self._cloud.fields))
+        return iter(dict.fromkeys(field.name for field in self.cloud.fields))
 
     def __len__(self) -> int:
-        return len({field.name for field in self._cloud.fields})
+        return len({field.name for field in self.cloud.fields})
 
 
 def message_of(points: Points) -> PointCloud2 | None:
     """Return the PointCloud2 that these points are all the points of; None for other types."""
     fields = points.fields
-    return fields._cloud if isinstance(fields, _Fields) else None  # noqa: SLF001  # of this module
+    return fields.cloud if isinstance(fields, _Fields) else None
 
 
 def _pointcloud2(serialization: str) -> Decode:

@@ -88,41 +88,24 @@ def decode_laserscan(data: Buffer, serialization: str) -> LaserScan:
         If the message ends too early.
     """
     cursor = Cursor(data, serialization)
-    sequence, stamp_ns, frame_id = cursor.header()
-    angle_min, angle_max, angle_increment, time_increment, scan_time, range_min, range_max = cursor.float32s(7)
+    header, geometry = cursor.header(), cursor.read("7f")
     dtype = np.dtype(cursor.byte_order + "f4")
-
-    def floats() -> NDArray[np.float32]:
-        raw = cursor.take(cursor.uint32() * 4)
-        return np.frombuffer(raw, dtype).astype(np.float32, copy=False)
-
-    ranges = floats()
-    intensities = floats()
-    return LaserScan(
-        sequence,
-        stamp_ns,
-        frame_id,
-        angle_min,
-        angle_max,
-        angle_increment,
-        time_increment,
-        scan_time,
-        range_min,
-        range_max,
-        ranges,
-        intensities,
-    )
+    arrays = []
+    for _ in ("ranges", "intensities"):
+        (count,) = cursor.read("I")
+        arrays.append(np.frombuffer(cursor.take(count * 4), dtype).astype(np.float32, copy=False))
+    return LaserScan(*header, *geometry, *arrays)
 
 
 @lru_cache(maxsize=64)
 def _frame_and_geometry(frame_id: str, geometry: bytes, serialization: str) -> bytes:
     """Encode the fields between a scan's stamp and its ranges: usually the same in all scans of a topic."""
     # The stamp takes eight bytes in CDR, so that alignment can count from here.
-    packer = Packer(serialization)
+    packer = Packer(serialization, is_part=True)
     packer.string(frame_id)
     packer.align(4)
     packer.raw(geometry)
-    return packer.body()
+    return packer.finish()
 
 
 def encode_laserscan(scan: LaserScan, serialization: str) -> bytes:

@@ -282,11 +282,11 @@ class CloudDecoder:
     def __call__(self, data: Buffer) -> PointCloud2:
         """Decode a message; see `decode_pointcloud2`."""
         cursor = Cursor(data, self._serialization)
-        sequence, stamp_ns = cursor.sequence(), cursor.stamp_ns()
+        sequence, stamp_ns = cursor.stamp()
         try:
             description = self._description(cursor)
             points = cursor.take(description.size)
-            is_dense = bool(cursor.uint8())
+            (is_dense,) = cursor.read("?")
         except DecodeError as err:
             err.stamp_ns = stamp_ns
             raise
@@ -316,7 +316,7 @@ def _read_description(cursor: Cursor) -> _Description:
     for _ in range(count):
         name = cursor.string()
         fields.append(PointField(name, *cursor.read("IBI" if cursor.ros1 else "IB3xI")))
-    is_bigendian = bool(cursor.uint8())
+    (is_bigendian,) = cursor.read("?")
     point_step, row_step, size = cursor.read("III")
     return _Description(frame_id, height, width, tuple(fields), is_bigendian, point_step, row_step, size, {})
 

@@ -58,7 +58,7 @@ def decode_transforms(data: Buffer, serialization: str) -> list[TransformRow]:
         If the message ends too early, declares more than `MAX_TRANSFORMS`, or its encapsulation is unknown.
     """
     cursor = Cursor(data, serialization)
-    count = cursor.uint32()
+    (count,) = cursor.read("I")
     if count > MAX_TRANSFORMS:
         raise DecodeError(f"TFMessage declares {count} transforms, at most {MAX_TRANSFORMS} are allowed")
     # Positions count from the end of the encapsulation header, as CDR's alignment does.

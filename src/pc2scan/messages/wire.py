@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import DecodeError
 
@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 #: Parts that messages have in common are kept if they are no longer than this: an untrusted recording may have
 #: thousands of topics with megabytes each. Real parts take some 200 bytes.
 MAX_CACHED_BYTES = 1 << 10
+
+
+#: CDR's encapsulation header.
+_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 @cache
@@ -39,61 +43,50 @@ class Cursor:
     serialization
         ``ros1`` or ``cdr``.
 
+    Attributes
+    ----------
+    ros1
+        Whether this is ROS 1's format (the header then has a sequence number, and nothing is aligned).
+    byte_order
+        ``<`` or ``>``, as `struct` and NumPy spell it.
+    base
+        Where the message begins in the data.
+    position
+        Where the next primitive is read.
+
     Raises
     ------
     DecodeError
         If the encapsulation is unknown; from every method, if the data ends too early.
     """
 
-    __slots__ = ("_aligned", "_order", "base", "data", "position")
+    __slots__ = ("base", "byte_order", "data", "position", "ros1")
 
     def __init__(self, data: Buffer, serialization: str) -> None:
         self.data = memoryview(data).toreadonly()
-        self._aligned = serialization == "cdr"
-        self._order = "<"
+        self.ros1 = serialization == "ros1"
+        self.byte_order = "<"
         self.base = 0
-        if self._aligned:
+        if not self.ros1:
             if len(self.data) < 4:
                 raise DecodeError(f"message of {len(self.data)} bytes is too short for a CDR header")
             # Representation identifiers 0 and 1: plain CDR, big and little endian.
             if self.data[0] != 0 or self.data[1] > 1:
                 raise DecodeError(f"unknown CDR encapsulation {bytes(self.data[:2]).hex()}, expected 0001 or 0000")
-            self._order = "<" if self.data[1] else ">"
+            self.byte_order = "<" if self.data[1] else ">"
             self.base = 4
         self.position = self.base
 
-    @property
-    def ros1(self) -> bool:
-        """Whether this is ROS 1's format (the header then has a sequence number)."""
-        return not self._aligned
-
-    @property
-    def byte_order(self) -> str:
-        """``<`` or ``>``, as `struct` and NumPy spell it."""
-        return self._order
-
-    def read(self, code: str) -> tuple[int, ...]:
+    def read(self, code: str) -> tuple[Any, ...]:
         """Read primitives that need no padding between them: `struct` codes, aligned to the first."""
-        layout, alignment = _compile(self._order + code)
+        layout, alignment = _compile(self.byte_order + code)
         start = self.position
-        if self._aligned:
+        if not self.ros1:
             start += (self.base - start) % alignment
         self.position = end = start + layout.size
         if end > len(self.data):
             raise DecodeError(f"message ends after {len(self.data)} bytes, {end} are needed")
         return layout.unpack_from(self.data, start)
-
-    def uint8(self) -> int:
-        """Read a uint8 (or bool)."""
-        return self.read("B")[0]
-
-    def uint32(self) -> int:
-        """Read a uint32."""
-        return self.read("I")[0]
-
-    def float32s(self, count: int) -> tuple[float, ...]:
-        """Read ``count`` float32."""
-        return self.read(f"{count}f")
 
     def take(self, size: int) -> memoryview:
         """Read ``size`` bytes as a view."""
@@ -108,23 +101,24 @@ class Cursor:
 
     def string(self) -> str:
         """Read a string; bytes that are not UTF-8 are kept as surrogates."""
-        raw = bytes(self.take(self.read("I")[0]))
-        if self._aligned:
-            raw = raw[:-1] if raw.endswith(b"\0") else raw
+        (size,) = self.read("I")
+        raw = bytes(self.take(size))
+        if not self.ros1:
+            raw = raw.removesuffix(b"\0")
         return raw.decode("utf-8", "surrogateescape")
 
-    def stamp_ns(self) -> int:
-        """Read a stamp: ROS 1's (uint32, uint32) or ROS 2's (int32, uint32), as nanoseconds."""
-        seconds, nanoseconds = self.read("iI" if self._aligned else "II")
-        return seconds * 1_000_000_000 + nanoseconds
+    def stamp(self) -> tuple[int, int]:
+        """Read the sequence number that only ROS 1 has (else 0), and a stamp as nanoseconds.
 
-    def sequence(self) -> int:
-        """Read the sequence number that ROS 1 has in front of a stamp; 0 in ROS 2."""
-        return 0 if self._aligned else self.uint32()
+        ROS 1's stamps are (uint32, uint32), those of ROS 2 (int32, uint32).
+        """
+        (sequence,) = self.read("I") if self.ros1 else (0,)
+        seconds, nanoseconds = self.read("II" if self.ros1 else "iI")
+        return sequence, seconds * 1_000_000_000 + nanoseconds
 
     def header(self) -> tuple[int, int, str]:
         """Read a std_msgs/Header: sequence number, stamp in nanoseconds, frame_id."""
-        return self.sequence(), self.stamp_ns(), self.string()
+        return (*self.stamp(), self.string())
 
 
 def seconds_of(stamp_ns: int, *, ros1: bool) -> tuple[int, int]:
@@ -144,23 +138,32 @@ def seconds_of(stamp_ns: int, *, ros1: bool) -> tuple[int, int]:
 
 
 class Packer:
-    """Writes primitives in order; the inverse of `Cursor`, always little-endian."""
+    """Writes primitives in order; the inverse of `Cursor`, always little-endian.
 
-    __slots__ = ("_aligned", "_parts", "_size")
+    Parameters
+    ----------
+    serialization
+        ``ros1`` or ``cdr``.
+    is_part
+        Whether a part of a message is written, which has no encapsulation header.
 
-    def __init__(self, serialization: str) -> None:
-        self._aligned = serialization == "cdr"
-        self._parts: list[Buffer] = []
+    Attributes
+    ----------
+    ros1
+        Whether this is ROS 1's format.
+    """
+
+    __slots__ = ("_parts", "_size", "ros1")
+
+    def __init__(self, serialization: str, *, is_part: bool = False) -> None:
+        self.ros1 = serialization == "ros1"
+        self._parts: list[Buffer] = [] if self.ros1 or is_part else [_LITTLE_ENDIAN]
+        #: Bytes after the encapsulation header.
         self._size = 0
-
-    @property
-    def ros1(self) -> bool:
-        """Whether this is ROS 1's format."""
-        return not self._aligned
 
     def align(self, size: int) -> None:
         """Pad before a primitive of ``size`` bytes; ROS 1 has no padding."""
-        if self._aligned and (padding := -self._size % size):
+        if not self.ros1 and (padding := -self._size % size):
             self.raw(bytes(padding))
 
     def raw(self, data: Buffer) -> None:
@@ -171,7 +174,7 @@ class Packer:
     def write(self, code: str, *values: float) -> None:
         """Append primitives that need no padding between them: `struct` codes, aligned to the last."""
         layout, alignment = _compile("<" + code)
-        if self._aligned and self._size % alignment:
+        if not self.ros1 and self._size % alignment:
             self.align(alignment)
         self._parts.append(layout.pack(*values))
         self._size += layout.size
@@ -179,7 +182,7 @@ class Packer:
     def string(self, text: str) -> None:
         """Append a string."""
         data = text.encode("utf-8", "surrogateescape")
-        if self._aligned:
+        if not self.ros1:
             data += b"\0"
         self.write("I", len(data))
         self.raw(data)
@@ -201,10 +204,6 @@ class Packer:
             self.write("I", sequence)
         self.write("II" if self.ros1 else "iI", *seconds_of(stamp_ns, ros1=self.ros1))
 
-    def body(self) -> bytes:
-        """Return what was appended."""
-        return b"".join(self._parts)
-
     def finish(self) -> bytes:
         """Return the message, in ROS 2 with CDR's encapsulation header."""
-        return b"".join((b"\x00\x01\x00\x00", *self._parts)) if self._aligned else self.body()
+        return b"".join(self._parts)

@@ -12,7 +12,7 @@ from .option import ONE_OUTPUT, SINGLE, Parameter
 from .table import PARAMETERS, conversion_options, options_of, spelling_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Container, Iterable, Iterator, Mapping
 
     from typing_extensions import Self
 
@@ -103,14 +103,9 @@ class Options:
         more.given = self.given | {name: (*self.given.get(name, ()), *values) for name, values in texts.items()}
         return more
 
-    def among(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return what was given of these options."""
-        return {name: self.given[name] for name in names if name in self.given}
-
-    @property
-    def parameters(self) -> dict[str, Any]:
-        """The given parameters of the projection, in the order in which they were given."""
-        return {name: value for name, value in self.given.items() if name in PARAMETERS}
+    def among(self, names: Container[str]) -> dict[str, Any]:
+        """Return what was given of these options, in the order in which it was given."""
+        return {name: value for name, value in self.given.items() if name in names}
 
     @property
     def of_one_output(self) -> list[str]:
@@ -122,8 +117,7 @@ class Options:
     @property
     def of_conversions(self) -> dict[str, Any]:
         """What was given of the options that a batch gives to each conversion."""
-        known = conversion_options()
-        return {name: value for name, value in self.given.items() if name in known}
+        return self.among(conversion_options())
 
     @property
     def makes_scans(self) -> bool:

@@ -39,7 +39,7 @@ from .values import (
 )
 
 if TYPE_CHECKING:
-    from pc2scan.tf.options import FrameOptions
+    from pc2scan.tf.placing import FrameOptions
 
 
 class SourceTopics(TypedDict, total=False):

@@ -128,10 +128,15 @@ class Conversion(ABC):
         converted.
         """
 
-    def encoder(self, serialization: str) -> Step:
-        """Return the last step of a consumer that writes results: serialises them as ``ros1`` or ``cdr``."""
+    def serialise(self, serialization: str, result: ConvertedMessage) -> ConvertedMessage:
+        """Do the last step of a consumer that writes: replace arrays by their form in ``ros1`` or ``cdr``."""
         # Of the class: a function that is read from an instance would be bound to it.
-        return partial(_encode, type(self).encode, serialization)
+        result.message = type(self).encode(result.message, serialization)
+        result.size = len(result.message)
+        if result.used is not None:
+            result.used = result.used.encode(serialization)
+            result.size += len(result.used)
+        return result
 
 
 def steps_of(
@@ -201,13 +206,3 @@ def _follow(nodes: Sequence[_StepNode], value: Any, found: list[Any]) -> None:
         else:
             for place in places:
                 found[place] = made
-
-
-def _encode(encode: Callable[[Any, str], bytes], serialization: str, result: ConvertedMessage) -> ConvertedMessage:
-    """Replace the arrays of a result by its serialised form; nothing else refers to it."""
-    result.message = encode(result.message, serialization)
-    result.size = len(result.message)
-    if result.used is not None:
-        result.used = result.used.encode(serialization)
-        result.size += len(result.used)
-    return result

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Connection, RawMessage
     from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.options import FrameOptions
+    from pc2scan.tf.placing import FrameOptions
     from pc2scan.tf.static import StaticTransform
 
     from .items import Span

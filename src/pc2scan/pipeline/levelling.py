@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Writer
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.imu import ImuRequest, UpEstimate
-    from pc2scan.tf.options import FrameOptions
-    from pc2scan.tf.placing import LevelTransform
+    from pc2scan.tf.placing import FrameOptions, LevelTransform
     from pc2scan.tf.up_sources import UpSource
 
     from .options import ScanSpec

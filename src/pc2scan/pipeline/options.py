@@ -16,7 +16,7 @@ from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.conversion import CloudCombination, PointSelection
 from pc2scan.options.values import nanoseconds_of
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping

@@ -297,19 +297,9 @@ def preset_settings(consumer: str) -> list[Setting]:
     return [Setting(name, value, f"--preset {consumer}", "preset") for name, value in PRESETS[consumer].items()]
 
 
-def from_preset(origin: str) -> bool:
-    """Whether the origin of a parameter is a preset."""
-    return origin.startswith("--preset ")
-
-
 def preset_of(origin: str) -> str:
-    """Return the name of the preset in an origin."""
-    return origin.removeprefix("--preset ")
-
-
-def from_option(origin: str) -> bool:
-    """Whether the origin of a parameter is an option, ``--param`` or a call, not a file or a preset."""
-    return origin == CALL or (origin.startswith("--") and not from_preset(origin))
+    """Return the name of the preset that a parameter's origin is; empty if it is another."""
+    return origin.removeprefix("--preset ") if origin.startswith("--preset ") else ""
 
 
 def _contradiction(setting: Setting, rival: Setting) -> ParameterError:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.splitting import Cut
     from pc2scan.model import Buffer, Writer
-    from pc2scan.tf.options import FrameOptions
+    from pc2scan.tf.placing import FrameOptions
 
     from .combine.combiner import Combiner
     from .items import Item, OpenRoute, Output

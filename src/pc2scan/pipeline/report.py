@@ -362,7 +362,5 @@ class Report(Result):
         # Topics that are skipped completely are not counted here: they have their own warning.
         single = sum(topic.skipped for topic in self.topics if topic.action != "skipped")
         yield from skipped_remarks(self.skipped, single, targets=len(self.scans) > 1, verbose=verbose)
-        yield from self.damage_remarks(verbose=verbose)
-        if self.damage:
-            yield Remark("recovered", recovery_text(self.damage, self.messages_read, self.messages_declared))
-        yield from self.warning_remarks()
+        recovered = recovery_text(self.damage, self.messages_read, self.messages_declared) if self.damage else ""
+        yield from self.usual_remarks(recovered, verbose=verbose)

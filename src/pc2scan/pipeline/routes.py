@@ -79,7 +79,7 @@ def open_routes(
         chosen = [conversions[task.combination or task.spec] for task in route.tasks]
         if last is None:
             assert topics is not None  # either is given
-            steps = [conversion.encoder(topics.target.serialization) for conversion in chosen]
+            steps = [partial(conversion.serialise, topics.target.serialization) for conversion in chosen]
         else:
             steps = [partial(last, connection.serialization)] * len(chosen)
         combiners = [

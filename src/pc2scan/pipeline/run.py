@@ -29,7 +29,7 @@ from pc2scan.files.places import output_folder
 from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.model import MAX_ROSBAG2_NS
-from pc2scan.tf.options import FrameOptions
+from pc2scan.tf.placing import FrameOptions
 from pc2scan.threads import Threads, cores
 
 from .checks import request_warnings, result_findings
@@ -280,7 +280,8 @@ def _target(
         mark = "_repaired" if options.repair else "_scan"
         files.destination = default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
     path = files.destination
-    check_to(path, output.to)
+    if output.to is not None:
+        check_to(path, output.to)
     # None for a source without ROS messages.
     ros_version = next((each.ros_version for each in reader.connections if each.ros_version is not None), None)
     storage = None if is_named else default_storage(path, summaries)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.splitting import Cut
     from pc2scan.files.records import Record
-    from pc2scan.tf.options import FrameOptions
+    from pc2scan.tf.placing import FrameOptions
 
     from .report import Report
 

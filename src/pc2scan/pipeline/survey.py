@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.observers import observe
 from pc2scan.bags.topics import is_static
-from pc2scan.tf.placing import Placer
+from pc2scan.tf.placing import FrameOptions, Placer
 from pc2scan.tf.reading import RobotTransforms, TransformReading, tf_connections
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
     from pc2scan.tf.imu import ImuReading, ImuRequest, UpEstimate
-    from pc2scan.tf.options import FrameOptions
 
     from .clocks import Delays
     from .combine.measurements import CombinationObservers

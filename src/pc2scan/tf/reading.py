@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection, RawMessage
 
     from .buffer import TransformBuffer
-    from .options import FrameOptions
+    from .placing import FrameOptions
 
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000

@@ -16,7 +16,7 @@ import numpy as np
 from pc2scan.core.counts import PointCounts
 from pc2scan.core.floor import FEWEST_POINTS, tolerances
 from pc2scan.core.params import ProjectionParams
-from pc2scan.pipeline.parameters import from_preset
+from pc2scan.pipeline.parameters import preset_of
 from pc2scan.text import agreeing, counted
 
 from .request import says_unlimited
@@ -134,7 +134,7 @@ class CloudFacts:
     @property
     def lack_heights(self) -> bool:
         """Whether a preset leaves the heights to the user, who gives none."""
-        presets = any(map(from_preset, self.spec.origins.values()))
+        presets = any(map(preset_of, self.spec.origins.values()))
         return presets and self.is_default("min_height") and self.is_default("max_height")
 
     @property

@@ -10,7 +10,7 @@ from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
-from pc2scan.pipeline.parameters import from_preset, preset_of
+from pc2scan.pipeline.parameters import preset_of
 from pc2scan.text import agreeing, counted
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def refused_scans(result: Result) -> Iterator[str]:
     topics: dict[str, dict[str, None]] = {}
     for topic, data in result.first_scans:
         origins = topic.spec.origins.values() if topic.spec else ()
-        chosen = next((preset_of(origin) for origin in origins if from_preset(origin)), "")
+        chosen = next(filter(None, map(preset_of, origins)), "")
         if text := _refusal(data, result.serialization, chosen):
             topics.setdefault(text, {})[topic.target or ""] = None
     yield from (f"{', '.join(names)}: {text}" for text, names in topics.items())
@@ -360,7 +360,7 @@ def evenly_divided_circle(spec: ScanSpec) -> Iterator[str]:
 def range_of_preset(spec: ScanSpec) -> Iterator[str]:
     """Yield a note if a preset limits the range."""
     origin = spec.origins.get("range_max", "")
-    if from_preset(origin):
+    if preset_of(origin):
         yield (
             f"range_max is {spec.params.range_max:g} m, chosen by {origin}: returns beyond are ignored; "
             "`range_max` chooses another"

@@ -17,7 +17,7 @@ from pc2scan.core.counts import PointCounts
 from pc2scan.core.layout import TURN
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
-from pc2scan.core.project import PointsPart, ProjectedScan, contiguous, transform_rows
+from pc2scan.core.project import PointsPart, ProjectedScan, contiguous
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import MessageError
 from pc2scan.files.source import ReadBuffer, retain
@@ -469,9 +469,7 @@ def _fits(member: Contribution, lead: Contribution) -> bool:
 
 def _transform_points(points: Points, transform: Rigid | MovingTransform | None, frame_id: str) -> Points:
     """Return points as they are projected; those of a moving sensor are transformed already."""
-    return (
-        points.transform(transform_rows(transform.as_float32()), frame_id) if isinstance(transform, Rigid) else points
-    )
+    return points.transform(transform.as_float32(), frame_id) if isinstance(transform, Rigid) else points
 
 
 def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:

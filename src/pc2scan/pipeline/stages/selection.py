@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.points import NUMBER
-from pc2scan.core.project import transform_rows
 from pc2scan.errors import UnconnectedError
 
 from .filters import Frame
@@ -159,6 +158,4 @@ class SelectStage:
             name, transform = frame, self._placer.transform(frame, points.frame_id, points.stamp_ns)
         else:
             name, transform, _ = place
-        seen.by_frame[frame] = (
-            points if transform is None else points.transform(transform_rows(transform.as_float32()), name)
-        )
+        seen.by_frame[frame] = points if transform is None else points.transform(transform.as_float32(), name)
