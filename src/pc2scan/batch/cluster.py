@@ -19,12 +19,13 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
-from pc2scan.errors import OutputError, Pc2ScanError, UsageError
+from pc2scan.errors import MissingError, OutputError, Pc2ScanError, UsageError
 from pc2scan.files.staging import clean_up
 from pc2scan.files.urls import is_url, path_or_url
 from pc2scan.version import __version__
 
 from .jobs import Event
+from .manifest import Identity
 from .processes import run_jobs
 
 if TYPE_CHECKING:
@@ -187,7 +188,9 @@ def _record(job: Job, future: Any, seconds: float) -> ManifestRecord:
         case _UnseenError(args=(host, path)):
             if os.path.lexists(path):
                 raise _unseen_error(host, path)
-            return job.failure(OutputError(f"the Dask worker on {host} does not see {path}", hint=_SHARED))
+            if path not in job.sources:
+                raise OutputError(f"the Dask worker on {host} does not see {path}", hint=_SHARED)
+            return job.failure(MissingError("does not exist", path=path_or_url(path)), identity=Identity())
         case UsageError() as err:
             raise err
         case err:
