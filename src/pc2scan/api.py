@@ -128,7 +128,7 @@ def batch(
     >>> result.counts  # doctest: +SKIP
     {'failed': 2, 'converted': 998}
     """
-    from .batch.options import BatchCallbacks  # noqa: PLC0415
+    from .batch.run import BatchCallbacks  # noqa: PLC0415
 
     asked = Options("batch", options)
     watch = BatchCallbacks() if asked.progress is None else BatchCallbacks(progress=asked.progress)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from .batch.options import BatchCallbacks
+    from .batch.run import BatchCallbacks
     from .batch.summary import BatchReport
     from .compare.result import Difference
     from .export.report import ExportReport
@@ -83,8 +83,7 @@ def repair(source: Path, destination: PathText | None, options: Options, *, prog
 
 def batch(sources: Sequence[str], destination: Path, options: Options, watch: BatchCallbacks) -> BatchReport:
     """Convert every recording of a dataset; see `pc2scan.batch`."""
-    from .batch.options import BatchOptions  # noqa: PLC0415
-    from .batch.run import run_batch  # noqa: PLC0415
+    from .batch.run import BatchOptions, run_batch  # noqa: PLC0415
 
     how = BatchOptions.of(options)
     return run_batch(sources, destination, options.of_conversions, how, origins=options.origins, watch=watch)

@@ -1,4 +1,4 @@
-"""Runs the work of a conversion on threads, returns results in order within bounds of memory, and keeps freed memory."""
+"""Runs the work of a conversion on threads, returns results in order within bounds of memory; keeps freed memory."""
 
 from __future__ import annotations
 

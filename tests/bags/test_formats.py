@@ -12,7 +12,7 @@ import pytest
 import pc2scan
 from pc2scan.bags.formats import FORMATS, Format, ReadOptions, WriteOptions, destinations, storages
 from pc2scan.bags.opening import open_recording
-from pc2scan.batch.folder import first_part, unnumbered_name
+from pc2scan.batch.manifest import first_part, unnumbered_name
 from pc2scan.errors import DestinationError, RecordingError
 from pc2scan.options.table import options_of
 from support import ROOT

@@ -17,7 +17,8 @@ from unittest.mock import patch
 import pytest
 
 import pc2scan
-from pc2scan.batch.jobs import convert_one
+from pc2scan.batch.jobs import Event, convert_one
+from pc2scan.errors import OutputError
 from pc2scan.text import size
 from support import sampled
 from support.batches import KEYWORDS, batch, manifest_of, place
@@ -337,12 +338,31 @@ def test_a_result_whose_beginning_nobody_heard_of_is_known(tmp_path: Path) -> No
         raise KeyboardInterrupt
         yield
 
-    with patch("pc2scan.batch.executors.run_jobs", execute), pytest.raises(KeyboardInterrupt):
+    with patch("pc2scan.batch.run.run_jobs", execute), pytest.raises(KeyboardInterrupt):
         pc2scan.batch(drives, out, **KEYWORDS)
     assert manifest_of(out) == {}
     assert len(list(out.glob("*_scan.bag"))) == 1
     report = batch(drives, out)
     assert (report.exit_status, {each.outcome for each in report.outcomes}) == (0, {"converted"})
+
+
+def test_a_result_whose_line_cannot_be_written_is_known(tmp_path: Path) -> None:
+    drives, out = place(tmp_path / "drives", "a.bag"), tmp_path / "out"
+
+    def execute(jobs: Any, **_: object) -> Iterator[Any]:
+        yield Event("begun", jobs[0].key)
+        done = convert_one(jobs[0])
+        (out / "manifest.jsonl").mkdir()
+        yield Event("done", jobs[0].key, done)
+
+    with (
+        patch("pc2scan.batch.run.run_jobs", execute),
+        pytest.raises(OutputError, match="the manifest cannot be written"),
+    ):
+        pc2scan.batch(drives, out, **KEYWORDS)
+    (out / "manifest.jsonl").rmdir()
+    assert (out / "a_scan.bag").exists()
+    assert [each.why for each in batch(drives, out).outcomes] == ["interrupted before"]
 
 
 @pytest.mark.parametrize("seed", sampled(range(40), 10))

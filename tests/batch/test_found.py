@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import pc2scan
-from pc2scan.batch.identity import Identity, checksum_of, identity_of
+from pc2scan.batch.manifest import Identity, checksum_of, identity_of
 from support.batches import batch, manifest_of, place
 from support.builders import CONTENT, SECOND, Item, Recording, write_mcap, write_rosbag1
 from support.tables import rows

@@ -12,7 +12,7 @@ import pytest
 
 import pc2scan
 from pc2scan.batch.dataset_file import DatasetEntry
-from pc2scan.batch.request import request_of
+from pc2scan.batch.jobs import digest_of, request_of
 from pc2scan.errors import UsageError
 from pc2scan.export.formats import FORMATS
 from pc2scan.options.schemas import schema_text
@@ -80,7 +80,7 @@ def test_typed_options_mean_what_keywords_mean(
         monkeypatch.setattr("pc2scan.pipeline.run.run", converted)
         pc2scan.convert("drive.bag", tmp_path / "x", **keywords)
         ((_, _, options, output),) = called
-        assert replace(request_of(keywords), options=options).digest() == request_of(keywords).digest()
+        assert digest_of(replace(request_of(keywords), options=options)) == request_of(keywords).digest
         assert (output.storage, output.cut) == (request_of(keywords).output.storage, request_of(keywords).output.cut)
 
 

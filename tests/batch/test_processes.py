@@ -19,8 +19,7 @@ import pytest
 
 import pc2scan
 from batch.datasets import make_dataset
-from pc2scan.batch.executors import available_bytes, workers_for
-from pc2scan.batch.worker import receive, send
+from pc2scan.batch.processes import available_bytes, receive, send, workers_for
 from pc2scan.errors import DestinationError, Pc2ScanError
 from support import sampled
 from support.batches import HEIGHTS, KEYWORDS, batch, contents, manifest_of, place

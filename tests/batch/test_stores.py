@@ -17,8 +17,8 @@ import pytest
 
 import pc2scan
 from batch.cluster import cluster
-from pc2scan.batch import stores
-from pc2scan.batch.options import BatchCallbacks, BatchOptions
+from pc2scan.batch import folder as batch_folder
+from pc2scan.batch.run import BatchCallbacks, BatchOptions
 from pc2scan.batch.run import run_batch as run_batch_in_process
 from pc2scan.errors import DestinationError, MissingError, RecordingError, UsageError
 from pc2scan.files.store import _open_files
@@ -256,11 +256,20 @@ def test_exported_folders_are_replaced_if_all_is_known(store: Store, drives: Pat
     assert store.contents("out").keys() == {"a/scan.csv", "a/.pc2scan-files.json"}
 
 
+def test_an_exported_folder_of_many_files_is_known(store: Store, drives: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A manifest has one entry for the files of such a folder."""
+    monkeypatch.setattr("pc2scan.batch.manifest._MOST", 1)
+    source, out = f"{store.upload(drives)}/a.bag", f"{store.url}/out"
+    assert batch(source, out, export="npz").exit_status == 0
+    assert store.line("a.bag")["output"]["files"][0][0] == "2 files"
+    assert batch(source, out, export="npz").unchanged == 1
+
+
 def test_a_manifest_that_changed_meanwhile_is_an_error(
     store: Store, drives: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source, out = store.upload(drives), f"{store.url}/out"
-    monkeypatch.setattr(stores, "_PUSH_SECONDS", 0.0)
+    monkeypatch.setattr(batch_folder, "_PUSH_SECONDS", 0.0)
     other: list[bool] = []
 
     def done(_: object) -> None:

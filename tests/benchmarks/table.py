@@ -42,9 +42,8 @@ from benchmarks.clouds import (
 from benchmarks.work import LAYOUTS, convert_two, deskewing_tasks, params_of, straightforward
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.rosbag1.read import Rosbag1Reader
-from pc2scan.batch.options import BatchOptions
 from pc2scan.batch.processes import run_jobs
-from pc2scan.batch.run import run_batch
+from pc2scan.batch.run import BatchOptions, run_batch
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
@@ -53,9 +52,9 @@ from support.builders import write_mcap
 from support.worlds.drives import drive_recording
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Generator, Iterable, Sequence
 
-    from pc2scan.batch.processes import Executor
+    from pc2scan.batch.jobs import Event, Job
 
 HEIGHTS = ("--min-height", "-0.5", "--max-height", "1")
 PARAMS = pc2scan.ProjectionParams(min_height=-0.5, max_height=1.0)
@@ -453,8 +452,8 @@ def batched(sources: Path, out: Path, workers: int, cores: int) -> tuple[float, 
     """How long a batch takes, with the start of its processes, and its processor time."""
     shutil.rmtree(out, ignore_errors=True)
 
-    def executor(*, lock: int | None, **_: object) -> Executor:
-        return lambda jobs: run_jobs(jobs, workers=workers, cores=cores, lock=lock)
+    def executor(jobs: Sequence[Job], *, lock: int | None, **_: object) -> Generator[Event]:
+        return run_jobs(jobs, workers=workers, cores=cores, lock=lock)
 
     words = {"params": PARAMS, "topics": (POINTS,), "only_scans": True}
     before = os.times()

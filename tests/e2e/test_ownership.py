@@ -93,7 +93,7 @@ def test_a_batch_that_was_killed_knows_its_numbered_files(
 
     with monkeypatch.context() as patch:
         # Between the renaming of the files and the line in the manifest.
-        patch.setattr("pc2scan.batch.run.result_record", killed)
+        patch.setattr("pc2scan.batch.folder.BatchFolder.append", killed)
         with pytest.raises(KeyboardInterrupt):
             batch(drives, out, split="100ms")
     assert len(list(out.glob("a_scan_*.bag"))) == 5

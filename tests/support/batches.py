@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import pc2scan
-from pc2scan.batch.jobs import convert_one
-from pc2scan.batch.processes import JobEnd, JobStart
+from pc2scan.batch.jobs import Event, convert_one
 from support.builders import CONTENT, write_db3, write_mcap, write_rosbag1, write_rosbag2
 from support.command import Finished, run
 
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterator, Sequence
 
     from pc2scan.batch.jobs import Job
-    from pc2scan.batch.processes import Event
     from pc2scan.batch.summary import BatchReport
 
 __all__ = ["HEIGHTS", "KEYWORDS", "batch", "contents", "in_this_process", "manifest_of", "place", "run_batch"]
@@ -36,8 +34,8 @@ def _execute(waiting: Sequence[Job], jobs: list[str], **_: object) -> Generator[
     """Run jobs one after the other."""
     for job in waiting:
         jobs.append(job.key)
-        yield JobStart(job.key)
-        yield JobEnd(convert_one(job))
+        yield Event("begun", job.key)
+        yield Event("done", job.key, convert_one(job))
 
 
 @contextmanager
@@ -47,7 +45,7 @@ def in_this_process() -> Iterator[list[str]]:
     Yields the keys of the jobs that were begun: of a recording that is converted in pieces there are several.
     """
     jobs: list[str] = []
-    with patch("pc2scan.batch.executors.run_jobs", partial(_execute, jobs=jobs)):
+    with patch("pc2scan.batch.run.run_jobs", partial(_execute, jobs=jobs)):
         yield jobs
 
 

@@ -1,4 +1,4 @@
-"""Runs the jobs of a batch on a Dask cluster: each job is a task, and its events come back. Dask handles lost workers.
+"""An executor: runs jobs as tasks on a Dask cluster, and yields their events. Dask handles lost workers.
 
 A task starts a child process of its Dask worker and converts there, as a batch on one machine does. So a conversion can
 be interrupted, and it removes its unfinished output even if the Dask worker is killed.
@@ -13,26 +13,27 @@ import socket
 import time
 from collections import Counter, deque
 from contextlib import ExitStack, closing, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
-from pc2scan.errors import OutputError, Pc2ScanError, UsageError
+from pc2scan.errors import MissingError, OutputError, Pc2ScanError, UsageError
 from pc2scan.files.staging import clean_up
 from pc2scan.files.urls import is_url, path_or_url
 from pc2scan.version import __version__
 
-from .jobs import JobResult, death_of
-from .processes import Information, JobEnd, JobProgress, JobStart, run_jobs
+from .jobs import Event
+from .manifest import Identity
+from .processes import run_jobs
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
+    from collections.abc import Generator, Iterator, Sequence
     from pathlib import Path
 
     from .jobs import Job
-    from .processes import Event
+    from .manifest import ManifestRecord
 
 #: Seconds between two checks whether a task was cancelled, and between two polls of the events.
 _POLL_SECONDS = 0.5
@@ -54,14 +55,8 @@ class _ProcessDeathError(Exception):
     """The process of a conversion died; Dask tries the task again."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
-    """What a task returns: a result, or why it did not begin: another version of pc2scan, or paths it does not see."""
-
-    host: str
-    result: JobResult | None = None
-    version: str = __version__
-    unseen: tuple[str, ...] = ()
+class _UnseenError(Exception):
+    """A worker does not see a path: the name of its machine, and the path."""
 
 
 def check_dask() -> None:
@@ -81,32 +76,21 @@ def dask_setup(_worker: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def run_jobs_on_dask(jobs: Sequence[Job], address: str, *, workers: int, cores: int, retries: int) -> Generator[Event]:
-    """Do jobs on a Dask cluster.
+def run_jobs_on_dask(
+    jobs: Sequence[Job], *, address: str, workers: int, cores: int, retries: int, lock: int | None = None
+) -> Generator[Event]:
+    """Run jobs on the Dask cluster whose scheduler has this address; see `pc2scan.batch.jobs.Executor`.
 
-    Parameters
-    ----------
-    jobs
-        In the order in which they begin.
-    address
-        Of the scheduler. Empty: a cluster is started on this machine, and closed at the end.
-    workers, cores
-        Number of workers of a cluster on this machine, and number of threads of all workers together.
-    retries
-        How often a recording is tried again if its process died.
-
-    Yields
-    ------
-    Event
-        `JobEnd` once for every job.
+    With an empty address, a cluster is started on this machine, and closed at the end.
     """
+    del lock  # It is for processes on this machine.
     if not jobs:
         return
     with ExitStack() as stack:
         client = stack.enter_context(_connect(address, workers, cores, retries))
-        yield Information(f"Dask's dashboard: {client.dashboard_link}")
+        yield Event("told", value=f"Dask's dashboard: {client.dashboard_link}")
         if not client.scheduler_info(n_workers=-1)["workers"]:
-            yield Information(f"{address} has no worker yet; the batch begins when one joins")
+            yield Event("told", value=f"{address} has no worker yet; the batch begins when one joins")
             client.wait_for_workers(1)
         _check_workers(client, jobs)
         yield from _run_jobs(client, jobs, retries)
@@ -154,20 +138,16 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
                 case "began":
                     attempts[key] += 1
                     running[key] = time.monotonic()
-                    yield JobStart(key)
+                    yield Event("begun", key)
                 case "done":
                     job = left.pop(key)
                     seconds = round(time.monotonic() - running.get(key, time.monotonic()), 3)
-                    result = _result(job, value, seconds)
-                    if (
-                        attempts[key] > 1
-                        and job != job.retried()
-                        and "exists already" in (result.error or {}).get("message", "")
-                    ):
+                    record = _record(job, value, seconds)
+                    if attempts[key] > 1 and job != job.retried() and _says(record, "exists already"):
                         # The first attempt, whose worker was lost, has completed the output nevertheless.
                         pending.append(job.retried())
                         continue
-                    yield JobEnd(replace(result, attempts=max(1, attempts[key])))
+                    yield Event("done", key, replace(record, attempts=max(1, attempts[key])))
     finally:
         connected = client.status == "running"
         if left:
@@ -191,66 +171,84 @@ def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, f
                 running.pop(key, None)
 
 
-def _result(job: Job, future: Any, seconds: float) -> JobResult:
-    """Return the result of a finished task; raises if the cluster cannot convert anything of this batch."""
+def _record(job: Job, future: Any, seconds: float) -> ManifestRecord:
+    """Return what a finished task has found; raises if the cluster cannot convert anything of this batch."""
     from distributed import KilledWorker  # noqa: PLC0415  # an extra
 
     if future.status == "cancelled":
         raise _loss_error()
-    if future.status == "error":
-        err = future.exception()
-        if isinstance(err, KilledWorker):
-            return death_of(job, f"its Dask worker died: {err}", attempts=1, seconds=seconds)
-        if isinstance(err, _ProcessDeathError):
-            return death_of(job, str(err), attempts=1, seconds=seconds)
-        raise Pc2ScanError(
-            f"a Dask worker cannot convert: {type(err).__name__}: {err}",
-            hint="every worker needs the same version of pc2scan, and the modules of your own filters",
-        )
-    answer: _Answer = future.result()
-    if answer.version != __version__:
-        raise _version_error(answer.host, answer.version)
-    _check_seen(answer.host, answer.unseen)
-    if answer.result is None:
-        raise OutputError(f"the Dask worker on {answer.host} does not see {answer.unseen[0]}", hint=_SHARED)
-    return answer.result
+    if future.status != "error":
+        record: ManifestRecord = future.result()
+        return record
+    match future.exception():
+        case KilledWorker() as err:
+            return job.death(f"its Dask worker died: {err}", attempts=1, seconds=seconds)
+        case _ProcessDeathError() as err:
+            return job.death(str(err), attempts=1, seconds=seconds)
+        case _UnseenError(args=(host, path)):
+            if os.path.lexists(path):
+                raise _unseen_error(host, path)
+            if path not in job.sources:
+                raise OutputError(f"the Dask worker on {host} does not see {path}", hint=_SHARED)
+            return job.failure(MissingError("does not exist", path=path_or_url(path)), identity=Identity())
+        case UsageError() as err:
+            raise err
+        case err:
+            raise Pc2ScanError(
+                f"a Dask worker cannot convert: {type(err).__name__}: {err}",
+                hint="every worker needs the same version of pc2scan, and the modules of your own filters",
+            )
 
 
-def _convert_on_worker(job: Job, version: str, topic: str) -> _Answer:
-    """Convert a recording: runs on a worker, in one of its threads."""
-    from distributed import Status, get_worker  # noqa: PLC0415  # an extra
+def _says(record: ManifestRecord, text: str) -> bool:
+    """Return whether the error of a recording has this text."""
+    return text in (record.error or {}).get("message", "")
+
+
+def _convert_on_worker(job: Job, version: str, topic: str) -> ManifestRecord:
+    """Convert a recording in a child process: runs on a worker, in one of its threads."""
+    from distributed import get_worker  # noqa: PLC0415  # an extra
 
     host = socket.gethostname()
     if version != __version__:
-        return _Answer(host, version=__version__)
-    unseen = tuple(path for path in job.sources if not is_url(path) and not os.path.lexists(path))
+        raise _version_error(host, __version__)
     folder = path_or_url(job.destination).parent
+    unseen = [path for path in job.sources if not is_url(path) and not os.path.lexists(path)]
     if not is_url(folder) and not _is_there(folder):
-        return _Answer(host, unseen=(str(folder), *unseen))
+        unseen.insert(0, str(folder))
+    if unseen:
+        raise _UnseenError(host, unseen[0])
     worker = get_worker()
-    key = worker.get_current_task()
-
-    def check() -> None:
-        task = worker.state.tasks.get(key)
-        if task is None or task.state == "cancelled" or worker.status not in (Status.running, Status.paused):
-            raise _CancelledError
-
     threads = max(1, worker.state.nthreads // max(1, worker.state.executing_count))
     deadline = time.monotonic() + _CLEANUP_SECONDS
     worker.log_event(topic, ("began", job.key, None))
     try:
-        while True:
-            result = _convert_in_process(job, threads, check)
-            error = result.error or {}
-            # The process of an earlier attempt may still hold the output. It ends soon after its worker was killed.
-            if "being written by another run" not in error.get("message", "") or time.monotonic() > deadline:
-                break
+        record = _convert_in_process(job, threads, worker)
+        # The process of an earlier attempt may still hold the output. It ends soon after its worker was killed.
+        while _says(record, "being written by another run") and time.monotonic() < deadline:
             time.sleep(_POLL_SECONDS)
+            record = _convert_in_process(job, threads, worker)
     finally:
         worker.log_event(topic, ("gone", job.key, None))
-    if result.outcome == "died":
-        raise _ProcessDeathError((result.error or {}).get("message", ""))
-    return _Answer(host, result, unseen=unseen)
+    if record.outcome == "died":
+        raise _ProcessDeathError((record.error or {}).get("message", ""))
+    return record
+
+
+def _convert_in_process(job: Job, threads: int, worker: Any) -> ManifestRecord:
+    """Convert a recording; raises if its task is cancelled meanwhile."""
+    from distributed import Status  # noqa: PLC0415  # an extra
+
+    key = worker.get_current_task()
+    with closing(run_jobs([job], workers=1, cores=threads, retries=0)) as events:
+        for event in events:
+            if event.what == "done":
+                record: ManifestRecord = event.value
+                return record
+            task = worker.state.tasks.get(key)
+            if task is None or task.state == "cancelled" or worker.status not in (Status.running, Status.paused):
+                break
+    raise _CancelledError
 
 
 def _is_there(folder: Path) -> bool:
@@ -262,18 +260,6 @@ def _is_there(folder: Path) -> bool:
         list(folder.parent.iterdir())
     time.sleep(_POLL_SECONDS)
     return folder.is_dir()
-
-
-def _convert_in_process(job: Job, threads: int, check: Callable[[], None]) -> JobResult:
-    last = 0.0
-    with closing(run_jobs([job], workers=1, cores=threads, retries=0, check=check)) as events:
-        for event in events:
-            if isinstance(event, JobEnd):
-                return event.result
-            if isinstance(event, JobProgress) and time.monotonic() - last >= _POLL_SECONDS:
-                last = time.monotonic()
-                check()
-    raise _CancelledError
 
 
 def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
@@ -295,14 +281,12 @@ def _check_workers(client: Any, jobs: Sequence[Job]) -> None:
     for host, version, unseen in client.run(look, paths).values():
         if version != __version__:
             raise _version_error(host, version)
-        _check_seen(host, unseen)
+        if here := [path for path in unseen if os.path.lexists(path)]:
+            raise _unseen_error(host, here[0])
 
 
-def _check_seen(host: str, unseen: Sequence[str]) -> None:
-    """Raise if a worker does not see a path that exists on this machine."""
-    here = [path for path in unseen if os.path.lexists(path)]
-    if here:
-        raise UsageError(f"the Dask worker on {host} does not see {here[0]}", hint=_SHARED)
+def _unseen_error(host: str, path: str) -> Pc2ScanError:
+    return UsageError(f"the Dask worker on {host} does not see {path}", hint=_SHARED)
 
 
 def _version_error(host: str, version: str) -> Pc2ScanError:

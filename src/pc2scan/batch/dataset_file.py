@@ -1,4 +1,7 @@
-"""Reads dataset files: YAML that gives options to the recordings of a dataset, by patterns."""
+"""The options of each recording: those of the call override those of a dataset file. All are checked beforehand.
+
+A dataset file is YAML that gives options to the recordings of a dataset, by patterns.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,14 @@ from pc2scan.files.urls import is_url, local_path
 from pc2scan.options.table import dataset_options
 from pc2scan.options.values import Flag, PathName, Texts
 from pc2scan.pipeline.parameters import RIVALS, plain_scalar
+from pc2scan.pipeline.redaction import may_quote, redact_file
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
 from pc2scan.text import did_you_mean
 
+from .jobs import Request, request_of
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.options.values import Value
 
@@ -41,9 +47,9 @@ class DatasetEntry:
     patterns
         Globs; empty for the defaults, which match everything.
     keywords
-        Options by name, as `pc2scan.batch.request.request_of` reads them.
-    lines
-        The line of each option.
+        Options by name, as `pc2scan.batch.jobs.request_of` reads them.
+    origins
+        Where each option comes from.
     skip
         Whether the recordings are skipped; None if the entry does not have it.
     """
@@ -51,7 +57,7 @@ class DatasetEntry:
     line: int
     patterns: tuple[str, ...] = ()
     keywords: Mapping[str, Any] = field(default_factory=dict)
-    lines: Mapping[str, int] = field(default_factory=dict)
+    origins: Mapping[str, str] = field(default_factory=dict)
     skip: bool | None = None
 
     @cached_property
@@ -69,24 +75,6 @@ class DatasetFile:
 
     path: Path | None = None
     entries: tuple[DatasetEntry, ...] = ()
-
-    def matching(self, key: str) -> tuple[int, ...]:
-        """Return the indices of the entries that apply to a recording."""
-        return tuple(number for number, entry in enumerate(self.entries) if entry.matches(key))
-
-    def combined(self, numbers: Sequence[int]) -> tuple[dict[str, Any], dict[str, str], bool]:
-        """Return the options of several entries, where each comes from, and whether the recordings are skipped."""
-        keywords: dict[str, Any] = {}
-        origins: dict[str, str] = {}
-        skip = False
-        for entry in (self.entries[number] for number in numbers):
-            for name in entry.keywords:
-                # Another option that means the same is overridden, too.
-                keywords.pop(RIVALS.get(name, ""), None)
-            keywords |= entry.keywords
-            origins |= {name: f"{self.path}, line {line}" for name, line in entry.lines.items()}
-            skip = skip if entry.skip is None else entry.skip
-        return keywords, origins, skip
 
 
 def load_dataset_file(path: Path) -> DatasetFile:
@@ -142,7 +130,7 @@ class _FileReader:
         options = dataset_options()
         known = (*(() if is_default else ("match", "skip")), *options)
         keywords: dict[str, Any] = {}
-        lines: dict[str, int] = {}
+        origins: dict[str, str] = {}
         patterns: tuple[str, ...] = ()
         skip = None
         for name, value in self._pairs(node, where, known):
@@ -152,10 +140,10 @@ class _FileReader:
                 skip = self._value(value, name, Flag())
             else:
                 keywords[name] = self._value(value, name, options[name].value)
-                lines[name] = _line(value)
+                origins[name] = f"{self._path}, line {_line(value)}"
         if not patterns and not is_default:
             raise self._error(node, "an entry of recordings has no match", "write 'match: robot1/**' in it")
-        return DatasetEntry(_line(node), patterns, keywords, lines, skip)
+        return DatasetEntry(_line(node), patterns, keywords, origins, skip)
 
     def _pairs(self, node: Any, where: str, known: Sequence[str]) -> Iterator[tuple[str, Any]]:
         """Yield the names and values of a mapping; raises if a name is unknown or occurs twice."""
@@ -235,3 +223,100 @@ def _expression(pattern: str) -> str:
     parts.append(re.escape(pattern[position:]))
     anywhere = "" if "/" in pattern else "(?:.*/)?"
     return f"{anywhere}{''.join(parts)}(?:/.*)?"
+
+
+# --- The options of each recording ---
+
+
+class Choices:
+    """Finds the options of recordings. Recordings with the same options share one request.
+
+    Parameters
+    ----------
+    dataset
+        The dataset file.
+    keywords
+        Options of the call. They override those of the file.
+    origins
+        Where each option of the call comes from, for errors.
+
+    Raises
+    ------
+    UsageError
+        If the options of the call alone, or with the defaults of the file, are wrong.
+    """
+
+    def __init__(self, dataset: DatasetFile, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
+        self._dataset = dataset
+        self._call = DatasetEntry(0, keywords=keywords, origins=origins)
+        self._made: dict[tuple[int, ...], Request | None] = {}
+        self._request(tuple(number for number, entry in enumerate(dataset.entries) if not entry.patterns))
+
+    def of(self, keys: Iterable[str]) -> dict[str, Request | None]:
+        """Return the options of recordings, by key; None for those that are skipped.
+
+        Raises
+        ------
+        UsageError
+            If options are wrong; the message names the line of the dataset file.
+        """
+        entries = list(enumerate(self._dataset.entries))
+        return {key: self._request(tuple(number for number, entry in entries if entry.matches(key))) for key in keys}
+
+    def warnings(self, keys: Iterable[str]) -> list[str]:
+        """Return warnings about the dataset file and the options."""
+        listed = list(keys)
+        unused = [
+            f"{self._dataset.path}, line {entry.line}: matches no recording: {', '.join(entry.patterns)}"
+            for entry in self._dataset.entries
+            if not any(map(entry.matches, listed))
+        ]
+        notes = [note for request in self._made.values() if request for note in request.notes]
+        return [*unused, *dict.fromkeys(notes)]
+
+    def _request(self, numbers: tuple[int, ...]) -> Request | None:
+        """Return the options of a recording that these entries of the file apply to."""
+        if numbers not in self._made:
+            keywords: dict[str, Any] = {}
+            origins: dict[str, str] = {}
+            skip = False
+            for entry in (*(self._dataset.entries[number] for number in numbers), self._call):
+                for name in entry.keywords:
+                    # Another option that means the same is overridden, too.
+                    keywords.pop(RIVALS.get(name, ""), None)
+                    origins.pop(name, None)
+                keywords |= entry.keywords
+                origins |= entry.origins
+                skip = skip if entry.skip is None else entry.skip
+            try:
+                self._made[numbers] = None if skip else request_of(keywords, origins)
+            except UsageError as err:
+                self._refuse_to_quote(err, keywords, origins)
+                if numbers and not any(origin in err.message for origin in origins.values()):
+                    self._add_origin(err, self._dataset.entries[numbers[-1]], keywords, origins)
+                raise
+        return self._made[numbers]
+
+    def _refuse_to_quote(self, err: UsageError, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
+        """Raise another error if one is about a file that the dataset file names, and may quote it."""
+        for name in ("params_file", "static_tf_file", "scans"):
+            if name in keywords and name not in self._call.keywords and may_quote(err, keywords[name]):
+                raise redact_file(err, keywords[name], origins[name], name) from None
+
+    def _add_origin(
+        self, err: UsageError, last: DatasetEntry, keywords: Mapping[str, Any], origins: Mapping[str, str]
+    ) -> None:
+        """Add the line of the dataset file that has the wrong option to the message; if unknown, that of ``last``."""
+        text = f"{err.message} {err.hint or ''}"
+        named = [name for name in origins if f"`{name}`" in text or f"`{name}=" in text]
+        if isinstance(err, ParameterError) and err.name in origins:
+            named.insert(0, err.name)
+        # Some messages quote the wrong value (a transform, a topic) instead of the option.
+        named += [
+            name
+            for name, value in keywords.items()
+            if name not in self._call.keywords
+            and any(repr(text) in err.message for text in (value if isinstance(value, tuple) else (value,)))
+        ]
+        where = next((origins[name] for name in named if name in origins), f"{self._dataset.path}, line {last.line}")
+        err.message = f"{err.message} (from {where})"

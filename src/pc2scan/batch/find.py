@@ -17,7 +17,7 @@ from pc2scan.files.places import working_names
 from pc2scan.files.source import open_bytes
 from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, is_url, local_path, path_or_url
 
-from .identity import Identity, identity_of
+from .manifest import Identity, identity_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -150,7 +150,7 @@ def _candidates(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Candida
             if (listed := _paths_in_list(path)) is None:
                 files.append(path)
             else:
-                yield from _candidates_at(listed, out, searching=f"{path}: ")
+                yield from _candidates_at(listed, out)
         elif _GLOB & set(text):
             root = _literal_part(path)
             found = _matches(path, root)
@@ -167,13 +167,13 @@ def _candidates(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Candida
     yield from _candidates_at(files, out)
 
 
-def _candidates_at(paths: Sequence[Path], out: Path, searching: str = "") -> Iterator[list[_Candidate]]:
+def _candidates_at(paths: Sequence[Path], out: Path) -> Iterator[list[_Candidate]]:
     """Yield candidates for paths that were named one by one: local ones first, then those at URLs."""
     for remote in (False, True):
-        yield from _candidates_below([path for path in paths if isinstance(path, UrlPath) == remote], out, searching)
+        yield from _candidates_below([path for path in paths if isinstance(path, UrlPath) == remote], out)
 
 
-def _candidates_below(paths: Sequence[Path], out: Path, searching: str) -> Iterator[list[_Candidate]]:
+def _candidates_below(paths: Sequence[Path], out: Path) -> Iterator[list[_Candidate]]:
     """Yield candidates for paths that were named one by one; keys are relative to the folder that contains them all."""
     if not paths:
         return
@@ -184,17 +184,12 @@ def _candidates_below(paths: Sequence[Path], out: Path, searching: str) -> Itera
         root = Path()
     if not root.name and len(paths) > 1 and (not root.parts or isinstance(paths[0], UrlPath)):
         # On different drives (Windows), or in different stores: there is no common folder.
-        yield from ([candidates] for path in paths for (candidates,) in _candidates_below([path], out, searching))
+        yield from ([candidates] for path in paths for (candidates,) in _candidates_below([path], out))
         return
-    candidates = []
-    for path in paths:
-        if path.is_dir() and not _is_rosbag2(path):
-            if searching:
-                _refuse_inside(path, out)
-            candidates.append(_Candidate(path, root, named=False))
-        else:
-            candidates.append(_Candidate(path, root, named=True))
-    yield candidates
+    folders = {path for path in paths if path.is_dir() and not _is_rosbag2(path)}
+    for folder in folders:
+        _refuse_inside(folder, out)
+    yield [_Candidate(path, root, named=path not in folders) for path in paths]
 
 
 def _matches(pattern: Path, root: Path) -> list[Path]:

@@ -1,32 +1,44 @@
-"""The folder that a batch writes into: its locks, the folders in it, the note of unfinished outputs, and their names.
+"""The folder that a batch writes into, on a disk or in a store: its manifest, and the note of unfinished outputs.
 
-A result of several files has the name of its first file: ``drive_scan_0.bag`` stands for all parts of
-``drive_scan.bag``. A result that is one file is named ``drive_scan.bag``, so that the two kinds cannot be confused.
+On a disk, a lock keeps other runs out. A store has no locks: there, a manifest that another run has written meanwhile
+is an error, and the manifest is uploaded from time to time while recordings are converted, and at the end.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import time
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.formats import file_suffixes
-from pc2scan.errors import DestinationError, OutputError
+from pc2scan.errors import DestinationError, MissingError, OutputError
 from pc2scan.files.ownership import first_link
-from pc2scan.files.places import check_place, part_name
+from pc2scan.files.places import check_new_folder, output_folder, parts_beside
 from pc2scan.files.staging import only_run
+from pc2scan.files.system import sync_directory
 from pc2scan.files.text_output import text_output
+from pc2scan.files.urls import UrlPath
 from pc2scan.version import __version__
 
-from .manifest import MANIFEST, refuse_outside
+from .manifest import (
+    MANIFEST,
+    History,
+    Identity,
+    identity_among,
+    identity_of,
+    is_numbered,
+    records_in,
+    refuse_outside,
+    unnumbered_name,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from pathlib import Path
+    from collections.abc import Collection, Iterable, Iterator
+    from typing import BinaryIO
+
+    from .manifest import ManifestRecord
 
 #: The name of the workers' lock is derived from this.
 _WORKERS = "manifest.jsonl.workers"
@@ -35,11 +47,14 @@ _WORKERS = "manifest.jsonl.workers"
 _WAIT_SECONDS = 15.0
 
 #: The name of the note of unfinished outputs, and its beginning.
-UNFINISHED = ".pc2scan-begun.json"
+_UNFINISHED = ".pc2scan-begun.json"
 _NOTE_BEGINNING = b'{"pc2scan begun": '
 
+#: Seconds between two uploads of the manifest, at least.
+_PUSH_SECONDS = 10.0
 
-class UnfinishedOutputs(NamedTuple):
+
+class _Unfinished(NamedTuple):
     """What a run is going to write, relative to its folder.
 
     Attributes
@@ -54,57 +69,261 @@ class UnfinishedOutputs(NamedTuple):
     folders: frozenset[str] = frozenset()
 
 
-def note_unfinished(folder: Path, unfinished: UnfinishedOutputs) -> None:
-    """Note what a run is going to write. After a run was killed, this shows which files belong to the batch.
+class BatchFolder:
+    """The folder of a batch. Its files are read once; results are recorded as they come.
+
+    Parameters
+    ----------
+    path
+        The folder, with links resolved.
+    lock
+        The descriptor of the lock that workers inherit; None if there is none.
+
+    Attributes
+    ----------
+    history
+        What earlier runs have recorded.
 
     Raises
     ------
+    DestinationError
+        If the manifest, or the note of unfinished outputs, is something else, or a link.
     OutputError
-        If it cannot be written.
+        If the manifest cannot be read.
     """
-    outputs, folders = (json.dumps(sorted(names)) for names in unfinished)
-    text = f'{_NOTE_BEGINNING.decode()}"{__version__}", "outputs": {outputs}, "folders": {folders}}}\n'
-    with text_output(folder / UNFINISHED, beginning=_NOTE_BEGINNING, overwrite=False) as write:
-        write(text)
 
+    def __init__(self, path: Path, lock: int | None = None) -> None:
+        self.path = path
+        self.lock = lock
+        #: What a store has; None on a disk.
+        self._stored = _listing(path)
+        self._version = self._stored_version()
+        data = self._read_manifest()
+        noted = self._read_note()
+        self.history = History.read(records_in(data, path / MANIFEST), noted.outputs)
+        self._noted = noted._replace(outputs=self.history.unfinished)
+        #: How many bytes of the manifest are whole lines; in a store, those lines, and the time of the next upload.
+        self._whole = data.rfind(b"\n") + 1
+        self._lines = data[: self._whole] if isinstance(path, UrlPath) else b""
+        self._next_push = 0.0
+        self._file: BinaryIO | None = None
+        self._begun: set[str] = set()
+        self._ended: set[str] = set()
 
-def read_unfinished(folder: Path) -> UnfinishedOutputs:
-    """Return what a killed run was going to write; empty if no run was killed."""
-    try:
-        noted = json.loads((folder / UNFINISHED).read_bytes())
-        # Older versions did not note folders.
-        unfinished = UnfinishedOutputs(
-            frozenset(map(str, noted["outputs"])), frozenset(map(str, noted.get("folders", ())))
-        )
-        for path in (*unfinished.outputs, *unfinished.folders):
-            refuse_outside(path)
-    except FileNotFoundError:
-        return UnfinishedOutputs()
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as err:
-        raise DestinationError(
-            "was not written by pc2scan batch, which uses this name",
-            path=folder / UNFINISHED,
-            hint="move it away",
-        ) from err
-    return unfinished
+    def _read_manifest(self) -> bytes:
+        path = self.path / MANIFEST
+        if path.is_symlink():
+            raise DestinationError("is a link, and nothing is written through links", path=path, hint="remove the link")
+        try:
+            return self._read(MANIFEST) or b""
+        except OSError as err:
+            raise OutputError(f"the manifest cannot be read: {err.strerror}", path=path) from err
 
+    def _read_note(self) -> _Unfinished:
+        """Return what a killed run was going to write; empty if no run was killed."""
+        try:
+            data = self._read(_UNFINISHED)
+            if data is None:
+                return _Unfinished()
+            noted = json.loads(data)
+            # Older versions did not note folders.
+            found = _Unfinished(frozenset(map(str, noted["outputs"])), frozenset(map(str, noted.get("folders", ()))))
+            for place in (*found.outputs, *found.folders):
+                refuse_outside(place)
+        except (OSError, ValueError, LookupError, TypeError, AttributeError) as err:
+            raise DestinationError(
+                "was not written by pc2scan batch, which uses this name",
+                path=self.path / _UNFINISHED,
+                hint="move it away",
+            ) from err
+        return found
 
-def forget_unfinished(folder: Path) -> None:
-    """Remove the note: each output in it is in the manifest by now, or was not begun."""
-    (folder / UNFINISHED).unlink(missing_ok=True)
+    def _read(self, name: str) -> bytes | None:
+        """Return the content of a small file in the folder; None if there is none."""
+        if self._stored is not None:
+            return self._stored[name].read_bytes() if name in self._stored else None
+        try:
+            return (self.path / name).read_bytes()
+        except FileNotFoundError:
+            return None
 
+    # --- Outputs ---
 
-def check_folder(out: Path) -> None:
-    """Raise the errors that `output_folder` would raise, without making the folder."""
-    if out.is_dir():
-        return
-    if os.path.lexists(out):
-        raise DestinationError("is not a folder", path=out, hint="choose another name")
-    check_place(out)
+    def files_of(self, output: str) -> list[Path]:
+        """Return the paths of an output's files: of numbered ones those that are recorded, or else all that exist."""
+        path = self.path / output
+        if not is_numbered(output):
+            return [path]
+        left = self.history.left.get(output)
+        if left is None:
+            return parts_beside(self.path / unnumbered_name(output))
+        return [path.with_name(name) for name, _, _ in left.files]
+
+    def present(self, output: str) -> Identity:
+        """Return the identity that an output has, in a store when the run began; without files if it does not exist."""
+        if self._stored is not None:
+            return identity_among(self._stored, output, self.history.left.get(output))
+        return identity_of(self.files_of(output))
+
+    def _existing(self, outputs: Iterable[str]) -> frozenset[str]:
+        """Return those outputs that exist now."""
+        stored = _listing(self.path)
+        if stored is not None:
+            return frozenset(each for each in outputs if identity_among(stored, each).files)
+        return frozenset(each for each in outputs if os.path.lexists(self.path / each))
+
+    @contextmanager
+    def writing(self, outputs: Collection[str]) -> Iterator[None]:
+        """Keep a note of outputs while they are written, and make their folders.
+
+        After a run was killed, the note shows which files belong to the batch. At the end, only outputs that exist and
+        are not in the manifest stay in it, and folders that stay empty are removed, also those of killed runs.
+        """
+        folders = self._noted.folders
+        if isinstance(self.path, UrlPath):
+            # There, folders are only a part of names.
+            folders = frozenset()
+        else:
+            folders |= {folder for folder in _folders_of(outputs) if not (self.path / folder).is_dir()}
+        absent: frozenset[str] = frozenset()
+        if outputs:
+            self._write_note(_Unfinished(self._noted.outputs.union(outputs), folders))
+            absent = frozenset(outputs) - self._existing(outputs)
+        try:
+            for folder in sorted(folders) if outputs else ():
+                # If it cannot be made, the conversions that write into it report why.
+                with suppress(OSError):
+                    (self.path / folder).mkdir()
+            yield
+        finally:
+            self.close()
+            for folder in sorted(folders, key=lambda folder: folder.count("/"), reverse=True):
+                # Not through a link, which a batch has not made.
+                if first_link(self.path, folder) is None:
+                    with suppress(OSError):
+                        (self.path / folder).rmdir()
+            # What exists now and did not before was made by this run, even if nothing was heard of its beginning.
+            known = (self._noted.outputs | self._begun | absent) - self._ended
+            with suppress(OutputError):
+                if left := self._existing(known) if known else known:
+                    self._write_note(_Unfinished(frozenset(left)))
+                elif outputs or self._stored is None or _UNFINISHED in self._stored:
+                    (self.path / _UNFINISHED).unlink(missing_ok=True)
+
+    def begin(self, output: str) -> None:
+        """Remember that an output is being written; until it is appended, it is unfinished."""
+        self._begun.add(output)
+        self._ended.discard(output)
+
+    def _write_note(self, unfinished: _Unfinished) -> None:
+        """Note what a run is going to write.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        outputs, folders = (json.dumps(sorted(names)) for names in unfinished)
+        text = f'{_NOTE_BEGINNING.decode()}"{__version__}", "outputs": {outputs}, "folders": {folders}}}\n'
+        with text_output(self.path / _UNFINISHED, beginning=_NOTE_BEGINNING, overwrite=False) as write:
+            write(text)
+
+    # --- The manifest ---
+
+    def append(self, record: ManifestRecord) -> None:
+        """Append a line to the manifest, and wait until it is on the disk.
+
+        Raises
+        ------
+        DestinationError
+            If another run has written the manifest of a store meanwhile.
+        OutputError
+            If it cannot be written.
+        """
+        line = f"{json.dumps(record.as_dict(), ensure_ascii=True)}\n".encode("ascii")
+        if isinstance(self.path, UrlPath):
+            self._lines += line
+            self._push()
+        else:
+            try:
+                if self._file is None:
+                    self._file = self._open_manifest()
+                self._file.write(line)
+                self._file.flush()
+                os.fsync(self._file.fileno())
+            except OSError as err:
+                raise OutputError(f"the manifest cannot be written: {err.strerror}", path=self.path / MANIFEST) from err
+        self._ended.add(record.output)
+
+    def close(self) -> None:
+        """Complete the manifest."""
+        if self._file is not None:
+            self._file.close()
+        self._push(at_once=True)
+
+    def _open_manifest(self) -> BinaryIO:
+        path = self.path / MANIFEST
+        is_new = not path.exists()
+        file = path.open("ab")
+        if is_new:
+            sync_directory(self.path)
+        else:
+            # Without the line that a killed run has begun.
+            file.truncate(self._whole)
+        return file
+
+    def _push(self, *, at_once: bool = False) -> None:
+        """Upload the manifest to a store if it has new lines, and the last upload is long enough ago."""
+        path, began = self.path / MANIFEST, time.monotonic()
+        if not isinstance(path, UrlPath) or len(self._lines) == self._whole:
+            return
+        if began < self._next_push and not at_once:
+            return
+        if self._stored_version() != self._version:
+            raise DestinationError(
+                "was changed meanwhile: another batch is writing into this folder",
+                path=path,
+                hint="let one run end, and run the other one again",
+            )
+        path.remote.write(self._lines)
+        self._version, self._whole = self._stored_version(), len(self._lines)
+        self._next_push = time.monotonic() + max(_PUSH_SECONDS, 10 * (time.monotonic() - began))
+
+    def _stored_version(self) -> str | None:
+        """Return the version of the manifest in a store; None if there is none."""
+        path = self.path / MANIFEST
+        with suppress(MissingError):
+            return path.known().version if isinstance(path, UrlPath) else None
+        return None
 
 
 @contextmanager
-def lock_folder(out: Path) -> Iterator[int]:
+def open_folder(out: Path, *, dry_run: bool) -> Iterator[BatchFolder]:
+    """Make the folder of a batch, lock it, and yield it; in a dry run nothing is written.
+
+    Raises
+    ------
+    DestinationError
+        If it cannot be made, or another run is writing into it; see also `BatchFolder`.
+    OutputError
+        If it cannot be written.
+    """
+    with ExitStack() as stack:
+        lock = None
+        if isinstance(out, UrlPath) or not dry_run:
+            stack.enter_context(output_folder(out))
+        elif not out.is_dir():
+            check_new_folder(out)
+        if isinstance(out, UrlPath):
+            yield BatchFolder(out)
+            return
+        if not dry_run:
+            lock = stack.enter_context(_lock_folder(out))
+        yield BatchFolder(Path(os.path.realpath(out)), lock)
+
+
+@contextmanager
+def _lock_folder(out: Path) -> Iterator[int]:
     """Hold two locks of the folder: one for this process, and one that its workers inherit, which is yielded.
 
     The second one shows that workers of a killed run are still alive. They may take some seconds to end.
@@ -128,98 +347,14 @@ def lock_folder(out: Path) -> Iterator[int]:
         yield lock
 
 
-@contextmanager
-def track_outputs(
-    out: Path,
-    outputs: Iterable[str],
-    earlier: UnfinishedOutputs,
-    existing: Callable[[Iterable[str]], set[str]],
-) -> Iterator[Callable[[str, bool], None]]:
-    """Keep a note of the outputs that are being written and are not in the manifest yet, and make their folders.
-
-    Folders that stay empty are removed at the end, also those that killed runs have made.
-
-    Parameters
-    ----------
-    out
-        The folder.
-    outputs
-        The outputs of this run; if there are none, the notes of killed runs are only put in order.
-    earlier
-        What killed runs have noted.
-    existing
-        Returns which of some outputs exist. One that exists at the end, but not now, was made by this run, even if an
-        interruption came before the news that it has begun.
-
-    Yields
-    ------
-    Callable
-        To be called with an output when it begins (True) and when it has ended (False).
-    """
-    outputs = frozenset(outputs)
-    folders = earlier.folders | {folder for folder in _folders_of(outputs) if not (out / folder).is_dir()}
-    if outputs:
-        note_unfinished(out, UnfinishedOutputs(outputs | earlier.outputs, folders))
-    absent = outputs - existing(outputs) if outputs else outputs
-    running: set[str] = set()
-    ended: set[str] = set()
-
-    def begin(output: str, begins: bool) -> None:
-        (running.add if begins else ended.add)(output)
-
-    try:
-        for folder in sorted(folders) if outputs else ():
-            # If it cannot be made, the conversions that write into it report why.
-            with suppress(OSError):
-                (out / folder).mkdir()
-        yield begin
-    finally:
-        for folder in sorted(folders, key=lambda folder: folder.count("/"), reverse=True):
-            # Not through a link, which a batch has not made.
-            if first_link(out, folder) is None:
-                with suppress(OSError):
-                    (out / folder).rmdir()
-        # Only outputs that exist stay in the note.
-        left = frozenset(existing((earlier.outputs | running | absent) - ended))
-        with suppress(OutputError):
-            if left:
-                note_unfinished(out, UnfinishedOutputs(left))
-            else:
-                forget_unfinished(out)
+def _listing(folder: Path) -> dict[str, UrlPath] | None:
+    """Return the files of a folder in a store, by their paths relative to it; None for a folder on a disk."""
+    if not isinstance(folder, UrlPath):
+        return None
+    return {path.relative_to(folder).as_posix(): path for path in folder.below()}
 
 
 def _folders_of(outputs: Iterable[str]) -> set[str]:
     """Return the folders that outputs are in, with those above them."""
     found = {folder.as_posix() for output in outputs for folder in PurePosixPath(output).parents}
     return found - {"."}
-
-
-def first_part(output: str) -> str:
-    """Return the name of the first part of a result.
-
-    >>> first_part("robot1/drive_scan.bag")
-    'robot1/drive_scan_0.bag'
-    """
-    folder, slash, name = output.rpartition("/")
-    return f"{folder}{slash}{part_name(name, 0)}"
-
-
-def is_numbered(output: str) -> bool:
-    """Return whether this is the first file of a result with numbered files."""
-    return _numbered(output) is not None
-
-
-def _numbered(output: str) -> re.Match[str] | None:
-    """Return the name without the number, and the suffix, of the first file of a result with numbered files."""
-    suffixes = "|".join(map(re.escape, file_suffixes()))
-    return re.fullmatch(rf"(.*_scan)_0({suffixes})", output, re.DOTALL)
-
-
-def unnumbered_name(output: str) -> str:
-    """Return the name of a result without the number; a name without a number is returned as it is.
-
-    >>> unnumbered_name("drive_scan_0.bag"), unnumbered_name("drive_scan.bag")
-    ('drive_scan.bag', 'drive_scan.bag')
-    """
-    found = _numbered(output)
-    return output if found is None else f"{found[1]}{found[2]}"

@@ -1,32 +1,219 @@
-"""Converts one recording of a batch in any process: a job becomes a result, which includes errors."""
+"""Converts one recording of a batch, in any process: a job becomes a line of the manifest, errors included."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields, is_dataclass, replace
 from datetime import datetime, timezone
+from enum import Enum
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pc2scan.bags.opening import open_recordings
-from pc2scan.errors import Pc2ScanError, RecordingError
-from pc2scan.files.records import Record as FileRecord
-from pc2scan.files.urls import path_or_url
+from pc2scan.core.params import ProjectionParams
+from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
+from pc2scan.files.records import Record
+from pc2scan.files.urls import absolute, path_or_url
+from pc2scan.options.call import Options
+from pc2scan.options.running import Container
+from pc2scan.options.table import conversion_options, options_of
 from pc2scan.pipeline.run import run
+from pc2scan.requests import conversion_of, output_of
+from pc2scan.result import json_value
 
-from .identity import Identity, checksum_of, identity_of
+from .manifest import Identity, ManifestRecord, checksum_of, identity_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Generator, Sequence
 
     from pc2scan.export.report import ExportReport
+    from pc2scan.export.run import ExportOptions
+    from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.report import Report
+    from pc2scan.pipeline.run_files import OutputOptions
 
-    from .request import Request
-
-#: Outcomes by the exit status of `pc2scan convert`.
+#: Outcomes by the exit status of `pc2scan convert`; that of all others is ``failed``.
 _OUTCOMES = {0: "converted", 3: "incomplete", 4: "empty"}
+
+#: Attributes that do not affect the output: where options come from.
+_PLACES = frozenset({"origins", "place"})
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A conversion as it was requested, checked. The recording and its destination are not part of it.
+
+    Attributes
+    ----------
+    options, output
+        As `pc2scan.pipeline.run.run` takes them.
+    files
+        The files that options name and that were read, by option.
+    notes
+        Warnings about the options.
+    export
+        How scans or clouds are exported; None if they are written to a recording instead.
+    digest
+        See `digest_of`.
+    """
+
+    options: ConvertOptions
+    output: OutputOptions
+    files: Mapping[str, Path]
+    notes: tuple[str, ...] = ()
+    export: ExportOptions | None = None
+    digest: str = ""
+
+
+def request_of(keywords: Mapping[str, Any], origins: Mapping[str, str] | None = None) -> Request:
+    """Read the options of a conversion.
+
+    Parameters
+    ----------
+    keywords
+        Options by name: those of `pc2scan.options.table.conversion_options`.
+    origins
+        Where options come from, for errors and reports.
+
+    Raises
+    ------
+    UsageError
+        If an option is unknown, has a wrong value, or contradicts another one.
+    """
+    known = conversion_options()
+    if unknown := keywords.keys() - known.keys():
+        raise UsageError(f"`{min(unknown)}` is not an option of a conversion")
+    options = Options("batch", keywords, origins, known=known)
+    _check_export(options)
+    output = output_of(options, like_source=True)
+    conversion = conversion_of(options)
+    export = None
+    if options.export is not None:
+        from pc2scan.export.run import ExportOptions  # noqa: PLC0415  # most batches write recordings
+
+        export = ExportOptions.of(options, conversion.options, options.export)
+    # Absolute: another process may have another current folder.
+    frames = conversion.options.frames
+    frames = replace(frames, tf_from=tuple(map(absolute, frames.tf_from)))
+    files = {name: absolute(path) for name, path in conversion.files.items()}
+    request = Request(replace(conversion.options, frames=frames), output, files, conversion.notes, export)
+    return replace(request, digest=digest_of(request))
+
+
+def digest_of(request: Request) -> str:
+    """Return a digest of everything that affects the output.
+
+    Recordings that transforms are taken from count with their sizes and times of modification.
+    """
+    import hashlib  # noqa: PLC0415  # only batches need it
+    import json  # noqa: PLC0415
+
+    names = ("storage", "compression", "profile", "metadata_version")
+    output = {name: getattr(request.output, name) for name in names}
+    if request.output.cut is not None:
+        output["cut"] = asdict(request.output.cut)
+    if request.export is not None:
+        output["export"] = _canonical(replace(request.export, overwrite=False))
+    options = replace(request.options, jobs=0)
+    others = [identity_of([path]).as_json() for path in options.frames.tf_from]
+    whole = json_value({"options": _canonical(options), "output": output, "tf_from": others})
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def _check_export(options: Options) -> None:
+    """Raise if an option of exports is given without ``export``, or one of recordings besides it."""
+    name, given = options.export, options.given
+    poses = given.keys() & {"pose_frame", "base_frame", "odom_topic"}
+    if name is None:
+        if poses:
+            raise UsageError(f"`{min(poses)}` goes with `export`", hint="such as `export=npz`")
+        return
+    if idle := [f"`{word}`" for word in options_of("convert") if word in given and word in Container.__annotations__]:
+        raise UsageError(f"{', '.join(idle)} would have no effect: `export` writes no recordings")
+    from pc2scan.export.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
+
+    if FORMATS[name].needs_poses and not poses & {"pose_frame", "odom_topic"}:
+        raise UsageError(f"`export={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
+
+
+def _canonical(value: Any) -> Any:
+    """Return options as JSON's types. Equal options give equal results in every process."""
+    if isinstance(value, ProjectionParams):
+        # The queue's size bounds what is held in memory. It does not affect the output.
+        value = replace(value, queue_size=0)
+    if is_dataclass(value) and not isinstance(value, type):
+        # Only attributes that are not the default, so that an option that is added later changes no earlier digest.
+        shown = [each for each in fields(value) if each.repr and each.name not in _PLACES]
+        given = {each.name: _canonical(getattr(value, each.name)) for each in shown}
+        given = {each.name: given[each.name] for each in shown if given[each.name] != _canonical(_default_of(each))}
+        return {"": type(value).__name__, **given}
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Mapping):
+        return {str(key): _canonical(part) for key, part in value.items()}
+    if isinstance(value, tuple | list | set | frozenset):
+        return [_canonical(part) for part in value]
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    return str(value) if isinstance(value, Path) else repr(value)
+
+
+def _default_of(attribute: Field[Any]) -> Any:
+    return attribute.default if attribute.default_factory is MISSING else attribute.default_factory()
+
+
+# --- Jobs ---
+
+
+class Event(NamedTuple):
+    """What happens while jobs run.
+
+    Attributes
+    ----------
+    what
+        ``begun``; ``progress``: ``value`` is the share that is done, 0 to 1; ``died``: the process that converted the
+        recording has died, it is tried again, and ``value`` says why; ``done``: ``value`` is the line of the manifest;
+        ``told``: ``value`` is information for the user, such as the address of a dashboard; ``idle``: nothing.
+    key
+        The name of the recording; empty if it is about none.
+    value
+        See ``what``.
+    """
+
+    what: str
+    key: str = ""
+    value: Any = None
+
+
+class Executor(Protocol):
+    """Runs jobs, and yields events, ``done`` once for each job.
+
+    Closing the generator interrupts the jobs and removes their unfinished outputs.
+    """
+
+    def __call__(
+        self, jobs: Sequence[Job], *, workers: int, cores: int, retries: int, lock: int | None
+    ) -> Generator[Event]:
+        """Run jobs.
+
+        Parameters
+        ----------
+        jobs
+            In the order in which they begin.
+        workers
+            How many recordings are converted at a time.
+        cores
+            The number of threads of all conversions together.
+        retries
+            How often a recording is tried again if its process died.
+        lock
+            The file descriptor of a lock that the processes on this machine hold until they end.
+        """
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +226,10 @@ class Job:
         Its name in the dataset.
     sources, destination
         Absolute paths, or URLs.
+    container
+        The name of the source's format.
+    output
+        The path of the result, relative to the folder of the batch.
     request
         The conversion that is requested.
     size_bytes
@@ -52,7 +243,7 @@ class Job:
     dry_run
         Whether nothing is written; the result is then a forecast.
     shown
-        Whether the result includes the report as text.
+        Whether the line has the report as text.
     scratch
         The folder for local copies of what is at URLs; None: the system's folder for temporary files.
     """
@@ -61,9 +252,11 @@ class Job:
     # Not in the repr: URLs may contain secrets, and a cluster writes jobs into its logs.
     sources: tuple[str, ...] = field(repr=False)
     destination: str = field(repr=False)
+    container: str = ""
+    output: str
     request: Request
     size_bytes: int = 0
-    owned: FileRecord | None = None
+    owned: Record | None = None
     threads: int = 1
     checksum: bool = False
     dry_run: bool = False
@@ -72,43 +265,45 @@ class Job:
 
     def retried(self) -> Job:
         """Return the job for another attempt: one that died may have completed the output, which may be replaced."""
-        done = FileRecord({PurePosixPath(self.destination).name: None})
+        done = Record({PurePosixPath(self.destination).name: None})
         return replace(self, owned=done if self.owned is None else self.owned | done)
 
+    def record(self, **found: Any) -> ManifestRecord:
+        """Return the line of the manifest, with what was found by the conversion."""
+        sources = tuple(str(path_or_url(source)) for source in self.sources)
+        known = {"container": self.container, "options": self.request.digest, "output": self.output}
+        return ManifestRecord(key=self.key, sources=sources, **(known | found))
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JobResult:
-    """The result of a job: the attributes of a `pc2scan.batch.manifest.ManifestRecord` that only the conversion knows.
+    def failure(self, error: Pc2ScanError, /, **found: Any) -> ManifestRecord:
+        """Return the line of a recording that cannot be converted, with what is known of it."""
+        known = {"outcome": "failed", "exit_status": error.exit_status, "error": error.as_dict()}
+        return self.record(**(known | found))
 
-    ``text`` is the report as text if the job requests it.
-    """
+    def death(self, why: str, *, attempts: int, seconds: float) -> ManifestRecord:
+        """Return the line of a recording whose process died."""
+        error = Pc2ScanError(why)
+        try:
+            identity = identity_of(map(path_or_url, self.sources))
+        except Pc2ScanError:
+            identity = Identity()
+        return self.failure(
+            error,
+            identity=identity,
+            outcome="died",
+            error=error.as_dict() | {"kind": "ProcessDied"},
+            started=_utc_now(),
+            seconds=seconds,
+            attempts=attempts,
+        )
 
-    key: str
-    outcome: str
-    exit_status: int
-    identity: Identity = Identity()
-    sha256: str | None = None
-    output_identity: Identity = Identity()
-    started: str = ""
-    seconds: float = 0.0
-    attempts: int = 1
-    report: dict[str, Any] | None = None
-    error: dict[str, Any] | None = None
-    text: str = ""
 
-
-def utc_now() -> str:
+def _utc_now() -> str:
     """Return the time as the manifest has it: in UTC, with milliseconds."""
     return datetime.now(timezone.utc).isoformat(timespec="milliseconds")
 
 
-def outcome_of(exit_status: int) -> str:
-    """Return the outcome of a conversion that ended with this status."""
-    return _OUTCOMES.get(exit_status, "failed")
-
-
-def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = None) -> JobResult:
-    """Convert a recording. Errors do not raise; they are part of the result.
+def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = None) -> ManifestRecord:
+    """Convert a recording, and return its line of the manifest. Errors do not raise; they are part of the line.
 
     Parameters
     ----------
@@ -116,37 +311,31 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
         See `pc2scan.convert`.
     """
     began = time.monotonic()
-    started = utc_now()
-    sources = [path_or_url(path) for path in job.sources]
-    destination = path_or_url(job.destination)
-    identity = Identity()
-    sha256 = None
-    report = error = None
-    text, status = "", 0
+    sources, destination = [path_or_url(path) for path in job.sources], path_or_url(job.destination)
+    known: dict[str, Any] = {"identity": Identity(), "started": _utc_now()}
     try:
-        identity = identity_of(sources)
+        known["identity"] = identity_of(sources)
         if job.checksum:
-            sha256 = _checksum_of_sources(sources)
+            known["sha256"] = _checksum_of_sources(sources)
         done = _run_job(job, sources, destination, progress)
         report, status = done.as_dict(), done.exit_status
-        text = str(done) if job.shown else ""
+        record = job.record(
+            outcome=_OUTCOMES.get(status, "failed"),
+            exit_status=status,
+            output_identity=Identity() if job.dry_run else _output_identity(destination, report),
+            report=report,
+            text=str(done) if job.shown else "",
+            **known,
+        )
     except Pc2ScanError as err:
-        error, status = err.as_dict(), err.exit_status
+        record = job.failure(err, **known)
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
-        error, status = _unexpected_error(err), 1
-    return JobResult(
-        key=job.key,
-        outcome=outcome_of(status),
-        exit_status=status,
-        identity=identity,
-        sha256=sha256,
-        output_identity=Identity() if error or job.dry_run else _output_identity(destination, report),
-        started=started,
-        seconds=round(time.monotonic() - began, 3),
-        report=report,
-        error=error,
-        text=text,
-    )
+        import traceback  # noqa: PLC0415  # a bug, or memory that is not there
+
+        kind, text = type(err).__name__, "".join(traceback.format_exception(err))
+        error = Pc2ScanError(f"{kind}: {err}" if str(err) else kind)
+        record = job.failure(error, error=error.as_dict() | {"kind": kind, "traceback": text}, **known)
+    return replace(record, seconds=round(time.monotonic() - began, 3))
 
 
 def _run_job(
@@ -193,36 +382,8 @@ def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Ide
     return identity_of(map(path_or_url, files) if files and not destination.is_dir() else [destination])
 
 
-def death_of(job: Job, why: str, *, attempts: int, seconds: float) -> JobResult:
-    """Return the result of a job whose process died."""
-    error = Pc2ScanError(why).as_dict() | {"kind": "ProcessDied"}
-    started = utc_now()
-    try:
-        identity = identity_of(map(path_or_url, job.sources))
-    except Pc2ScanError:
-        identity = Identity()
-    return JobResult(
-        key=job.key,
-        outcome="died",
-        exit_status=1,
-        identity=identity,
-        started=started,
-        seconds=seconds,
-        attempts=attempts,
-        error=error,
-    )
-
-
 def _checksum_of_sources(sources: list[Path]) -> str:
     try:
         return checksum_of(sources)
     except OSError as err:
         raise RecordingError(f"cannot be read: {err.strerror}", path=sources[0]) from err
-
-
-def _unexpected_error(err: Exception) -> dict[str, Any]:
-    import traceback  # noqa: PLC0415  # a bug, or memory that is not there
-
-    kind = type(err).__name__
-    text = "".join(traceback.format_exception(err))
-    return Pc2ScanError(f"{kind}: {err}" if str(err) else kind).as_dict() | {"kind": kind, "traceback": text}

@@ -1,35 +1,212 @@
-"""The manifest of a batch: a file with one line of JSON for each recording that was converted or has failed.
+"""What a batch remembers: the files of sources and results, and a line of JSON for each recording that was converted.
 
 A line is synced to the disk before its recording counts as done. If a recording has several lines, the last one counts.
 A last line without a line end was written by a run that was killed at that moment; it is ignored.
+
+A result of several files has the name of its first file: ``drive_scan_0.bag`` stands for all parts of
+``drive_scan.bag``. A result that is one file is named ``drive_scan.bag``, so that the two kinds cannot be confused.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.errors import DestinationError, OutputError, UsageError
-from pc2scan.files.system import sync_directory
+from pc2scan.bags.formats import file_suffixes
+from pc2scan.errors import DestinationError, UsageError
+from pc2scan.files.places import part_name, parts_among
+from pc2scan.files.records import RECORD, FileState, Record
+from pc2scan.files.source import file_beside, open_bytes
+from pc2scan.files.urls import UrlPath
 from pc2scan.version import __version__
 
-from .identity import Identity
-
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
-    from types import TracebackType
-
-    from typing_extensions import Self
 
 #: The name of the manifest in the folder of a batch.
 MANIFEST = "manifest.jsonl"
 
 #: Each line of a manifest begins with this. A file of the same name without it is refused.
 _BEGINNING = '{"pc2scan": "'
+
+_PIECE_BYTES = 1 << 20
+
+#: Identities list up to this many files of a folder one by one; more are summed up.
+_MOST = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """The files of a recording: the name, size and time of modification (ns) of each; no files if it does not exist.
+
+    A file in a store has its version there, such as an ETag, instead of a time.
+    """
+
+    files: tuple[tuple[str, int, int | str], ...] = ()
+
+    @property
+    def size_bytes(self) -> int:
+        """Return the total size of the files."""
+        return sum(size for _, size, _ in self.files)
+
+    def has_sizes_of(self, other: Identity) -> bool:
+        """Whether the files have the same sizes; their names and times may differ."""
+        return [size for _, size, _ in self.files] == [size for _, size, _ in other.files]
+
+    def as_json(self) -> list[list[Any]]:
+        """Return it as JSON's types."""
+        return [list(file) for file in self.files]
+
+    @classmethod
+    def from_json(cls, files: Iterable[Sequence[Any]]) -> Identity:
+        """Read what `as_json` returned."""
+        return cls(
+            tuple((str(name), int(size), time if isinstance(time, str) else int(time)) for name, size, time in files)
+        )
+
+
+def identity_of(paths: Iterable[Path]) -> Identity:
+    """Return the identity of a recording: of a file, of the files in a folder, or of several files."""
+    found = []
+    for path in paths:
+        if isinstance(path, UrlPath):
+            found += _stored_files(path)
+            continue
+        try:
+            # os.path is faster than Path, which matters for thousands of recordings.
+            found += _files_in(path) if os.path.isdir(path) else _file_and_logs(path)  # noqa: PTH112
+        except OSError:
+            continue
+    return Identity(tuple(found))
+
+
+def _file_and_logs(path: Path) -> list[tuple[str, int, int | str]]:
+    """Return the entries of a file and of the logs beside a database: a running recorder may write only to the logs."""
+    logs = filter(None, (file_beside(path, suffix) for suffix in ("-wal", "-journal")))
+    states = [(path.name, os.stat(path)), *((log.name, log.stat()) for log in logs)]  # noqa: PTH116
+    return [(name, state.st_size, state.st_mtime_ns) for name, state in states if state.st_size or name == path.name]
+
+
+def _stored_files(path: UrlPath) -> list[tuple[str, int, int | str]]:
+    """Return the entries of a file at a URL, or of the files in a folder; none if it does not exist."""
+    if not path.is_dir():
+        return [(path.name, *path.known()[:2])] if path.exists() else []
+    return _summed_up(sorted((below.relative_to(path).as_posix(), *below.known()[:2]) for below in path.below()))
+
+
+def identity_among(stored: Mapping[str, UrlPath], output: str, left: Identity | None = None) -> Identity:
+    """Return the identity of an output (a file, a folder, or numbered files) from a listing of the folder in a store.
+
+    ``left`` says which files a numbered output has; without it, all with such names are listed.
+    """
+    if is_numbered(output):
+        folder, slash, name = unnumbered_name(output).rpartition("/")
+        below = folder + slash
+        here = [key[len(below) :] for key in stored if key.startswith(below) and "/" not in key[len(below) :]]
+        names = parts_among(here, name) if left is None else [file for file, _, _ in left.files if file in here]
+        return identity_of(stored[below + name] for name in names)
+    if output in stored:
+        return identity_of([stored[output]])
+    below = f"{output}/"
+    files = [(key[len(below) :], *found.known()[:2]) for key, found in stored.items() if key.startswith(below)]
+    return Identity(tuple(_summed_up(sorted(files))))
+
+
+def _files_in(folder: Path) -> list[tuple[str, int, int | str]]:
+    """Return the files in a folder and its subfolders; very many (one for each cloud) are summed up in one entry."""
+    found: list[tuple[str, int, int | str]] = []
+    for place, folders, names in os.walk(folder):
+        folders.sort()
+        below = os.path.relpath(place, folder)
+        # Not -shm: programs that only read a database create and change that file.
+        # Nor the record of an export, which says nothing that its files do not.
+        for name in sorted(name for name in names if not name.endswith("-shm") and name != RECORD):
+            # Broken links are ignored.
+            with suppress(OSError):
+                path = os.path.join(place, name)  # noqa: PTH118
+                state = os.stat(path)  # noqa: PTH116
+                found.append((os.path.normpath(os.path.join(below, name)), state.st_size, state.st_mtime_ns))  # noqa: PTH118
+    return _summed_up(found)
+
+
+def _summed_up(found: list[tuple[str, int, int | str]]) -> list[tuple[str, int, int | str]]:
+    """Return the files of a folder; very many as one entry."""
+    if len(found) <= _MOST:
+        return found
+    times = [time for _, _, time in found]
+    last = max((time for time in times if isinstance(time, int)), default=0)
+    if any(isinstance(time, str) for time in times):
+        import hashlib  # noqa: PLC0415  # few recordings have so many files
+
+        return [
+            (f"{len(found)} files", sum(size for _, size, _ in found), hashlib.sha256(repr(times).encode()).hexdigest())
+        ]
+    return [(f"{len(found)} files", sum(size for _, size, _ in found), last)]
+
+
+def checksum_of(paths: Iterable[Path]) -> str:
+    """Return the SHA-256 of the content of a recording's files, in the order of `identity_of`.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be read.
+    """
+    import hashlib  # noqa: PLC0415  # only where it is wanted
+
+    digest = hashlib.sha256()
+    for path in paths:
+        files = sorted(each for each in path.iterdir() if each.is_file()) if path.is_dir() else [path]
+        for file in files:
+            digest.update(f"{file.name if path.is_dir() else ''}\0{file.stat().st_size}\0".encode())
+            with open_bytes(file) as opened:
+                while piece := opened.read(_PIECE_BYTES):
+                    digest.update(piece)
+    return digest.hexdigest()
+
+
+# --- Names of results ---
+
+
+def first_part(output: str) -> str:
+    """Return the name of the first part of a result.
+
+    >>> first_part("robot1/drive_scan.bag")
+    'robot1/drive_scan_0.bag'
+    """
+    folder, slash, name = output.rpartition("/")
+    return f"{folder}{slash}{part_name(name, 0)}"
+
+
+def is_numbered(output: str) -> bool:
+    """Return whether this is the first file of a result with numbered files."""
+    return _numbered(output) is not None
+
+
+def _numbered(output: str) -> re.Match[str] | None:
+    """Return the name without the number, and the suffix, of the first file of a result with numbered files."""
+    suffixes = "|".join(map(re.escape, file_suffixes()))
+    return re.fullmatch(rf"(.*_scan)_0({suffixes})", output, re.DOTALL)
+
+
+def unnumbered_name(output: str) -> str:
+    """Return the name of a result without the number; a name without a number is returned as it is.
+
+    >>> unnumbered_name("drive_scan_0.bag"), unnumbered_name("drive_scan.bag")
+    ('drive_scan.bag', 'drive_scan.bag')
+    """
+    found = _numbered(output)
+    return output if found is None else f"{found[1]}{found[2]}"
+
+
+# --- Lines ---
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +224,7 @@ class ManifestRecord:
     container
         The name of the source's format; empty if it is not a recording.
     options
-        The digest of the request: see `pc2scan.batch.request.Request.digest`.
+        The digest of the request: see `pc2scan.batch.jobs.Request`.
     version
         The version of pc2scan that converted it.
     outcome
@@ -70,6 +247,8 @@ class ManifestRecord:
         How often the conversion was tried.
     report
         The report of the conversion, as ``convert --report`` writes it; None if it failed.
+    text
+        The report as tables, if they are shown; not part of the line.
     """
 
     key: str
@@ -88,6 +267,7 @@ class ManifestRecord:
     seconds: float = 0.0
     attempts: int = 1
     report: Mapping[str, Any] | None = None
+    text: str = ""
 
     @property
     def is_written(self) -> bool:
@@ -148,24 +328,23 @@ class ManifestRecord:
         )
 
 
-def read_records(path: Path) -> Iterator[ManifestRecord]:
-    """Yield the lines of a manifest; none if there is no manifest.
+def refuse_outside(output: str) -> None:
+    """Raise if a path leads out of the folder of the batch: a run may replace or remove the outputs that are noted."""
+    place = PurePosixPath(output)
+    if place.is_absolute() or ".." in place.parts:
+        raise ValueError(f"{output} is not below the folder of the batch")
+
+
+def records_in(data: bytes, path: Path) -> Iterator[ManifestRecord]:
+    """Yield the lines of a manifest.
 
     Raises
     ------
     DestinationError
-        If the file is not a manifest, or is a link: a batch writes only into its own folder.
+        If it is not a manifest.
     UsageError
         If a line other than the last cannot be read; the message names it.
     """
-    if path.is_symlink():
-        raise DestinationError("is a link, and nothing is written through links", path=path, hint="remove the link")
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        return
-    except OSError as err:
-        raise OutputError(f"the manifest cannot be read: {err.strerror}", path=path) from err
     if data and not data.startswith(_BEGINNING.encode()[: len(data)]):
         raise DestinationError("is not a manifest of pc2scan batch", path=path, hint="write into another folder")
     # What follows the last line end was being written when a run was killed.
@@ -180,65 +359,74 @@ def read_records(path: Path) -> Iterator[ManifestRecord]:
             ) from err
 
 
-class Manifest:
-    """A manifest that is open for appending.
+@dataclass(frozen=True)
+class History:
+    """What earlier runs have recorded.
 
-    Parameters
+    Attributes
     ----------
-    path
-        The file; it is created if it does not exist.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
+    records
+        The manifest, by key.
+    unfinished
+        Outputs that a killed run was going to write, relative to the folder of the batch.
+    left
+        How the files of the outputs were left when they were last written, by output. The last line of a recording
+        that could not be converted again does not say it.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        try:
-            is_new = not path.exists()
-            self._file = path.open("ab")
-            if is_new:
-                sync_directory(path.parent)
-            self._drop_torn_line()
-        except OSError as err:
-            raise OutputError(f"the manifest cannot be written: {err.strerror}", path=path) from err
+    records: Mapping[str, ManifestRecord]
+    unfinished: frozenset[str] = frozenset()
+    left: Mapping[str, Identity] = field(default_factory=dict)
 
-    def __enter__(self) -> Self:
-        return self
+    @classmethod
+    def read(cls, lines: Iterable[ManifestRecord], unfinished: frozenset[str]) -> History:
+        """Return the history that a manifest, and the note of a killed run, tell."""
+        records: dict[str, ManifestRecord] = {}
+        left: dict[str, Identity] = {}
+        for line in lines:
+            records[line.key] = line
+            if line.is_written:
+                left[line.output] = line.output_identity
+        # An output in the manifest was completed, even if the note still lists it.
+        return cls(records, unfinished - {record.output for record in records.values()}, left)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
+    @cached_property
+    def owned(self) -> frozenset[str]:
+        """The outputs that were written by earlier runs."""
+        # What a process had written when it died is not known. A conversion that failed has left nothing.
+        return self.unfinished | {
+            record.output
+            for record in self.records.values()
+            if record.output and (record.output in self.left or record.outcome == "died")
+        }
 
-    def append(self, record: ManifestRecord) -> None:
-        """Append a line, and wait until it is on the disk.
+    @cached_property
+    def _containers(self) -> dict[tuple[str, Any], str]:
+        """The formats of recordings and their parts, by path and files."""
+        containers: dict[tuple[str, Any], str] = {}
+        for record in self.records.values():
+            if not record.container:
+                continue
+            containers[record.sources[0], record.identity.files] = record.container
+            if len(record.sources) == len(record.identity.files) > 1:
+                for path, file in zip(record.sources, record.identity.files, strict=True):
+                    containers[path, (file,)] = record.container
+        return containers
 
-        Raises
-        ------
-        OutputError
-            If it cannot be written.
+    def container_of(self, path: Path, identity: Identity) -> str:
+        """Return the format of a recording that an earlier run has found, by its first path and files; else empty."""
+        return self._containers.get((str(path), identity.files), "")
+
+    def record(self, output: str, there: Identity | None = None) -> Record | None:
+        """Return what is recorded about the files of an output, relative to its folder; None if nothing is.
+
+        Of an output whose recording has had another one since, only if it is ``there`` as it was left.
         """
-        line = json.dumps(record.as_dict(), ensure_ascii=True) + "\n"
-        try:
-            self._file.write(line.encode("ascii"))
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        except OSError as err:
-            raise OutputError(f"the manifest cannot be written: {err.strerror}", path=self._path) from err
-
-    def _drop_torn_line(self) -> None:
-        size = self._path.stat().st_size
-        data = self._path.read_bytes()
-        end = data.rfind(b"\n") + 1
-        if end != size:
-            self._file.truncate(end)
-
-
-def refuse_outside(output: str) -> None:
-    """Raise if a path leads out of the folder of the batch: a run may replace or remove the outputs that are noted."""
-    place = PurePosixPath(output)
-    if place.is_absolute() or ".." in place.parts:
-        raise ValueError(f"{output} is not below the folder of the batch")
+        if output not in self.owned and (there is None or not there.files or there != self.left.get(output)):
+            return None
+        name = PurePosixPath(output).name
+        files: dict[str, FileState | None] = {name: None}
+        for entry in self.left.get(output, Identity()).files:
+            is_beside = entry[0] == name or is_numbered(output)
+            files[entry[0] if is_beside else f"{name}/{entry[0]}"] = FileState(*entry[1:])
+        return Record(files, MANIFEST)

@@ -1,94 +1,33 @@
-"""Plans a batch: decides what is done with each recording, and why; makes the lines of the manifest for it.
+"""Plans a batch: decides what is done with each recording, and why.
 
 Pure functions: nothing is read or written.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pc2scan.bags.destinations import name_after
 from pc2scan.bags.formats import file_suffixes
 from pc2scan.errors import DestinationError
 from pc2scan.files.ownership import name_key
 from pc2scan.files.places import working_names
-from pc2scan.files.records import FileState
-from pc2scan.files.records import Record as FileRecord
-from pc2scan.files.urls import absolute
 from pc2scan.text import size
 from pc2scan.version import __version__
 
-from .folder import first_part, is_numbered, unnumbered_name
-from .identity import Identity
-from .manifest import MANIFEST, ManifestRecord
+from .manifest import first_part, is_numbered, unnumbered_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from pc2scan.errors import Pc2ScanError
+    from pc2scan.files.records import Record
 
     from .find import Recording
-    from .jobs import JobResult
-    from .request import Choice, Request
-
-
-@dataclass(frozen=True)
-class History:
-    """What earlier runs have recorded.
-
-    Attributes
-    ----------
-    records
-        The manifest, by key.
-    unfinished
-        Outputs that a killed run was going to write, relative to the folder of the batch.
-    left
-        How the files of the outputs were left when they were last written, by output. The last line of a recording
-        that could not be converted again does not say it.
-    """
-
-    records: Mapping[str, ManifestRecord]
-    unfinished: frozenset[str] = frozenset()
-    left: Mapping[str, Identity] = field(default_factory=dict)
-
-    @classmethod
-    def read(cls, lines: Iterable[ManifestRecord], unfinished: frozenset[str]) -> History:
-        """Return the history that a manifest, and the note of a killed run, tell."""
-        records: dict[str, ManifestRecord] = {}
-        left: dict[str, Identity] = {}
-        for line in lines:
-            records[line.key] = line
-            if line.is_written:
-                left[line.output] = line.output_identity
-        # An output in the manifest was completed, even if the note still lists it.
-        return cls(records, unfinished - {record.output for record in records.values()}, left)
-
-    @cached_property
-    def owned(self) -> frozenset[str]:
-        """The outputs that were written by earlier runs."""
-        # What a process had written when it died is not known. A conversion that failed has left nothing.
-        return self.unfinished | {
-            record.output
-            for record in self.records.values()
-            if record.output and (record.output in self.left or record.outcome == "died")
-        }
-
-    def record(self, output: str, there: Identity | None = None) -> FileRecord | None:
-        """Return what is recorded about the files of an output, relative to its folder; None if nothing is.
-
-        Of an output whose recording has had another one since, only if it is ``there`` as it was left.
-        """
-        if output not in self.owned and (there is None or not there.files or there != self.left.get(output)):
-            return None
-        name = PurePosixPath(output).name
-        files: dict[str, FileState | None] = {name: None}
-        for entry in self.left.get(output, Identity()).files:
-            is_beside = entry[0] == name or is_numbered(output)
-            files[entry[0] if is_beside else f"{name}/{entry[0]}"] = FileState(*entry[1:])
-        return FileRecord(files, MANIFEST)
+    from .jobs import Request
+    from .manifest import History, Identity, ManifestRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,8 +43,8 @@ class Step:
         excludes it.
     why
         The reason, for people.
-    choice
-        Its options.
+    request
+        Its options; None if it is skipped.
     output
         The path of the result, relative to the folder of the batch; empty for none.
     owned
@@ -119,9 +58,9 @@ class Step:
     found: Recording
     action: str
     why: str
-    choice: Choice
+    request: Request | None
     output: str = ""
-    owned: FileRecord | None = None
+    owned: Record | None = None
     record: ManifestRecord | None = None
     error: Pc2ScanError | None = None
 
@@ -138,7 +77,7 @@ class BatchPlan:
         return [step for step in self.steps if step.action == action]
 
 
-def destinations(found: Sequence[Recording], choices: Mapping[str, Choice]) -> dict[str, str]:
+def destinations(found: Sequence[Recording], requests: Mapping[str, Request | None]) -> dict[str, str]:
     """Return the paths of the results, by key: the folders of the sources, with the names that `convert` gives.
 
     Exported files go into a folder with the name of the recording.
@@ -147,13 +86,12 @@ def destinations(found: Sequence[Recording], choices: Mapping[str, Choice]) -> d
     source becomes a part of its name: ``drive_bag_scan.mcap``. So it does if a result would be a folder with another
     result in it (``drive.bag`` and ``drive/x.bag`` with ``--export npz``): ``drive_bag`` and ``drive/x``.
     """
-    requests = {key: choice.request for key, choice in choices.items() if choice.request is not None}
-    named = {
-        each.key: _result_name(each, requests[each.key]) for each in found if each.container and each.key in requests
+    wanted = {
+        each.key: (each, request) for each in found if each.container and (request := requests[each.key]) is not None
     }
-    by_key = {each.key: each for each in found}
+    named = {key: _result_name(*each) for key, each in wanted.items()}
     for key in {other for others in _clashes(named).values() for other in others}:
-        named[key] = _result_name(by_key[key], requests[key], distinct=True)
+        named[key] = _result_name(*wanted[key], distinct=True)
     return named
 
 
@@ -189,7 +127,7 @@ def _result_name(found: Recording, request: Request, *, distinct: bool = False) 
 
 def make_plan(
     found: Sequence[Recording],
-    choices: Mapping[str, Choice],
+    requests: Mapping[str, Request | None],
     history: History,
     *,
     out: Path,
@@ -204,8 +142,8 @@ def make_plan(
     ----------
     found
         The recordings.
-    choices
-        Their options, by key.
+    requests
+        Their options, by key; None for those that are skipped.
     history
         What earlier runs have recorded.
     out
@@ -219,16 +157,16 @@ def make_plan(
     force
         Whether everything is converted again.
     """
-    outputs = destinations(found, choices)
+    outputs = destinations(found, requests)
     clashes = _clashes(outputs)
     steps = []
     left: dict[str, str] = {}
     for each in found:
-        choice = choices[each.key]
+        request = requests[each.key]
         record = history.records.get(each.key)
         output = outputs.get(each.key, "")
-        step = Step(each, "convert", "", choice, output, record=record)
-        if choice.request is None:
+        step = Step(each, "convert", "", request, output, record=record)
+        if request is None:
             steps.append(replace(step, action="skip", why="the dataset file skips it"))
             continue
         if each.error is not None:
@@ -236,12 +174,12 @@ def make_plan(
             continue
         there = present(output)
         step = replace(step, owned=history.record(output, there))
-        why = "forced" if force else _reason(each, choice, output, history, there, checksum)
+        why = "forced" if force else _reason(each, request, output, history, there, checksum)
         error = None
         if why:
             others = clashes.get(each.key)
             error = _clash(each.key, others[0], outputs, out) if others else forbidden(output)
-            error = error or _ownership_error(step, out, there)
+            error = error or _ownership_error(step, request, out, there)
         if error is not None:
             steps.append(replace(step, action="refuse", why=error.message, error=error))
             continue
@@ -263,10 +201,9 @@ def _clash(key: str, other: str, outputs: Mapping[str, str], out: Path) -> Pc2Sc
     )
 
 
-def _ownership_error(step: Step, out: Path, there: Identity) -> Pc2ScanError | None:
+def _ownership_error(step: Step, request: Request, out: Path, there: Identity) -> Pc2ScanError | None:
     """Return the error of an output that exists and that no record names; None if it may be replaced."""
-    assert step.choice.request is not None
-    if not there.files or step.owned is not None or step.choice.request.output.overwrite:
+    if not there.files or step.owned is not None or request.output.overwrite:
         return None
     path = out / step.output
     return DestinationError(
@@ -285,7 +222,7 @@ def _left_warning(left: Mapping[str, str]) -> Iterator[str]:
 
 def _reason(
     found: Recording,
-    choice: Choice,
+    request: Request,
     output: str,
     history: History,
     there: Identity,
@@ -297,7 +234,7 @@ def _reason(
         return "interrupted before" if output in history.unfinished else "new"
     if record.version != __version__:
         return f"converted by pc2scan {record.version}"
-    if record.options != choice.digest:
+    if record.options != request.digest:
         return "other options"
     if changed := _change_of(found, record, checksum):
         return changed
@@ -327,43 +264,7 @@ def _change_of(found: Recording, record: ManifestRecord, checksum: Callable[[Rec
     return f"the source was changed: another {'version' if of_store else 'time of modification'}"
 
 
-def refusal_record(step: Step) -> ManifestRecord:
-    """Return the line of a recording that is refused."""
-    assert step.error is not None
-    earlier = step.record.output if step.record is not None else ""
-    status = step.error.exit_status
-    return _record(
-        step,
-        identity=step.found.identity,
-        outcome="failed",
-        exit_status=status,
-        error=step.error.as_dict(),
-        output=earlier,
-    )
-
-
-def result_record(step: Step, result: JobResult) -> ManifestRecord:
-    """Return the line of a recording whose conversion has ended."""
-    names = (
-        "identity",
-        "sha256",
-        "outcome",
-        "exit_status",
-        "error",
-        "output_identity",
-        "started",
-        "seconds",
-        "attempts",
-    )
-    return _record(step, **{name: getattr(result, name) for name in names}, output=step.output, report=result.report)
-
-
 def have_same_outcome(record: ManifestRecord, other: ManifestRecord) -> bool:
     """Whether two lines of a recording differ at most in times and attempts."""
     names = ("outcome", "error", "identity", "options", "version", "output", "sources")
     return all(getattr(record, name) == getattr(other, name) for name in names)
-
-
-def _record(step: Step, **known: Any) -> ManifestRecord:
-    found, paths = step.found, tuple(str(absolute(path)) for path in step.found.paths)
-    return ManifestRecord(key=found.key, sources=paths, container=found.container, options=step.choice.digest, **known)

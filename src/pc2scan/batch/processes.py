@@ -1,7 +1,9 @@
-"""Runs jobs in worker processes on this machine, and yields their events.
+"""An executor: runs jobs in worker processes on this machine, and yields events.
 
-An executor is a function from jobs to events, such as `execute`. It only runs jobs; what the events mean for the batch
-is decided by its caller.
+A worker is a new interpreter that does not import the parent's program, so that a notebook, or a script without
+``if __name__ == "__main__"``, can start it. It converts one recording after the other until its standard input ends,
+which the parent closes, or which ends when the parent dies. Then the conversion is interrupted, its unfinished output
+is removed, and the process ends. A message between the two is a pickled object.
 """
 
 from __future__ import annotations
@@ -13,84 +15,47 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections import deque
+from collections import Counter, deque
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from queue import Empty, SimpleQueue
-from threading import Thread
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.errors import OutputError, Pc2ScanError
 from pc2scan.files.staging import clean_up
 from pc2scan.files.urls import path_or_url
+from pc2scan.threads import keep_freed_memory
 from pc2scan.version import __version__
 
-from .jobs import Job, JobResult, death_of
-from .worker import receive, send
+from .jobs import Event, Job, convert_one
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Sequence
+    from collections.abc import Generator, Sequence
+    from types import FrameType
     from typing import BinaryIO
 
-#: Seconds that an interrupted worker has to remove its unfinished output.
+#: Seconds that an interrupted worker has to remove its unfinished output, and after which it ends in any case.
 _END_SECONDS = 12.0
+_SURE_END_SECONDS = 10.0
 
 #: The program of a worker.
-_PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__package__}.worker import main; main()"
+_PROGRAM = f"import json, sys; sys.path[:] = json.loads(sys.argv[1]); from {__name__} import serve_jobs; serve_jobs()"
 
 #: If more workers than this die before they begin, the batch fails.
 _MAX_STILLBORN = 3
 
-#: Seconds between two calls of ``check``.
-_CHECK_SECONDS = 0.5
+#: Seconds after which an event is yielded even if nothing happens; seconds between two messages about progress.
+_IDLE_SECONDS = 0.5
+_PROGRESS_SECONDS = 0.1
 
 #: Characters of a dead worker's standard error that are read; the last line is reported.
 _SAID = 2_000
 
-
-class JobStart(NamedTuple):
-    """The conversion of a job begins."""
-
-    key: str
-
-
-class JobProgress(NamedTuple):
-    """Bytes of a recording that were read, and bytes in total."""
-
-    key: str
-    done: int
-    total: int
-
-
-class ProcessDeath(NamedTuple):
-    """The process that converted a recording died; the recording is tried again."""
-
-    key: str
-    why: str
-
-
-class JobEnd(NamedTuple):
-    """A job is done."""
-
-    result: JobResult
-
-
-class Information(NamedTuple):
-    """Information for the user, such as the address of a dashboard."""
-
-    text: str
-
-
-Event = JobStart | JobProgress | ProcessDeath | JobEnd | Information
-
-
-class Executor(Protocol):
-    """Runs jobs, and yields events. Closing the generator interrupts the jobs and removes their unfinished outputs."""
-
-    def __call__(self, jobs: Sequence[Job]) -> Generator[Event]:
-        """Run jobs."""
-        ...
+#: Memory that is counted for a worker. A conversion with one thread takes less, unless chunks or clouds are very large.
+_WORKER_BYTES = 300_000_000
 
 
 @dataclass(slots=True)
@@ -135,14 +100,19 @@ class _Worker:
 
 @dataclass(slots=True)
 class _Pool:
-    """The workers and their messages."""
+    """The workers and their messages; None at the end of a worker."""
 
     lock: int | None
-    stillborn: int = 0
     workers: list[_Worker] = field(default_factory=list)
     inbox: SimpleQueue[tuple[_Worker, Any]] = field(default_factory=SimpleQueue)
 
-    def add(self) -> _Worker:
+    @property
+    def busy(self) -> int:
+        """How many workers have a job."""
+        return sum(worker.job is not None for worker in self.workers)
+
+    def add(self) -> None:
+        """Start a worker."""
         said = tempfile.TemporaryFile()  # noqa: SIM115  # closed with the worker
         # The worker gets the same import path as this process.
         paths = json.dumps([path or os.getcwd() for path in sys.path])  # noqa: PTH109
@@ -161,8 +131,7 @@ class _Pool:
             raise OutputError(f"no worker process can be started: {err.strerror}") from err
         worker = _Worker(process, said)
         self.workers.append(worker)
-        Thread(target=self._read, args=(worker,), daemon=True).start()
-        return worker
+        threading.Thread(target=self._read, args=(worker,), daemon=True).start()
 
     def _read(self, worker: _Worker) -> None:
         stream = _pipe(worker.process.stdout)
@@ -193,112 +162,74 @@ class _Pool:
 
 
 def run_jobs(
-    jobs: Sequence[Job],
-    *,
-    workers: int,
-    cores: int,
-    retries: int = 1,
-    lock: int | None = None,
-    check: Callable[[], None] | None = None,
+    jobs: Sequence[Job], *, workers: int, cores: int, retries: int = 1, lock: int | None = None
 ) -> Generator[Event]:
-    """Run jobs in worker processes.
+    """Run jobs in worker processes; see `pc2scan.batch.jobs.Executor`.
 
-    Parameters
-    ----------
-    jobs
-        In the order in which they begin.
-    workers
-        The maximum number of processes.
-    cores
-        The number of threads of all workers together. The last recordings get the threads of idle workers.
-    retries
-        How often a recording is tried again if its worker died. The last attempt uses a single thread.
-    lock
-        The file descriptor of the lock that workers inherit.
-    check
-        Called from time to time. If it raises, the jobs are interrupted.
-
-    Yields
-    ------
-    Event
-        `JobEnd` once for every job.
+    The last recordings get the threads of idle workers. The last attempt to convert a recording uses a single thread.
     """
     pending = deque(jobs)
-    attempts: dict[str, int] = {}
+    attempts: Counter[str] = Counter()
     pool = _Pool(lock)
-    idle: deque[_Worker] = deque()
-
-    def begin() -> Generator[Event]:
-        """Give jobs to workers that have none."""
-        busy = sum(worker.job is not None for worker in pool.workers)
-        for _ in range(min(workers, busy + len(pending)) - len(pool.workers)):
-            idle.append(pool.add())
-        while idle and pending:
-            job = pending.popleft()
-            tried = attempts[job.key] = attempts.get(job.key, 0) + 1
-            busy = sum(worker.job is not None for worker in pool.workers)
-            threads = 1 if tried > 1 else max(1, cores // min(workers, busy + len(pending) + 1))
-            idle.popleft().give(replace(job, threads=threads))
-            yield JobStart(job.key)
-
+    stillborn = 0
     try:
-        while pending or any(worker.job for worker in pool.workers) or not pool.inbox.empty():
-            yield from begin()
+        while pending or pool.busy:
+            yield from _begin(pending, attempts, pool, workers, cores)
             try:
-                worker, message = pool.inbox.get(timeout=None if check is None else _CHECK_SECONDS)
+                worker, message = pool.inbox.get(timeout=_IDLE_SECONDS)
             except Empty:
-                assert check is not None
-                check()
+                yield Event("idle")
                 continue
-            if message is None:
-                pool.workers.remove(worker)
-                if worker in idle:
-                    idle.remove(worker)
-                yield from _after_death(worker, pool, pending, attempts, retries)
-                continue
+            job = worker.job
             match message:
+                case None:
+                    why = worker.ended()
+                    pool.workers.remove(worker)
+                    stillborn += not worker.ready
+                    if stillborn > _MAX_STILLBORN:
+                        raise Pc2ScanError(f"no worker process can be started: {why}")
+                    if job is None:
+                        continue
+                    if not worker.ready:
+                        attempts[job.key] -= 1
+                        pending.appendleft(job)
+                        continue
+                    with suppress(Pc2ScanError):
+                        clean_up(path_or_url(job.destination))
+                    tried = attempts[job.key]
+                    if tried <= retries:
+                        pending.append(job.retried())
+                        yield Event("died", job.key, why)
+                    else:
+                        seconds = round(time.monotonic() - worker.began, 3)
+                        yield Event("done", job.key, job.death(why, attempts=tried, seconds=seconds))
                 case ("ready", str(version)):
                     worker.ready = True
                     if version != __version__:
                         raise Pc2ScanError(f"a worker process has pc2scan {version}, this is {__version__}")
-                case ("progress", key, done, total):
-                    yield JobProgress(key, done, total)
-                case ("result", result):
+                case ("progress", share) if job is not None:
+                    yield Event("progress", job.key, share)
+                case ("done", record):
                     worker.job = None
-                    idle.append(worker)
                     # Workers get their next jobs before the manifest is written, which waits for the disk.
-                    yield from begin()
-                    yield JobEnd(replace(result, attempts=attempts[result.key]))
+                    yield from _begin(pending, attempts, pool, workers, cores)
+                    yield Event("done", record.key, replace(record, attempts=attempts[record.key]))
                 case ("unreadable", why):
                     raise _unsendable(why)
     finally:
         pool.close()
 
 
-def _after_death(
-    worker: _Worker, pool: _Pool, pending: deque[Job], attempts: dict[str, int], retries: int
-) -> Generator[Event]:
-    """Put the job of a dead worker back into the queue, or report its recording as died."""
-    why = worker.ended()
-    job = worker.job
-    if not worker.ready:
-        pool.stillborn += 1
-        if pool.stillborn > _MAX_STILLBORN:
-            raise Pc2ScanError(f"no worker process can be started: {why}")
-        if job is not None:
-            attempts[job.key] -= 1
-            pending.appendleft(job)
-        return
-    if job is None:
-        return
-    with suppress(Pc2ScanError):
-        clean_up(path_or_url(job.destination))
-    if attempts[job.key] <= retries:
-        pending.append(job.retried())
-        yield ProcessDeath(job.key, why)
-    else:
-        seconds = round(time.monotonic() - worker.began, 3)
-        yield JobEnd(death_of(job, why, attempts=attempts[job.key], seconds=seconds))
+def _begin(pending: deque[Job], attempts: Counter[str], pool: _Pool, workers: int, cores: int) -> Generator[Event]:
+    """Give jobs to workers that have none; start workers if there are too few."""
+    for _ in range(min(workers, pool.busy + len(pending)) - len(pool.workers)):
+        pool.add()
+    for worker in [worker for worker in pool.workers if worker.job is None][: len(pending)]:
+        job = pending.popleft()
+        attempts[job.key] += 1
+        threads = 1 if attempts[job.key] > 1 else max(1, cores // min(workers, pool.busy + len(pending) + 1))
+        worker.give(replace(job, threads=threads))
+        yield Event("begun", job.key)
 
 
 def _unsendable(why: object) -> Pc2ScanError:
@@ -312,3 +243,138 @@ def _pipe(stream: Any) -> BinaryIO:
     assert stream is not None
     pipe: BinaryIO = stream
     return pipe
+
+
+# --- In the worker ---
+
+
+class _Server:
+    """A worker: converts the jobs that the parent sends, and ends when its input ends."""
+
+    def __init__(self, stream: BinaryIO, answers: BinaryIO) -> None:
+        self._stream = stream
+        self._answers = answers
+        self._jobs: SimpleQueue[Any] = SimpleQueue()
+        self._ends = False
+        self._last = 0.0
+        # A terminal sends Ctrl-C to all of its processes. It is ignored here: the parent handles it.
+        signal.signal(signal.SIGINT, self._interrupted)
+        if hasattr(signal, "pthread_sigmask"):
+            # Workers of a Dask cluster on this machine block the signal.
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        threading.Thread(target=self._receive, daemon=True).start()
+
+    def serve(self) -> None:
+        """Convert one recording after the other."""
+        send(self._answers, ("ready", __version__))
+        while (job := self._jobs.get()) is not None:
+            if isinstance(job, Exception):
+                send(self._answers, ("unreadable", f"{type(job).__name__}: {job}"))
+                return
+            send(self._answers, ("done", convert_one(job, self._progress)))
+
+    def _receive(self) -> None:
+        """Receive jobs; at the end of the input, interrupt the conversion."""
+        try:
+            while True:
+                self._jobs.put(receive(self._stream))
+        except (EOFError, OSError):
+            self._jobs.put(None)
+        except Exception as err:  # noqa: BLE001  # a class that this process cannot import
+            self._jobs.put(err)
+            return
+        self._ends = True
+        watch = threading.Timer(_SURE_END_SECONDS, os._exit, (1,))
+        watch.daemon = True
+        watch.start()
+        if hasattr(signal, "pthread_kill"):
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    def _interrupted(self, _number: int, _frame: FrameType | None) -> None:
+        if self._ends:
+            raise KeyboardInterrupt
+
+    def _progress(self, done: int, total: int, _messages: int) -> None:
+        """Send the progress of a conversion to the parent from time to time."""
+        now = time.monotonic()
+        if now - self._last >= _PROGRESS_SECONDS:
+            self._last = now
+            send(self._answers, ("progress", done / total if total else 0.0))
+
+
+def serve_jobs() -> None:
+    """Convert the jobs that the parent sends, then end this process."""
+    # Answers use a copy of standard output. What libraries print goes to standard error, so it cannot mix with them.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    try:
+        server = _Server(sys.stdin.buffer, answers)
+        keep_freed_memory()
+        server.serve()
+    except (KeyboardInterrupt, BrokenPipeError):
+        # The parent has ended, or has interrupted the conversion.
+        pass
+    # Does not wait for threads: their work is not needed any more, and all output is complete or removed.
+    os._exit(0)
+
+
+def send(stream: BinaryIO, message: object) -> None:
+    """Write a message.
+
+    Raises
+    ------
+    OSError
+        If the other process has closed the pipe.
+    """
+    stream.write(pickle.dumps(message))
+    stream.flush()
+
+
+def receive(stream: BinaryIO) -> Any:
+    """Read a message.
+
+    Raises
+    ------
+    EOFError
+        If the other process has ended, or died while it wrote a message.
+    """
+    try:
+        # Safe: the data comes from a process that this program started, through a pipe that no other process has.
+        return pickle.load(stream)  # noqa: S301
+    except pickle.UnpicklingError as err:
+        raise EOFError from err
+
+
+# --- How many at a time ---
+
+
+def workers_for(count: int, cores: int, available: int | None) -> int:
+    """Return the number of worker processes for a number of recordings.
+
+    Parameters
+    ----------
+    count
+        Number of recordings.
+    cores
+        Number of processor cores.
+    available
+        Free memory in bytes; None if unknown.
+    """
+    room = cores if available is None else available // _WORKER_BYTES
+    return max(1, min(count, cores, room))
+
+
+def available_bytes() -> int | None:
+    """Return how many bytes of memory are free on this machine, or in the container that this process runs in."""
+    free: list[int] = []
+    with suppress(OSError, ValueError, LookupError):
+        lines = Path("/proc/meminfo").read_text("ascii").splitlines()
+        free += [int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")]
+    with suppress(OSError, ValueError):
+        group = Path("/sys/fs/cgroup")
+        limit, used = (int((group / f"memory.{name}").read_text("ascii")) for name in ("max", "current"))
+        # The cgroup counts the page cache as used, but the kernel frees it when memory is needed.
+        lines = (group / "memory.stat").read_text("ascii").splitlines()
+        cached = sum(int(line.split()[1]) for line in lines if line.startswith(("active_file ", "inactive_file ")))
+        free.append(max(0, limit - used + cached))
+    return min(free, default=None)

@@ -1,48 +1,143 @@
-"""Runs a batch from beginning to end: finds recordings, plans, converts, and writes the manifest and the report."""
+"""Runs a batch: finds recordings, plans, lets an executor convert them, and writes the manifest and the report."""
 
 from __future__ import annotations
 
 import os
 import time
 from contextlib import ExitStack
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.errors import DestinationError, OutputError, UsageError
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
-from pc2scan.files.places import check_place, output_folder, parts_beside
-from pc2scan.files.records import Record as FileRecord
+from pc2scan.files.records import Record
 from pc2scan.files.recovery import completed_parts
 from pc2scan.files.staging import clean_up, note_written
 from pc2scan.files.text_output import check_text_output, text_output
-from pc2scan.files.urls import UrlPath, absolute
-from pc2scan.threads import cores as all_cores
+from pc2scan.files.urls import UrlPath, absolute, is_url
+from pc2scan.threads import cores
 
-from .dataset_file import DatasetFile, load_dataset_file
-from .executors import available_bytes, dask_executor, estimate_seconds, local_executor, workers_for
+from .dataset_file import Choices, DatasetFile, load_dataset_file
 from .find import find
-from .folder import check_folder, is_numbered, lock_folder, read_unfinished, track_outputs, unnumbered_name
-from .identity import checksum_of, identity_of
-from .jobs import Job
-from .manifest import MANIFEST, Manifest, ManifestRecord, read_records
-from .options import BatchCallbacks, ProgressSum
-from .plan import History, have_same_outcome, make_plan, refusal_record, result_record
-from .processes import Information, JobEnd, JobProgress, JobStart, ProcessDeath
-from .request import Choices
-from .stores import StoreFolder
+from .folder import open_folder
+from .jobs import Job, convert_one
+from .manifest import MANIFEST, checksum_of, is_numbered, unnumbered_name
+from .plan import have_same_outcome, make_plan
+from .processes import available_bytes, run_jobs, workers_for
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from .find import Known, Recording
-    from .identity import Identity
-    from .options import BatchOptions
+    from pc2scan.options.call import Options
+
+    from .find import Recording
+    from .folder import BatchFolder
+    from .jobs import Executor
+    from .manifest import ManifestRecord
     from .plan import BatchPlan, Step
-    from .processes import Executor
-    from .request import Choice
+
+#: Sizes of recordings that are converted as a sample: smaller ones say little, larger ones take too long.
+_SAMPLE_BYTES = range(1_000_000, 300_000_000)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchOptions:
+    """How a batch runs. None of these options affects the outputs.
+
+    Attributes
+    ----------
+    dataset
+        The dataset file; None for none.
+    jobs
+        How many recordings are converted at a time; 0: one for each core, as far as the memory is enough.
+    retries
+        How often a recording is tried again if its process died: up to 100 times.
+    checksum
+        Whether sources are compared by SHA-256 instead of their times of modification.
+    force
+        Whether recordings are converted again whose results are up to date.
+    fail_fast
+        Whether the run ends when the first recording fails.
+    dry_run
+        Whether nothing is written; the report then says what would be.
+    dask
+        The address of a Dask scheduler whose workers convert; True: a Dask cluster is started on this machine.
+    report
+        A file for the report: ``.json``, ``.csv`` or ``.md``; None for none.
+    scratch
+        The folder for local copies of what is at URLs; None: the system's folder for temporary files.
+    """
+
+    dataset: Path | None = None
+    jobs: int = 0
+    retries: int = 1
+    checksum: bool = False
+    force: bool = False
+    fail_fast: bool = False
+    dry_run: bool = False
+    dask: bool | str = False
+    report: Path | None = None
+    scratch: Path | None = None
+
+    @classmethod
+    def of(cls, options: Options) -> BatchOptions:
+        """Return how a batch runs, by the options of a call."""
+        return cls(**options.among(cls.__dataclass_fields__))
+
+    def __post_init__(self) -> None:
+        if isinstance(self.dask, str) and "://" not in self.dask:
+            raise UsageError(f"`dask={self.dask}`: the address of a scheduler is tcp://HOST:PORT")
+        if isinstance(self.dask, str) and self.jobs:
+            raise UsageError(f"`jobs={self.jobs}` has no effect with `dask={self.dask}`", hint="give only one of them")
+        if self.report is not None and self.report.suffix.lower() not in BEGINNINGS:
+            raise UsageError(
+                f"`report={self.report}`: a report of a batch is one of {', '.join('NAME' + end for end in BEGINNINGS)}"
+            )
+
+
+class BatchProgress(NamedTuple):
+    """The progress of a batch: bytes of sources and number of recordings, done and in total."""
+
+    bytes_done: int
+    bytes_total: int
+    recordings_done: int
+    recordings_total: int
+
+
+def _ignore(_argument: object) -> None:
+    """Do nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchCallbacks:
+    """Callbacks for what happens in a batch. All are called in the thread that runs the batch.
+
+    Attributes
+    ----------
+    planned
+        Called with the plan.
+    progress
+        Called from time to time with the progress.
+    done
+        Called with the outcome of each recording.
+    shown
+        Called with the report of each conversion as text; None: no such text is made.
+    warn
+        Called with warnings that the user should see at once.
+    inform
+        Called with information for the user, such as the address of a dashboard.
+    """
+
+    planned: Callable[[BatchPlan], None] = _ignore
+    progress: Callable[[BatchProgress], None] = _ignore
+    done: Callable[[Outcome], None] = _ignore
+    shown: Callable[[str], None] | None = None
+    warn: Callable[[str], None] = _ignore
+    inform: Callable[[str], None] = _ignore
 
 
 def run_batch(
@@ -52,7 +147,7 @@ def run_batch(
     options: BatchOptions,
     *,
     origins: Mapping[str, str] | None = None,
-    executor: Callable[..., Executor] | None = None,
+    executor: Executor | None = None,
     watch: BatchCallbacks | None = None,
 ) -> BatchReport:
     """Convert every recording of a dataset; see `pc2scan.batch`.
@@ -64,320 +159,118 @@ def run_batch(
     out
         The folder that is written into.
     keywords
-        Options of the conversions, as `pc2scan.batch.request.request_of` reads them.
+        Options of the conversions, as `pc2scan.batch.jobs.request_of` reads them.
     options
         How the batch runs; they do not affect the outputs.
     origins
         Where the keywords come from.
     executor
-        Makes the executor of the jobs, from ``workers``, ``retries`` and ``lock``; None: processes on this machine.
+        Runs the jobs; None: the one that ``options`` names, or processes on this machine.
     watch
         Callbacks for what happens.
     """
     began = time.monotonic()
-    watch = watch or BatchCallbacks()
     if not sources:
         raise UsageError("no source given")
     dataset = DatasetFile() if options.dataset is None else load_dataset_file(options.dataset)
     choices = Choices(dataset, keywords, origins or {})
-    choices.check()
     if options.dask and not options.dry_run:
-        executor = executor or dask_executor("" if options.dask is True else str(options.dask))
+        from .cluster import check_dask, run_jobs_on_dask  # noqa: PLC0415  # most batches have no cluster
+
+        check_dask()
+        executor = executor or partial(run_jobs_on_dask, address="" if options.dask is True else options.dask)
     with ExitStack() as stack:
-        lock, store, notes = None, None, out
-        if isinstance(out, UrlPath):
-            check_place(out)
-            notes = Path(stack.enter_context(TemporaryDirectory(prefix="pc2scan-")))
-            store = StoreFolder(out, notes)
-        elif options.dry_run:
-            check_folder(out)
+        folder = stack.enter_context(open_folder(out, dry_run=options.dry_run))
+        write_report = _open_report(options, folder, stack)
+        plan = _plan(sources, folder, choices, options)
+        batch = _Batch(plan, folder, options, watch or BatchCallbacks(), executor or run_jobs)
+        batch.watch.planned(plan)
+        if options.dry_run:
+            batch.forecast()
         else:
-            stack.enter_context(output_folder(out))
-            lock = stack.enter_context(lock_folder(out))
-        if store is None:
-            notes = folder = Path(os.path.realpath(out))
-        else:
-            folder = out
-        batch = _Batch(sources, folder, notes, options, choices, watch, store)
-        batch.report.destination = out
-        deliver = batch.open_report(stack)
-        batch.plan()
-        watch.planned(batch.made)
-        if not options.dry_run:
-            batch.clean_up()
-        batch.convert(lock, executor or local_executor)
-        batch.conclude(began)
-        if deliver is not None and options.report is not None:
-            deliver(report_text(batch.report, options.report.suffix.lower()))
-    return batch.report
+            batch.convert()
+        keys = [step.found.key for step in plan.steps]
+        report = BatchReport(
+            out,
+            outcomes=[batch.outcomes.get(step.found.key) or Outcome.of(step, None) for step in plan.steps],
+            dry_run=options.dry_run,
+            seconds=round(time.monotonic() - began, 3),
+            workers=batch.workers,
+            estimate_seconds=batch.estimate_seconds,
+            warnings=[*choices.warnings(keys), *plan.warnings],
+        )
+        if write_report is not None and options.report is not None:
+            write_report(report_text(report, options.report.suffix.lower()))
+    return report
 
 
-class _Batch:
-    """The state of a running batch."""
-
-    def __init__(
-        self,
-        sources: Sequence[str],
-        out: Path,
-        notes: Path,
-        options: BatchOptions,
-        choices: Choices,
-        watch: BatchCallbacks,
-        store: StoreFolder | None,
-    ) -> None:
-        self._sources = sources
-        self._out = out
-        self._options = options
-        self._choices = choices
-        self._watch = watch
-        #: The local folder of the manifest and the note of unfinished outputs.
-        self._notes = notes
-        #: The folder in the store if the destination is a URL.
-        self._store = store
-        unfinished = read_unfinished(notes)
-        self._history = History.read(read_records(notes / MANIFEST), unfinished.outputs)
-        #: What killed runs have noted, without what is in the manifest.
-        self._unfinished = unfinished._replace(outputs=self._history.unfinished)
-        self._records: dict[str, ManifestRecord] = {}
-        self.made: BatchPlan
-        self.report = BatchReport(out, dry_run=options.dry_run)
-
-    def open_report(self, stack: ExitStack) -> Callable[[str], None] | None:
-        """Make sure that the report can be written, before anything is converted."""
-        path = self._options.report
-        if path is None:
+def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -> Callable[[str], None] | None:
+    """Make sure that the report can be written, before anything is converted; return the function that writes it."""
+    path = options.report
+    if path is None:
+        return None
+    real = Path(os.path.realpath(path))
+    if real.is_relative_to(folder.path) and (
+        real.relative_to(folder.path).as_posix() in {MANIFEST, *folder.history.owned}
+    ):
+        raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
+    beginning = BEGINNINGS[path.suffix.lower()]
+    try:
+        if options.dry_run:
+            check_text_output(path, beginning=beginning, overwrite=False)
             return None
-        real = Path(os.path.realpath(path))
-        is_inside = real.is_relative_to(self._out)
-        if real == self._out / MANIFEST or (
-            is_inside and real.relative_to(self._out).as_posix() in self._history.owned
-        ):
-            raise DestinationError("the report cannot be written there: the batch writes this file itself", path=path)
-        beginning = BEGINNINGS[path.suffix.lower()]
-        try:
-            if self._options.dry_run:
-                check_text_output(path, beginning=beginning, overwrite=False)
-                return None
-            return stack.enter_context(text_output(path, beginning=beginning, overwrite=False))
-        except (DestinationError, OutputError) as err:
-            err.message = f"the report cannot be written there: {err.message}"
-            raise
-
-    def plan(self) -> None:
-        """Find the recordings, and decide what is done with each."""
-        found = find(
-            self._sources,
-            self._out,
-            known=_known_recordings(self._history),
-            outputs=[path for output in {*self._history.owned, *self._history.left} for path in self._files_of(output)],
-        )
-        if not found:
-            raise UsageError(f"no recording found in {', '.join(self._sources)}")
-        keys = [each.key for each in found]
-        choices = self._choices.of(keys)
-        self.made = make_plan(
-            found,
-            choices,
-            self._history,
-            out=self._out,
-            forbidden=self._forbidden([*self._inputs(found, choices.values())]),
-            present=self._present,
-            checksum=_source_checksum if self._options.checksum else None,
-            force=self._options.force,
-        )
-        self._refuse_useless_options(found)
-        self.report.warnings += [*self._choices.warnings(keys), *self.made.warnings]
-
-    def _refuse_useless_options(self, found: Sequence[Recording]) -> None:
-        """Raise for options that have no effect with URLs, or without URLs."""
-        if self._store is not None or any(isinstance(path, UrlPath) for each in found for path in each.paths):
-            if self._options.checksum:
-                raise UsageError(
-                    "`checksum` works only with local recordings", hint="a store reports itself whether objects changed"
-                )
-        elif self._options.scratch is not None:
-            raise UsageError("`scratch` has no effect: no source and no destination is a URL")
-
-    def _present(self, output: str) -> Identity:
-        if self._store is not None:
-            return self._store.present(output, self._history.left.get(output))
-        return identity_of(self._files_of(output))
-
-    def _files_of(self, output: str) -> list[Path]:
-        """Return the paths of an output's files: of numbered ones those that are recorded, or else all that exist."""
-        path = self._out / output
-        if not is_numbered(output):
-            return [path]
-        left = self._history.left.get(output)
-        return (
-            parts_beside(self._out / unnumbered_name(output))
-            if left is None
-            else [path.with_name(f[0]) for f in left.files]
-        )
-
-    def _inputs(self, found: Sequence[Recording], choices: Iterable[Choice]) -> Iterator[InputPath]:
-        """Yield everything that the batch reads."""
-        yield from (InputPath(path) for each in found for path in each.paths)
-        if self._options.dataset is not None:
-            yield InputPath(self._options.dataset, "file of `dataset`")
-        for request in {id(each.request): each.request for each in choices if each.request is not None}.values():
-            yield from inputs_of((), request.options.frames.tf_from, request.files)
-
-    def _forbidden(self, inputs: Sequence[InputPath]) -> Callable[[str], DestinationError | None]:
-        """Return a function that returns why an output may not be written; None if it may."""
-        read = cache(lambda: Inputs(inputs))
-
-        def forbidden(output: str) -> DestinationError | None:
-            path = self._out / unnumbered_name(output)
-            try:
-                read().refuse(OutputPath(path, numbered=is_numbered(output)))
-            except DestinationError as err:
-                return err
-            link = first_link(self._out, output)
-            return None if link is None else _behind_link(path, link)
-
-        return forbidden
-
-    def clean_up(self) -> None:
-        """Remove the temporary files that killed runs have left beside the outputs in this folder."""
-        if self._store is not None:
-            # Nothing is beside them: see `pc2scan.files.transfers`.
-            return
-        planned = [step.output for action in ("convert", "keep") for step in self.made.of(action)]
-        for output in {*self._history.owned, *planned}:
-            if first_link(self._out, output) is None:
-                path = self._out / unnumbered_name(output)
-                done, noted = completed_parts(path), self._history.record(output)
-                recorded = done is None or (noted is not None and noted.files == done.files)
-                clean_up(path, recorded=recorded)
-
-    def convert(self, lock: int | None, make: Callable[..., Executor]) -> None:
-        """Carry out the plan, and write the manifest."""
-        # The largest first, so that at the end no worker is busy with a long recording while the others are idle.
-        steps = sorted(self.made.of("convert"), key=lambda step: (-step.found.identity.size_bytes, step.found.key))
-        by_key = {step.found.key: step for step in self.made.steps}
-        jobs = [self._job(step, self._out) for step in steps]
-        count = len(jobs)
-        wanted = min(self._options.jobs or workers_for(count, all_cores(), available_bytes()), max(1, count))
-        self.report.workers = wanted
-        executor = make(workers=wanted, retries=self._options.retries, lock=lock)
-        if self._options.dry_run:
-            for step in self.made.of("refuse"):
-                self._note(refusal_record(step))
-            with TemporaryDirectory(prefix="pc2scan-") as folder:
-                # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
-                self._run(executor, [self._job(step, Path(folder), flat=True) for step in steps], by_key, self._note)
-            self.report.estimate_seconds = estimate_seconds(jobs, list(self._history.records.values()), wanted)
-            return
-        with ExitStack() as stack:
-            stack.callback(self._push, at_once=True)
-            manifest: Manifest | None = None
-
-            def note(record: ManifestRecord) -> None:
-                nonlocal manifest
-                if manifest is None:
-                    manifest = stack.enter_context(Manifest(self._notes / MANIFEST))
-                manifest.append(record)
-                self._push()
-                self._note(record)
-
-            for step in self.made.of("refuse"):
-                record = refusal_record(step)
-                if step.record is None or not have_same_outcome(step.record, record):
-                    note(record)
-                else:
-                    self._note(record)
-            if self._options.fail_fast and self.made.of("refuse"):
-                jobs = []
-            outputs = {step.output for step in steps} if jobs else set()
-            with track_outputs(self._notes, outputs, self._unfinished, self._existing) as begin:
-                if jobs:
-                    self._push(at_once=True)
-                    self._run(executor, jobs, by_key, note, begin)
-
-    def _push(self, *, at_once: bool = False) -> None:
-        """Upload the manifest, if the folder is at a URL."""
-        if self._store is not None:
-            self._store.push(at_once=at_once)
-
-    def _existing(self, outputs: Iterable[str]) -> set[str]:
-        """Return those outputs that exist now."""
-        if self._store is not None:
-            return self._store.existing(outputs)
-        return {each for each in outputs if os.path.lexists(self._out / each)}
-
-    def _note(self, record: ManifestRecord) -> None:
-        self._records[record.key] = record
-        self._watch.done(record)
-
-    def _run(
-        self,
-        executor: Executor,
-        jobs: Sequence[Job],
-        steps: Mapping[str, Step],
-        note: Callable[[ManifestRecord], None],
-        begin: Callable[[str, bool], None] = lambda _output, _begins: None,
-    ) -> None:
-        """Run jobs, and handle their events in the order in which they come."""
-        progress = ProgressSum({job.key: job.size_bytes for job in jobs}, self._watch)
-        events = executor(jobs)
-        try:
-            for event in events:
-                match event:
-                    case JobStart(key):
-                        begin(steps[key].output, True)
-                        progress.at(key, 0.0)
-                    case JobProgress(key, done, total):
-                        progress.at(key, done / total if total else 0.0)
-                    case ProcessDeath(key, why):
-                        progress.at(key, 0.0)
-                        self._watch.warn(f"{key}: {why}; it is tried again")
-                    case Information(text):
-                        self._watch.inform(text)
-                    case JobEnd(result):
-                        record = result_record(steps[result.key], result)
-                        if record.is_written and self._store is None:
-                            note_written(self._out / record.output)
-                        note(record)
-                        if is_numbered(record.output) and self._store is None and not self._options.dry_run:
-                            clean_up(self._out / unnumbered_name(record.output), recorded=True)
-                        if result.text and self._watch.shown is not None:
-                            self._watch.shown(result.text)
-                        begin(steps[result.key].output, False)
-                        progress.end(result.key)
-                        if self._options.fail_fast and record.exit_status in (1, 2):
-                            return
-        finally:
-            # Also if the manifest cannot be written: the workers must end.
-            events.close()
-
-    def _job(self, step: Step, folder: Path, *, flat: bool = False) -> Job:
-        assert step.choice.request is not None
-        destination = folder / unnumbered_name(Path(step.output).name if flat else step.output)
-        at_url = any(isinstance(path, UrlPath) for path in (*step.found.paths, destination))
-        scratch = self._options.scratch if at_url else None
-        return Job(
-            key=step.found.key,
-            sources=tuple(os.fspath(absolute(path)) for path in step.found.paths),
-            destination=os.fspath(absolute(destination)),
-            request=step.choice.request,
-            size_bytes=step.found.identity.size_bytes,
-            owned=step.owned or FileRecord({}),
-            checksum=self._options.checksum and not self._options.dry_run,
-            dry_run=self._options.dry_run,
-            shown=self._watch.shown is not None,
-            scratch=None if scratch is None else str(absolute(scratch)),
-        )
-
-    def conclude(self, began: float) -> None:
-        """Complete the report."""
-        for step in self.made.steps:
-            record = step.record if step.action == "keep" else self._records.get(step.found.key)
-            self.report.outcomes.append(Outcome.of(step, record))
-        self.report.seconds = round(time.monotonic() - began, 3)
+        return stack.enter_context(text_output(path, beginning=beginning, overwrite=False))
+    except (DestinationError, OutputError) as err:
+        err.message = f"the report cannot be written there: {err.message}"
+        raise
 
 
-def _behind_link(path: Path, link: Path) -> DestinationError:
+# --- Planning ---
+
+
+def _plan(sources: Sequence[str], folder: BatchFolder, choices: Choices, options: BatchOptions) -> BatchPlan:
+    """Find the recordings, and decide what is done with each."""
+    history = folder.history
+    outputs = [path for output in {*history.owned, *history.left} for path in folder.files_of(output)]
+    found = find(sources, folder.path, known=history.container_of, outputs=outputs)
+    if not found:
+        raise UsageError(f"no recording found in {', '.join(sources)}")
+    requests = choices.of(each.key for each in found)
+    inputs = [InputPath(path) for each in found for path in each.paths]
+    if options.dataset is not None:
+        inputs.append(InputPath(options.dataset, "file of `dataset`"))
+    for request in {id(request): request for request in requests.values() if request is not None}.values():
+        inputs += inputs_of((), request.options.frames.tf_from, request.files)
+    plan = make_plan(
+        found,
+        requests,
+        history,
+        out=folder.path,
+        forbidden=partial(_forbidden, folder.path, cache(partial(Inputs, inputs))),
+        present=folder.present,
+        checksum=_source_checksum if options.checksum else None,
+        force=options.force,
+    )
+    if isinstance(folder.path, UrlPath) or any(isinstance(path, UrlPath) for each in found for path in each.paths):
+        if options.checksum:
+            raise UsageError(
+                "`checksum` works only with local recordings", hint="a store reports itself whether objects changed"
+            )
+    elif options.scratch is not None:
+        raise UsageError("`scratch` has no effect: no source and no destination is a URL")
+    return plan
+
+
+def _forbidden(out: Path, read: Callable[[], Inputs], output: str) -> DestinationError | None:
+    """Return why an output may not be written into a folder, whatever is there; None if it may."""
+    path = out / unnumbered_name(output)
+    try:
+        read().refuse(OutputPath(path, numbered=is_numbered(output)))
+    except DestinationError as err:
+        return err
+    link = first_link(out, output)
+    if link is None:
+        return None
     return DestinationError(
         f"would be written through the link {link}, and a batch writes only into its own folder",
         path=path,
@@ -386,22 +279,217 @@ def _behind_link(path: Path, link: Path) -> DestinationError:
     )
 
 
-def _known_recordings(history: History) -> Known:
-    """Return a function that looks up recordings that earlier runs have found, by path and identity."""
-    containers: dict[tuple[str, Any], str] = {}
-    for record in history.records.values():
-        if not record.container:
-            continue
-        containers[record.sources[0], record.identity.files] = record.container
-        if len(record.sources) == len(record.identity.files) > 1:
-            for path, file in zip(record.sources, record.identity.files, strict=True):
-                containers[path, (file,)] = record.container
-    return lambda path, identity: containers.get((str(path), identity.files), "")
-
-
 def _source_checksum(found: Recording) -> str:
     try:
         return checksum_of(found.paths)
     except OSError:
         # The conversion will report the error.
         return ""
+
+
+# --- Converting ---
+
+
+@dataclass(slots=True)
+class _Progress:
+    """Adds up the progress of all conversions: the bytes that are done of each, and which have ended."""
+
+    sizes: Mapping[str, int]
+    watch: BatchCallbacks
+    done: dict[str, int] = field(default_factory=dict)
+    ended: set[str] = field(default_factory=set)
+
+    def at(self, key: str, share: float) -> None:
+        """Report how much of a recording is done, 0 to 1."""
+        self.done[key] = round(self.sizes[key] * min(1.0, share))
+        total = sum(self.sizes.values())
+        self.watch.progress(BatchProgress(sum(self.done.values()), total, len(self.ended), len(self.sizes)))
+
+    def end(self, key: str) -> None:
+        """Report that a recording has ended."""
+        self.ended.add(key)
+        self.at(key, 1.0)
+
+
+class _Batch:
+    """A batch that carries out its plan.
+
+    Parameters
+    ----------
+    plan, folder, options, watch, executor
+        What is done, where, and how.
+
+    Attributes
+    ----------
+    outcomes
+        The outcomes so far, by key.
+    workers
+        How many recordings are converted at a time.
+    estimate_seconds
+        How long the conversions would take; None if that is unknown.
+    """
+
+    def __init__(
+        self, plan: BatchPlan, folder: BatchFolder, options: BatchOptions, watch: BatchCallbacks, executor: Executor
+    ) -> None:
+        self.watch = watch
+        self._folder = folder
+        self._plan = plan
+        self._options = options
+        self._executor = executor
+        self._steps = {step.found.key: step for step in plan.steps}
+        self._jobs = [self._job(step) for step in plan.of("convert")]
+        # The largest first, so that at the end no worker is busy with a long recording while the others are idle.
+        self._jobs.sort(key=lambda job: (-job.size_bytes, job.key))
+        count = len(self._jobs)
+        self.workers = min(options.jobs or workers_for(count, cores(), available_bytes()), max(1, count))
+        self.estimate_seconds: float | None = None
+        self.outcomes = {step.found.key: Outcome.of(step, step.record) for step in plan.of("keep")}
+
+    def forecast(self) -> None:
+        """Say what would be done, and write nothing."""
+        for record in self._refusals():
+            self._show(record)
+        with TemporaryDirectory(prefix="pc2scan-") as folder:
+            # Nothing is written there either. It is needed because the folders of the outputs may not exist yet.
+            self._run([replace(job, destination=str(Path(folder, Path(job.destination).name))) for job in self._jobs])
+        records = list(self._folder.history.records.values())
+        self.estimate_seconds = _estimate_seconds(self._jobs, records, self.workers)
+
+    def convert(self) -> None:
+        """Convert the recordings, and write the manifest."""
+        self._clean_up()
+        refusals = self._refusals()
+        jobs = [] if self._options.fail_fast and refusals else self._jobs
+        with self._folder.writing({job.output for job in jobs}):
+            for record in refusals:
+                earlier = self._steps[record.key].record
+                if earlier is None or not have_same_outcome(earlier, record):
+                    self._folder.append(record)
+                self._show(record)
+            if jobs:
+                self._run(jobs)
+
+    def _clean_up(self) -> None:
+        """Remove the temporary files that killed runs have left beside the outputs in this folder."""
+        out, history = self._folder.path, self._folder.history
+        if isinstance(out, UrlPath):
+            # Nothing is beside them: see `pc2scan.files.transfers`.
+            return
+        planned = [step.output for action in ("convert", "keep") for step in self._plan.of(action)]
+        for output in {*history.owned, *planned}:
+            if first_link(out, output) is None:
+                path = out / unnumbered_name(output)
+                done, noted = completed_parts(path), history.record(output)
+                clean_up(path, recorded=done is None or (noted is not None and noted.files == done.files))
+
+    def _refusals(self) -> list[ManifestRecord]:
+        """Return the lines of the recordings that are refused."""
+        return [
+            self._job(step).failure(
+                step.error, identity=step.found.identity, output=step.record.output if step.record else ""
+            )
+            for step in self._plan.of("refuse")
+            if step.error is not None
+        ]
+
+    def _job(self, step: Step) -> Job:
+        assert step.request is not None
+        destination = self._folder.path / unnumbered_name(step.output)
+        at_url = any(isinstance(path, UrlPath) for path in (*step.found.paths, destination))
+        scratch = self._options.scratch if at_url else None
+        return Job(
+            key=step.found.key,
+            sources=tuple(os.fspath(absolute(path)) for path in step.found.paths),
+            destination=os.fspath(absolute(destination)),
+            container=step.found.container,
+            output=step.output,
+            request=step.request,
+            size_bytes=step.found.identity.size_bytes,
+            owned=step.owned or Record({}),
+            checksum=self._options.checksum and not self._options.dry_run,
+            dry_run=self._options.dry_run,
+            shown=self.watch.shown is not None,
+            scratch=None if scratch is None else str(absolute(scratch)),
+        )
+
+    def _run(self, jobs: Sequence[Job]) -> None:
+        """Run jobs, and handle their events in the order in which they come."""
+        progress = _Progress({job.key: job.size_bytes for job in jobs}, self.watch)
+        events = self._executor(
+            jobs, workers=self.workers, cores=cores(), retries=self._options.retries, lock=self._folder.lock
+        )
+        try:
+            for what, key, value in events:
+                match what:
+                    case "begun":
+                        self._folder.begin(self._steps[key].output)
+                        progress.at(key, 0.0)
+                    case "progress":
+                        progress.at(key, value)
+                    case "died":
+                        progress.at(key, 0.0)
+                        self.watch.warn(f"{key}: {value}; it is tried again")
+                    case "told":
+                        self.watch.inform(value)
+                    case "done":
+                        self._end(value)
+                        progress.end(key)
+                        if self._options.fail_fast and value.exit_status in (1, 2):
+                            return
+        finally:
+            # Also if the manifest cannot be written: the workers must end.
+            events.close()
+
+    def _end(self, record: ManifestRecord) -> None:
+        """Record and show the result of a recording."""
+        path = self._folder.path / record.output
+        is_local = not self._options.dry_run and not isinstance(path, UrlPath)
+        if is_local and record.is_written:
+            note_written(path)
+        if not self._options.dry_run:
+            self._folder.append(record)
+        self._show(record)
+        if is_local and is_numbered(record.output):
+            clean_up(path.with_name(unnumbered_name(path.name)), recorded=True)
+        if record.text and self.watch.shown is not None:
+            self.watch.shown(record.text)
+
+    def _show(self, record: ManifestRecord) -> None:
+        outcome = self.outcomes[record.key] = Outcome.of(self._steps[record.key], record)
+        self.watch.done(outcome)
+
+
+def _estimate_seconds(jobs: Sequence[Job], records: Sequence[ManifestRecord], workers: int) -> float | None:
+    """Return how many seconds these jobs would take; None if that cannot be estimated.
+
+    Parameters
+    ----------
+    jobs
+        The recordings that would be converted.
+    records
+        The lines of the manifest.
+    workers
+        How many recordings are converted at a time.
+    """
+    size = sum(job.size_bytes for job in jobs)
+    if not size:
+        return 0.0
+    done = [record for record in records if record.is_written and record.seconds > 0]
+    pace = sum(record.identity.size_bytes for record in done) / max(sum(record.seconds for record in done), 1e-9)
+    if not done:
+        pace = _sample_pace(jobs)
+    return size / pace / max(1, min(workers, len(jobs))) if pace else None
+
+
+def _sample_pace(jobs: Sequence[Job]) -> float:
+    """Return the bytes per second of a small recording, converted into a temporary folder; 0 if there is none."""
+    local = (job for job in jobs if not any(map(is_url, job.sources)))
+    fitting = sorted((job for job in local if job.size_bytes in _SAMPLE_BYTES), key=lambda job: job.size_bytes)
+    for job in fitting[:3]:
+        with TemporaryDirectory(prefix="pc2scan-") as folder:
+            destination = str(Path(folder) / Path(job.destination).name)
+            record = convert_one(replace(job, destination=destination, dry_run=False))
+            if record.report is not None and record.seconds:
+                return job.size_bytes / record.seconds
+    return 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from pc2scan.errors import leading, visible
 from pc2scan.result import BEGINNING, Part, Result
@@ -56,29 +56,6 @@ BEGINNINGS = {
 }
 
 
-class Facts(NamedTuple):
-    """The numbers of a conversion's or an export's report; ``damage`` is text."""
-
-    scans: int = 0
-    empty_scans: int = 0
-    skipped: int = 0
-    damage: tuple[str, ...] = ()
-    warnings: int = 0
-
-    @classmethod
-    def of(cls, report: Mapping[str, Any]) -> Facts:
-        """Read a report; all are zero if it is empty."""
-        topics = report.get("topics", ())
-        warnings = len(report.get("warnings", ()))
-        skipped = report.get("skipped_count", 0)
-        damage = tuple(place["what"] for place in report.get("damage", ()))
-        if report.get("kind") == "export":
-            return cls(sum(topic["written"] for topic in topics), 0, skipped, damage, warnings)
-        converted = [topic for topic in topics if topic["action"] == "converted"]
-        scans, empty = (sum(topic[name] for topic in converted) for name in ("messages_out", "empty_scans"))
-        return cls(scans, empty, skipped, damage, warnings)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """The outcome of one recording.
@@ -99,12 +76,14 @@ class Outcome:
         The path of the result, relative to the folder of the batch; empty for none.
     scans, empty_scans
         Messages that were converted, and how many of them have no return.
-    skipped, damaged, warnings
-        Numbers of messages that are missing in the result, of damaged places in the source, and of warnings.
+    skipped, warnings
+        Numbers of messages that are missing in the result, and of warnings.
+    damage
+        What is damaged in the source.
     bytes_read, bytes_written, seconds, attempts
         As the conversion reports them.
-    error
-        Why it failed; empty if it did not.
+    error, hint
+        Why it failed, and what helps; empty if it did not.
     """
 
     key: str
@@ -116,13 +95,14 @@ class Outcome:
     scans: int = 0
     empty_scans: int = 0
     skipped: int = 0
-    damaged: int = 0
+    damage: tuple[str, ...] = ()
     warnings: int = 0
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
     attempts: int = 0
     error: str = ""
+    hint: str = ""
 
     @classmethod
     def of(cls, step: Step, record: ManifestRecord | None) -> Outcome:
@@ -132,7 +112,13 @@ class Outcome:
         if record is None:
             return cls(key=step.found.key, action=step.action, why=step.why, outcome="not begun", exit_status=1)
         report: Mapping[str, Any] = record.report or {}
-        facts = Facts.of(report)
+        error: Mapping[str, Any] = record.error or {}
+        topics = report.get("topics", ())
+        if report.get("kind") == "export":
+            scans, empty = sum(topic["written"] for topic in topics), 0
+        else:
+            converted = [topic for topic in topics if topic["action"] == "converted"]
+            scans, empty = (sum(topic[name] for topic in converted) for name in ("messages_out", "empty_scans"))
         return cls(
             key=step.found.key,
             action=step.action,
@@ -140,17 +126,23 @@ class Outcome:
             outcome=record.outcome,
             exit_status=record.exit_status,
             output=record.output if record.report is not None else "",
-            scans=facts.scans,
-            empty_scans=facts.empty_scans,
-            skipped=facts.skipped,
-            damaged=len(facts.damage),
-            warnings=facts.warnings,
+            scans=scans,
+            empty_scans=empty,
+            skipped=report.get("skipped_count", 0),
+            damage=tuple(place["what"] for place in report.get("damage", ())),
+            warnings=len(report.get("warnings", ())),
             bytes_read=record.identity.size_bytes,
             bytes_written=report.get("bytes_written", record.output_identity.size_bytes),
             seconds=record.seconds,
             attempts=record.attempts,
-            error=str((record.error or {}).get("message", "")),
+            error=str(error.get("message", "")),
+            hint=str(error.get("hint") or ""),
         )
+
+    @property
+    def damaged(self) -> int:
+        """How many places of the source are damaged."""
+        return len(self.damage)
 
     @property
     def rank(self) -> tuple[int, bool, bool]:

@@ -17,9 +17,9 @@ from .render import as_typed, say, show, warn
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pc2scan.batch.manifest import ManifestRecord
-    from pc2scan.batch.options import BatchProgress
     from pc2scan.batch.plan import BatchPlan
+    from pc2scan.batch.run import BatchProgress
+    from pc2scan.batch.summary import Outcome
 
 
 def batch(
@@ -49,14 +49,14 @@ def batch(
     failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command again.
     """
     from pc2scan import commands
-    from pc2scan.batch.options import BatchCallbacks
+    from pc2scan.batch.run import BatchCallbacks
 
     quiet, verbose = options.quiet, options.verbose
     with _progress_bar(enabled=not quiet) as progress:
         watch = BatchCallbacks(
             planned=lambda plan: _show_plan(plan, quiet=quiet),
             progress=progress,
-            done=lambda record: _show_record(record, quiet=quiet, dry_run=options.dry_run),
+            done=lambda outcome: _show_outcome(outcome, quiet=quiet, dry_run=options.dry_run),
             shown=_show_text if verbose and not quiet else None,
             warn=warn,
             inform=lambda text: None if quiet else say(as_typed(text), err=True),
@@ -90,28 +90,25 @@ def _show_plan(plan: BatchPlan, *, quiet: bool) -> None:
     say(": ".join((parts[0], ", ".join(parts[1:]))), err=True)
 
 
-def _show_record(record: ManifestRecord, *, quiet: bool, dry_run: bool) -> None:
+def _show_outcome(done: Outcome, *, quiet: bool, dry_run: bool) -> None:
     """Show a line for a recording that is finished."""
-    if record.error is not None:
-        hint = f" (hint: {record.error['hint']})" if record.error.get("hint") else ""
-        say(as_typed(f"{record.outcome}: {record.key}: {record.error['message']}{hint}"), err=True)
+    if done.error:
+        hint = f" (hint: {done.hint})" if done.hint else ""
+        say(as_typed(f"{done.outcome}: {done.key}: {done.error}{hint}"), err=True)
         return
     if quiet:
         return
-    from pc2scan.batch.summary import Facts
-
-    facts = Facts.of(record.report or {})
     told = [
         # A recording without an index does not say how many messages it has, so a dry run cannot count its scans.
-        counted(facts.scans, "scan") if facts.scans or not dry_run else "scans not counted",
-        *([f"{facts.empty_scans:,} empty"] if facts.empty_scans else []),
-        *([f"{facts.skipped:,} skipped"] if facts.skipped else []),
-        *([f"damaged: {facts.damage[0]}"] if facts.damage else []),
-        *([counted(facts.warnings, "warning")] if facts.warnings else []),
-        f"{record.seconds:.1f} s",
+        counted(done.scans, "scan") if done.scans or not dry_run else "scans not counted",
+        *([f"{done.empty_scans:,} empty"] if done.empty_scans else []),
+        *([f"{done.skipped:,} skipped"] if done.skipped else []),
+        *([f"damaged: {done.damage[0]}"] if done.damage else []),
+        *([counted(done.warnings, "warning")] if done.warnings else []),
+        f"{done.seconds:.1f} s",
     ]
     would = "would be " if dry_run else ""
-    say(as_typed(f"{would}{record.outcome}: {record.key} -> {record.output} ({', '.join(told)})"), err=True)
+    say(as_typed(f"{would}{done.outcome}: {done.key} -> {done.output} ({', '.join(told)})"), err=True)
 
 
 def _show_text(text: str) -> None:

@@ -375,3 +375,7 @@ class UrlPath(_LocalPath):
     def read_bytes(self) -> bytes:
         """Return the content of a small file."""
         return self.remote.read()
+
+    def unlink(self, missing_ok: bool = False) -> None:  # noqa: ARG002  # the signature of Path
+        """Remove a file, if it exists."""
+        self.remote.delete()
