@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 #: The name of the workers' lock is derived from this.
 _WORKERS = "manifest.jsonl.workers"
 
-#: Seconds that a run waits for the workers of a killed run to end.
+#: Seconds that a run waits for a killed run to end, and for its workers.
+_ENDING_SECONDS = 0.5
 _WAIT_SECONDS = 15.0
 
 #: The name of the note of unfinished outputs, and its beginning.
@@ -328,23 +329,27 @@ def _lock_folder(out: Path) -> Iterator[int]:
 
     The second one shows that workers of a killed run are still alive. They may take some seconds to end.
     """
-    deadline = time.monotonic() + _WAIT_SECONDS
     with ExitStack() as stack:
         try:
-            stack.enter_context(only_run(out / MANIFEST))
-            while True:
-                try:
-                    lock = stack.enter_context(only_run(out / _WORKERS))
-                    break
-                except DestinationError as err:
-                    if "another run" not in err.message or time.monotonic() > deadline:
-                        raise
-                    time.sleep(0.05)
+            _hold(stack, out / MANIFEST, _ENDING_SECONDS)
+            lock = _hold(stack, out / _WORKERS, _WAIT_SECONDS)
         except DestinationError as err:
             if "another run" in err.message:
                 err.message, err.path = "another batch is writing into this folder", out
             raise
         yield lock
+
+
+def _hold(stack: ExitStack, path: Path, seconds: float) -> int:
+    """Hold a lock until the stack is closed; wait for it as long as this if another process has it."""
+    deadline = time.monotonic() + seconds
+    while True:
+        try:
+            return stack.enter_context(only_run(path))
+        except DestinationError as err:
+            if "another run" not in err.message or time.monotonic() > deadline:
+                raise
+            time.sleep(0.05)
 
 
 def _listing(folder: Path) -> dict[str, UrlPath] | None:
