@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
 
-from .render import as_typed, say, show, warn
+from .render import as_typed, progress_bar, say, show, warn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from pc2scan.batch.plan import BatchPlan
     from pc2scan.batch.run import BatchProgress
@@ -118,35 +117,13 @@ def _show_text(text: str) -> None:
 
 
 @contextmanager
-def _progress_bar(*, enabled: bool) -> Iterator[Any]:
+def _progress_bar(*, enabled: bool) -> Iterator[Callable[[BatchProgress], None]]:
     """Show bytes and recordings done, and the time left; yields the function to report to."""
-    if not enabled or not sys.stderr.isatty():
-        yield lambda _progress: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+    text = "{task.fields[done]:,} of {task.fields[all]:,} recordings"
+    with progress_bar(text, "done", "all", enabled=enabled) as show_bar:
 
-    with Progress(
-        BarColumn(),
-        DownloadColumn(),
-        TextColumn("{task.fields[done]:,} of {task.fields[all]:,} recordings"),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-        # `Screen` writes lines above the bar, fitted to the terminal; rich would write them as they are.
-        redirect_stdout=False,
-        redirect_stderr=False,
-    ) as bar:
-        task = bar.add_task("batch", total=None, done=0, all=0)
-
-        def update(progress: BatchProgress) -> None:
-            bar.update(
-                task,
-                completed=progress.bytes_done,
-                total=progress.bytes_total,
-                done=progress.recordings_done,
-                all=progress.recordings_total,
-            )
+        def update(now: BatchProgress) -> None:
+            if show_bar is not None:
+                show_bar(now.bytes_done, now.bytes_total, now.recordings_done, now.recordings_total)
 
         yield update

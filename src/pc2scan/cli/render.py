@@ -165,40 +165,37 @@ def show_parts(parts: Iterable[Part]) -> None:
 
 
 @contextmanager
-def progress_bar(*, enabled: bool) -> Iterator[Callable[[int, int, int], None] | None]:
-    """Show bytes, messages, rate and the remaining time; yields the function that updates the bar, or None.
+def progress_bar(
+    text: str = "{task.fields[messages]:,} messages", *names: str, enabled: bool
+) -> Iterator[Callable[..., None] | None]:
+    """Show bytes, a text, rate and the remaining time on a terminal; yields the function that updates the bar, or None.
 
-    The function takes the bytes read so far, the total bytes, and the messages read so far.
+    The function takes the bytes done so far, the total bytes, and the numbers in the text, by default the messages.
     """
     if not enabled or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        DownloadColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-        TransferSpeedColumn,
-    )
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
 
+    names = names or ("messages",)
     with Progress(
         BarColumn(),
         DownloadColumn(),
-        TextColumn("{task.fields[messages]:,} messages"),
+        TextColumn(text),
         TransferSpeedColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),
         transient=True,
-        # `Screen` writes warnings above the bar, fitted to the terminal; rich would write them as they are.
+        # `Screen` writes lines above the bar, fitted to the terminal; rich would write them as they are.
         redirect_stdout=False,
         redirect_stderr=False,
     ) as bar:
-        task = bar.add_task("convert", total=None, messages=0)
+        task = bar.add_task("", total=None, **dict.fromkeys(names, 0))  # type: ignore[arg-type]  # fields of the text
 
-        def update(done: int, total: int, messages: int) -> None:
-            bar.update(task, completed=done, total=total, messages=messages)
+        def update(done: int, total: int, *numbers: int) -> None:
+            fields: dict[str, Any] = dict(zip(names, numbers, strict=True))
+            bar.update(task, completed=done, total=total, **fields)
 
         yield update
 

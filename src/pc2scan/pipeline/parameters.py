@@ -302,6 +302,11 @@ def preset_of(origin: str) -> str:
     return origin.removeprefix("--preset ") if origin.startswith("--preset ") else ""
 
 
+def is_given(origin: str) -> bool:
+    """Return whether a parameter's origin is an option, ``--param`` or a call, not a file or a preset."""
+    return origin == CALL or (origin.startswith("--") and not preset_of(origin))
+
+
 def _contradiction(setting: Setting, rival: Setting) -> ParameterError:
     """Return the error that two settings of the same precedence contradict each other."""
     return ParameterError(

@@ -9,8 +9,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.layout import FULL_TURN
-from pc2scan.options.call import CALL
-from pc2scan.pipeline.parameters import preset_of
+from pc2scan.pipeline.parameters import is_given
 from pc2scan.text import stamp
 
 if TYPE_CHECKING:
@@ -41,12 +40,8 @@ class OutputRequest(NamedTuple):
 
     @property
     def given(self) -> set[str]:
-        """The parameters that are given as options, ``--param`` or in a call, not by a file or a preset."""
-        return {
-            name
-            for name, origin in self.spec.origins.items()
-            if origin == CALL or (origin.startswith("--") and not preset_of(origin))
-        }
+        """The parameters that are given as options."""
+        return {name for name, origin in self.spec.origins.items() if is_given(origin)}
 
 
 class Cut(NamedTuple):

@@ -243,19 +243,23 @@ def _doubtful(asked: Combining, reader: Reader, topics: Sequence[str], firsts: M
             periods = [firsts[topic].period_ns or value_ns for topic in topics if topic in firsts]
             if periods and value_ns > _MOST_PERIODS * max(periods):
                 why = f"messages of {topics[0]} come every {periods[0] / 1e9:.3g} s"
-        is_bare = name == "accumulate" and asked.is_bare and seconds in _FEW
-        if not why and (is_bare or value_ns == gathered_ns >= _LONG_NS):
-            period_ns = firsts[topics[0]].period_ns if topics[0] in firsts else None
-            if period_ns and value_ns > (1 if is_bare else _MOST_MESSAGES) * period_ns:
-                why = f"messages of {topics[0]} come every {period_ns / 1e9:.3g} s: {value_ns // period_ns:,} in a scan"
+        elif value_ns == gathered_ns >= _LONG_NS:
+            why = _crowded(firsts, topics[0], value_ns, _MOST_MESSAGES)
+        meant = f"milliseconds were meant: `{name}={seconds:g}ms`" if why else ""
+        if name == "accumulate" and asked.is_bare and seconds in _FEW:
+            why = why or _crowded(firsts, topics[0], value_ns, 1)
+            meant += (", if clouds: " if meant else "clouds were meant: ") + f"`{name}={seconds:g}clouds`"
         if why:
-            meant = (
-                f"clouds were meant: `{name}={seconds:g}clouds`"
-                if is_bare
-                else f"milliseconds were meant: `{name}={seconds:g}ms`"
-            )
             found.append(f"`{name}` is {seconds:g} s, but {why}; if {meant}")
     return found
+
+
+def _crowded(firsts: Mapping[str, _TopicStart], topic: str, span_ns: int, most: int) -> str:
+    """Return how many messages a scan of this length has, if these are more than ``most``; else nothing."""
+    period_ns = firsts[topic].period_ns if topic in firsts else None
+    if not period_ns or span_ns <= most * period_ns:
+        return ""
+    return f"messages of {topic} come every {period_ns / 1e9:.3g} s: {span_ns // period_ns:,} in a scan"
 
 
 def _first_messages(observers: CombinationObservers) -> dict[str, _TopicStart]:
