@@ -383,3 +383,12 @@ def test_a_transform_that_tilts_a_level_lidar_is_reported(
     cure, *_ = re.findall("--static-tf '([^']+)'", done.stderr)
     *_, cured_roll, cured_pitch, yaw = map(float, cure.split()[2:])
     assert (cured_roll, cured_pitch, yaw) == pytest.approx((0, 0, math.radians(25)), abs=math.radians(0.6))
+
+
+@pytest.mark.parametrize(("scale", "words"), [(1000.0, ()), (1000.0, WIDE), (1.0, ()), (1.0, WIDE)])
+def test_clouds_in_millimetres(scale: float, words: Sequence[str], tmp_path: Path) -> None:
+    clouds = [cloud(PLACES["hall"], "32 rings", mounted(0, 0), 0.6, stand) * scale for stand in range(3)]
+    source = write_clouds(tmp_path / "a.mcap", clouds)
+    for done in (run("info", source), run("convert", source, "-o", tmp_path / "b.mcap", *words)):
+        said = done.stdout + done.stderr
+        assert ("m away (median), so they are probably in millimetres" in said) == (scale == 1000.0)

@@ -40,6 +40,7 @@ ELSEWHERE = {
         "target_that_moves",
         "clouds_in_fixed_frame",
         "returns_at_sensor",
+        "clouds_in_millimetres",
         "fixed_frame_of_rebinned",
         "rebinned_beams",
     ),

@@ -36,6 +36,9 @@ LEVEL = math.radians(5.0)
 _LEAST_TILT = math.radians(0.9)
 _LEVEL_BESIDE = 0.3
 
+#: Points with a larger median distance, metres, are probably in millimetres: lidars do not see as far.
+FARTHEST_MEDIAN = 400.0
+
 _GOLDEN = 0.6180339887498949
 
 #: The conditions of a floor: the least share of the cells on it, the largest share below it, and metres below the
@@ -68,6 +71,8 @@ class CloudSample:
         The transform to that frame; None if it is the cloud's own.
     zeros
         How many points of the whole cloud are at the sensor itself.
+    distance
+        The median distance of the points, metres; 0 if there are too few.
     """
 
     frame_id: str
@@ -76,6 +81,7 @@ class CloudSample:
     points: _Points
     transform: Rigid | None = None
     zeros: int = 0
+    distance: float = 0.0
 
     @classmethod
     def of(cls, cloud: Points) -> CloudSample:
@@ -83,7 +89,9 @@ class CloudSample:
         x, y, z = cloud.xyz()
         with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
             zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
-        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, thin_points(x, y, z), zeros=zeros)
+        points = thin_points(x, y, z)
+        distance = _median_distance(points) if len(points) >= FEWEST_POINTS else 0.0
+        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, points, zeros=zeros, distance=distance)
 
     def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
         """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""

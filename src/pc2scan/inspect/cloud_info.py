@@ -15,7 +15,7 @@ from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 from pc2scan.text import counted
-from pc2scan.tf.mounting import mounting
+from pc2scan.tf.mounting import mounting, unit_warning
 
 from .spread import Spread, count_range, finite, spread_of, spread_table
 
@@ -209,6 +209,11 @@ class FirstSamples:
             topic: _sample_observer(sources, moved=moved)
             for topic, sources in by_topic(each for each in connections if each.ros_type in CLOUDS).items()
         }
+
+    def unit_warnings(self) -> list[str]:
+        """Return warnings of topics whose clouds are probably in millimetres."""
+        found = (unit_warning(topic, each.found[0]) for topic, each in self.observers.items() if each.found)
+        return list(filter(None, found))
 
     def placed(self, topic: str, places: Placer) -> list[CloudSample]:
         """Return as many of a topic as are judged, in their frames; without those that have no place there."""

@@ -305,6 +305,7 @@ def info(
         tolerance_ns = ProjectionParams().tolerance_ns
         places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
         clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, buffer, first)
+        warnings += first.unit_warnings()
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),

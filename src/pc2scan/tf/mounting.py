@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.floor import LEVEL, enough_to_judge
+from pc2scan.core.floor import FARTHEST_MEDIAN, LEVEL, enough_to_judge
 from pc2scan.core.ground import Ground, common_ground, find_ground
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
@@ -99,6 +99,16 @@ class Mounting(NamedTuple):
         if not self.fault:
             return ""
         return f"{self.topic}: frame {self.judged_in!r} is {self.fault}" + (f". {self.cure}" if self.cure else "")
+
+
+def unit_warning(topic: str, sample: CloudSample) -> str:
+    """Return the warning that a cloud is probably in millimetres; empty if it is not."""
+    if sample.distance <= FARTHEST_MEDIAN:
+        return ""
+    return (
+        f"{topic}: the points are {sample.distance:,.0f} m away (median), so they are probably in millimetres: clouds "
+        "have metres, and every consumer takes them for metres; correct the unit where they are made"
+    )
 
 
 def mounting(

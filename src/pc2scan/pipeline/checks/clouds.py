@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.floor import FEWEST_POINTS, tolerances
+from pc2scan.core.floor import FARTHEST_MEDIAN, FEWEST_POINTS, tolerances
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rule import PointCounts
 from pc2scan.pipeline.parameters import preset_of
@@ -121,6 +121,8 @@ class CloudFacts:
         first = self.samples[0]
         if len(first.points) < FEWEST_POINTS:
             return True
+        if first.distance > FARTHEST_MEDIAN:
+            return False
         if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
             return False
         return self.spec.level or first.floor_tilted_by_transform is None
@@ -306,6 +308,14 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
         f"and the floor at z = {-below - floor.height:.2f} m; the parent comes first: `static_tf='{inverse}'` puts "
         f"the floor at z = {below - floor.height + 0.0:.2f} m"
     )
+
+
+def clouds_in_millimetres(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the points are so far away that they are probably in millimetres."""
+    from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # only where there may be a warning
+
+    if text := unit_warning(clouds.topic, clouds.samples[0]):
+        yield text
 
 
 def heights_in_millimetres(clouds: CloudFacts) -> Iterator[str]:
