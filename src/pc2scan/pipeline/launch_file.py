@@ -203,6 +203,7 @@ class _LaunchReader:
         #: Arguments of the file, with a value or None.
         self.arguments: dict[LaunchText, LaunchText | None] = {}
         self.ignored: list[str] = []
+        self.seen: set[int] = set()
         #: What a Python file does besides, which may launch nodes.
         self.unread: list[str] = []
 
@@ -228,6 +229,9 @@ class _LaunchReader:
                     space = self._read(element, "ns" if tag == "group" else "")
                     yield from self.nodes(element, _Scope(_qualified_name(scope.namespace, space), scope.remaps))
             elif tag in {"node", "composable_node"} and _is_upstream_node(element) and self._applies(element):
+                if id(element) in self.seen:  # a Python file may name an action several times
+                    continue
+                self.seen.add(id(element))
                 for said in ("exec", "plugin"):
                     self._read(element, said)
                 space = self._read(element, "ns") or self._read(element, "namespace")

@@ -185,7 +185,9 @@ def _parsed(text: str, path: Path, mode: str) -> Any:
             warnings.simplefilter("ignore")
             return ast.parse(text, mode=mode)
     except (SyntaxError, tokenize.TokenError, ValueError) as err:
-        line = getattr(err, "lineno", None)
+        line = err.lineno if isinstance(err, SyntaxError) else None
+        if isinstance(err, tokenize.TokenError):
+            line = err.args[1][0]
         place = f"{path}, line {line}" if line else f"{path}"
         problem = getattr(err, "msg", None) or str(err.args[0] if err.args else err)
         raise ParameterError(f"{place}: not valid Python: {problem}") from err
@@ -704,17 +706,15 @@ class _Program:
             for own, attribute in _NODE_ATTRIBUTES.items()
             if keywords.get(own) is not None
         }
-        words = [one for own in ("arguments", "ros_arguments") for one in keywords.get(own) or ()]
+        words = [one for own in ("arguments", "ros_arguments") for one in _listed(keywords.get(own))]
         attributes["args"] = self._joined([part for one in words for part in (" ", self.text(one, node))], node)
         element = Element(tag, attributes, node.lineno)
         lines = {keyword.arg: keyword.value for keyword in node.keywords}
         source = lines.get("parameters", node)
-        parameters = keywords.get("parameters") or ()
-        for one in parameters if isinstance(parameters, list | tuple) else (parameters,):
+        for one in _listed(keywords.get("parameters")):
             element.children += self._parameters(one, source)
         source = lines.get("remappings", node)
-        remappings = keywords.get("remappings") or ()
-        for one in remappings if isinstance(remappings, list | tuple) else (remappings,):
+        for one in _listed(keywords.get("remappings")):
             pair = one if isinstance(one, list | tuple) and len(one) == 2 else (self._not_literal(source),) * 2
             sides = dict(zip(("from", "to"), (self.text(side, source) for side in pair), strict=True))
             element.children.append(Element("remap", sides, getattr(source, "lineno", node.lineno)))
@@ -836,6 +836,12 @@ class _Lines(dict[Any, Any]):
         made = _Lines(self)
         made.lines = dict(self.lines)
         return made
+
+
+def _listed(value: Any) -> list[Any] | tuple[Any, ...]:
+    if value is None:
+        return ()
+    return value if isinstance(value, list | tuple) else (value,)
 
 
 def _dotted(node: ast.AST) -> str:

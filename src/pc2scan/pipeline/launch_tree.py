@@ -38,6 +38,10 @@ class NotLiteral(str):
         made.line, made.source = line, source
         return made
 
+    def __bool__(self) -> bool:
+        """Return true: it is no empty text."""
+        return True
+
     @property
     def shown(self) -> str:
         """The beginning of the expression, for errors."""

@@ -277,7 +277,7 @@ def _launch_value(param: LaunchParam) -> object:
         return quoted[1] if quoted[1] is not None else quoted[2]
     parameter = PARAMETERS.get(ALIASES.get(param.name, param.name))
     if param.type in {"str", "string"} or (parameter and parameter.value.kind == "str"):
-        return param.value
+        return str(param.value)
     return plain_scalar(text)
 
 
