@@ -6,7 +6,7 @@ from abc import abstractmethod
 from bisect import bisect_left
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import accumulate, pairwise, zip_longest
+from itertools import accumulate, pairwise
 from operator import attrgetter
 from typing import TYPE_CHECKING, Protocol
 
@@ -17,7 +17,7 @@ from .reader import Reader
 from .units import Extent, Unit, sort_units
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.files.source import SourceFile
     from pc2scan.model import ChunkRule, Connection, RawMessage
@@ -77,10 +77,14 @@ class Segment:
         )
 
 
-def isolated_chunks(
+def whole_chunks(
     segments: Collection[Segment], rule: ChunkRule, start_ns: int | None, stop_ns: int | None
-) -> frozenset[Segment]:
+) -> dict[Segment, int]:
     """Find the chunks that can be copied as a whole, by the index alone.
+
+    These are the chunks that are wanted completely, if no message of a segment that is read message by message belongs
+    between their first and their last one. Chunks that overlap only each other are copied in the order of the file:
+    readers find the order of messages by the index, and equal log times keep the order that they have in the source.
 
     Parameters
     ----------
@@ -93,27 +97,37 @@ def isolated_chunks(
 
     Returns
     -------
-    frozenset[Segment]
-        Chunks that are wanted completely, if no other segment has messages between their first and last.
+    dict[Segment, int]
+        The chunks, and the log time at which each is due: when the first of those that overlap it begins.
     """
-    ordered = sorted(segments, key=attrgetter("start_ns", "offset"))
-    alone = []
-    latest = (-1, 0)
-    for segment, following in zip_longest(ordered, ordered[1:]):
-        if (
-            latest < (segment.start_ns, segment.offset)
-            and (following is None or segment.end_ns < following.start_ns)
-            and segment.connection_ids is not None
+    found: dict[Segment, int] = {}
+    for together in _overlapping(segments):
+        size = sum(segment.uncompressed_size for segment in together)
+        if size >= MIN_WHOLE_BYTES * len(together) and all(
+            segment.connection_ids is not None
             and segment.connection_ids <= rule.connection_ids
-            and segment.uncompressed_size >= MIN_WHOLE_BYTES
             and (start_ns is None or start_ns <= segment.start_ns)
             and (stop_ns is None or segment.end_ns < stop_ns)
             and (rule.last_ns is None or segment.end_ns <= rule.last_ns)
             and not rule.is_cut(segment.start_ns, segment.end_ns)
+            for segment in together
         ):
-            alone.append(segment)
+            found |= dict.fromkeys(together, together[0].start_ns)
+    return found
+
+
+def _overlapping(segments: Iterable[Segment]) -> Iterator[list[Segment]]:
+    """Yield the segments in groups that overlap in time; at equal times the order of the file decides."""
+    together: list[Segment] = []
+    latest = (-1, 0)
+    for segment in sorted(segments, key=attrgetter("start_ns", "offset")):
+        if together and latest < (segment.start_ns, segment.offset):
+            yield together
+            together = []
+        together.append(segment)
         latest = max(latest, (segment.end_ns, segment.offset))
-    return frozenset(alone)
+    if together:
+        yield together
 
 
 def times_around(segments: Iterable[Segment]) -> Callable[[int, int], dict[str, int | None]]:
@@ -146,17 +160,17 @@ class LoadSegment(Protocol):
 
 
 def segment_units(
-    segments: Iterable[Segment], load: LoadSegment, alone: Collection[Segment], file: SourceFile
+    segments: Iterable[Segment], load: LoadSegment, whole: Mapping[Segment, int], file: SourceFile
 ) -> list[Unit]:
-    """Return the segments of a file as units; those in ``alone`` may be whole."""
+    """Return the segments of a file as units; those that `whole_chunks` found may be whole."""
     return sort_units(
         Unit(
-            start_ns=segment.start_ns,
+            start_ns=whole.get(segment, segment.start_ns),
             place=(segment.offset,),
             size=segment.uncompressed_size,
             load=partial(load, segment),
             is_quick=segment.compression == "none" and segment.uncompressed_size < _WORTH_A_THREAD,
-            may_be_whole=segment in alone,
+            may_be_whole=segment in whole,
             extent=Extent(file, segment.offset, segment.length),
         )
         for segment in segments
