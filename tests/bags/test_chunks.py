@@ -29,27 +29,31 @@ def test_of_no_chunks_none_is_whole() -> None:
 
 
 def test_chunks_one_after_the_other_are_whole() -> None:
-    assert whole(segment(30, 1, 4), segment(10, 5, 8), segment(20, 9, 9)) == {30: 1, 10: 5, 20: 9}
+    assert whole(segment(1, 1, 4), segment(2, 5, 8), segment(3, 9, 9)) == {1: 1, 2: 5, 3: 9}
 
 
-def test_chunks_that_overlap_are_whole_together() -> None:
-    assert whole(segment(1, 3, 9), segment(2, 0, 4), segment(3, 10, 11)) == {1: 0, 2: 0, 3: 10}
-    other = (3,)
-    assert whole(segment(1, 0, 9), segment(2, 3, 4, other), segment(3, 10, 11)) == {3: 10}
-    chunks = [segment(1, 0, 20), segment(2, 3, 4), segment(3, 10, 11, other), segment(4, 21, 22)]
-    assert whole(*chunks) == {4: 21}
+#: Chunks in the order of a file: log times, and whether their messages are read one by one; and when those are due that
+#: are whole.
+LAYOUTS = {
+    "apart": ([(0, 4), (5, 8, "read"), (9, 12)], {0: 0, 2: 9}),
+    "neighbours share a time": ([(0, 5), (5, 9, "read"), (9, 12), (12, 12), (12, 13)], {0: 0, 2: 9, 3: 12, 4: 12}),
+    "overlapping": ([(0, 5), (3, 8), (7, 9), (20, 21, "read")], {0: 0, 1: 5, 2: 8}),
+    "one overlaps what is read": ([(0, 5), (4, 8), (7, 10, "read"), (9, 13), (12, 15)], {0: 0, 1: 5, 3: 10, 4: 13}),
+    "what is read begins too early": ([(0, 5), (4, 8), (4, 10, "read"), (12, 15)], {0: 0, 3: 12}),
+    "topics have chunks of their own": ([(0, 9, "read"), (0, 9), (10, 19, "read"), (9, 20)], {1: 9, 3: 19}),
+    "topics have chunks that overlap": ([(0, 9, "read"), (0, 12), (10, 19, "read"), (9, 20)], {1: 9, 3: 19}),
+    "not in order": ([(40, 41), (10, 20), (50, 50, "read")], {0: 40, 1: 41}),
+    "what is read is earlier": ([(40, 41), (10, 20, "read"), (50, 50)], {2: 50}),
+}
 
 
-def test_at_one_time_the_place_in_the_file_decides() -> None:
-    assert whole(segment(1, 0, 5), segment(2, 5, 9, (3,))) == {1: 0}
-    assert whole(segment(2, 0, 5), segment(1, 5, 9, (3,))) == {}
-    assert whole(segment(1, 5, 5), segment(2, 5, 5), segment(3, 5, 5, (3,)), segment(4, 5, 9)) == {1: 5, 2: 5, 4: 5}
-
-
-def test_small_chunks_are_whole_among_large_ones() -> None:
-    small, large = (replace(segment(n, 3, 9), uncompressed_size=size) for n, size in ((1, 1), (2, 2 * MIN_WHOLE_BYTES)))
-    assert whole(small, large) == {1: 3, 2: 3}
-    assert whole(small, replace(large, uncompressed_size=2 * MIN_WHOLE_BYTES - 2)) == {}
+@pytest.mark.parametrize(("chunks", "expected"), LAYOUTS.values(), ids=LAYOUTS)
+def test_chunks_keep_their_place_in_the_file(
+    chunks: list[tuple[int, int] | tuple[int, int, str]], expected: dict[int, int]
+) -> None:
+    segments = [segment(n, start, end, (3,) if how else (1,)) for n, (start, end, *how) in enumerate(chunks)]
+    assert whole(*segments) == expected
+    assert whole(*reversed(segments)) == expected
 
 
 @pytest.mark.parametrize(

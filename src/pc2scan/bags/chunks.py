@@ -82,9 +82,10 @@ def whole_chunks(
 ) -> dict[Segment, int]:
     """Find the chunks that can be copied as a whole, by the index alone.
 
-    These are the chunks that are wanted completely, if no message of a segment that is read message by message belongs
-    between their first and their last one. Chunks that overlap only each other are copied in the order of the file:
-    readers find the order of messages by the index, and equal log times keep the order that they have in the source.
+    A chunk that is wanted completely is copied if it can stay behind everything that is before it in the file, and
+    before everything behind it that is read message by message. Messages that are read one by one are written by log
+    time, so these are two conditions on log times. The messages in and around such a chunk may be written unsorted, as
+    they are in the source: readers order them by the index, and equal log times keep their order.
 
     Parameters
     ----------
@@ -98,36 +99,30 @@ def whole_chunks(
     Returns
     -------
     dict[Segment, int]
-        The chunks, and the log time at which each is due: when the first of those that overlap it begins.
+        The chunks, and the log time at which each is due: when it has begun, and all before it in the file has ended.
     """
+    ordered = sorted(segments, key=attrgetter("offset"))
+    # A chunk is due when all messages before it in the file are written.
+    ends = accumulate((segment.end_ns for segment in ordered), max, initial=0)
+    due = [max(segment.start_ns, latest) for segment, latest in zip(ordered, ends, strict=False)]
     found: dict[Segment, int] = {}
-    for together in _overlapping(segments):
-        size = sum(segment.uncompressed_size for segment in together)
-        if size >= MIN_WHOLE_BYTES * len(together) and all(
-            segment.connection_ids is not None
+    # The first message behind it that is read by itself.
+    following: int | None = None
+    for segment, due_ns in zip(reversed(ordered), reversed(due), strict=True):
+        if (
+            (following is None or due_ns <= following)
+            and segment.connection_ids is not None
             and segment.connection_ids <= rule.connection_ids
+            and segment.uncompressed_size >= MIN_WHOLE_BYTES
             and (start_ns is None or start_ns <= segment.start_ns)
             and (stop_ns is None or segment.end_ns < stop_ns)
             and (rule.last_ns is None or segment.end_ns <= rule.last_ns)
-            and not rule.is_cut(segment.start_ns, segment.end_ns)
-            for segment in together
+            and not rule.is_cut(segment.start_ns, max(segment.end_ns, due_ns))
         ):
-            found |= dict.fromkeys(together, together[0].start_ns)
+            found[segment] = due_ns
+        else:
+            following = segment.start_ns if following is None else min(following, segment.start_ns)
     return found
-
-
-def _overlapping(segments: Iterable[Segment]) -> Iterator[list[Segment]]:
-    """Yield the segments in groups that overlap in time; at equal times the order of the file decides."""
-    together: list[Segment] = []
-    latest = (-1, 0)
-    for segment in sorted(segments, key=attrgetter("start_ns", "offset")):
-        if together and latest < (segment.start_ns, segment.offset):
-            yield together
-            together = []
-        together.append(segment)
-        latest = max(latest, (segment.end_ns, segment.offset))
-    if together:
-        yield together
 
 
 def times_around(segments: Iterable[Segment]) -> Callable[[int, int], dict[str, int | None]]:

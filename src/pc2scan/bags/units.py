@@ -203,8 +203,7 @@ class Unit(NamedTuple):
     Attributes
     ----------
     start_ns
-        Log time of its first message, or earlier: a chunk that may be whole is due with the first chunk that it
-        overlaps.
+        Log time of its first message, or earlier. Of a chunk that may be whole: when it is due.
     place
         Order among units: messages of one log time are in this order.
     size
@@ -214,8 +213,7 @@ class Unit(NamedTuple):
     is_quick
         Whether loading it takes less time than handing it to another thread.
     may_be_whole
-        Whether a chunk may be copied as a whole: all of it is wanted, and no message that is read from another unit
-        belongs between its first and its last one.
+        Whether a chunk may be copied as a whole; see `pc2scan.bags.chunks.whole_chunks`.
     extent
         Its place in a file; None if it is not in one piece.
     is_in_memory
@@ -293,8 +291,8 @@ def merge_by_time(
     Yields
     ------
     Item | StoredChunk
-        By log time; equal log times in the order of places. Whole chunks only for units that may be whole; those that
-        overlap are in the order of places.
+        By log time; equal log times in the order of places. Whole chunks, only for units that may be whole, when they
+        are due.
 
     Raises
     ------

@@ -189,8 +189,8 @@ def copy_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> S
     Returns
     -------
     StoredChunk | None
-        None if it cannot keep its compression, the indexes do not have all of its messages, or there may be other
-        declarations before the first one.
+        None if it cannot keep its compression, the indexes do not have all of its messages or contradict its times, or
+        there may be other declarations before the first one.
 
     Raises
     ------
@@ -215,9 +215,9 @@ def copy_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> S
     entries = sorted((entry for found in index.values() for entry in found), key=_place)
     if not entries or entries[0][1] != 0 or entries[-1][1] >= segment.uncompressed_size:
         return None
-    if index.keys() != segment.connection_ids or not _is_within([time_ns for time_ns, _ in entries], segment):
-        return None
-    return StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
+    found = StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
+    is_sound = index.keys() == segment.connection_ids and found.span_ns() == (segment.start_ns, segment.end_ns)
+    return found if is_sound else None
 
 
 def copy_by_content(
@@ -273,10 +273,10 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
             if len(times) > MAX_LISTED_ITEMS:
                 return None
         position = following
-    return index if position == size and times and _is_within(times, segment) else None
+    return index if position == size and times and _are_within(times, segment) else None
 
 
-def _is_within(times: list[int], segment: ChunkSegment) -> bool:
+def _are_within(times: list[int], segment: ChunkSegment) -> bool:
     """Whether log times are within the declared ones."""
     return segment.start_ns <= min(times) and max(times) <= segment.end_ns
 
