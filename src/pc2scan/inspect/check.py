@@ -304,7 +304,7 @@ def check(
     with ExitStack() as stack:
         readers = open_recordings(map(path_or_url, paths), stack)
         reader = as_one(readers)
-        chosen = _scan_connections(reader.connections, tuple(topics))
+        chosen = _scan_connections(reader, tuple(topics))
         others = open_recordings(options.tf_from, stack)
         first = FirstSamples((each for each in reader.connections if each.ros_version is not None), moved=True)
         buffer, warnings = read_transforms([reader, *others], options, [*first.observers.values()])
@@ -314,16 +314,23 @@ def check(
     return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
 
 
-def _scan_connections(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[str, list[Connection]]:
+def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list[Connection]]:
     """Return the connections of the topics to check, by topic."""
     types: dict[str, set[str]] = {}
     scans: dict[str, list[Connection]] = {}
-    for connection in connections:
+    for connection in reader.connections:
         types.setdefault(connection.topic, set()).add(connection.ros_type)
         if connection.ros_type == LASERSCAN and connection.ros_version is not None:
             scans.setdefault(connection.topic, []).append(connection)
     if not scans:
-        raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
+        from pc2scan.messages.clouds import CLOUDS  # noqa: PLC0415  # only for errors
+
+        if any(connection.ros_type in CLOUDS for connection in reader.connections):
+            raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
+        from pc2scan.bags.other_clouds import without  # noqa: PLC0415  # only for errors
+
+        message, hint = without((LASERSCAN,), reader.connections, reader)
+        raise TopicError(message, hint=hint or None)
     asked = (find_topics(topic, types, sorted(scans), LASERSCAN) for topic in topics)
     names = {name for found in asked for name in found} or scans.keys()
     return {name: scans[name] for name in sorted(names)}

@@ -306,6 +306,11 @@ def info(
         places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
         clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, buffer, first)
         warnings += first.unit_warnings()
+        if not any(topic.msgtype in {*CLOUDS, LASERSCAN} for topic in topics):
+            from pc2scan.bags.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
+
+            if instead := instead_of_clouds(reader.connections, reader):
+                warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),

@@ -174,7 +174,7 @@ def open_plan(
     if options.repair and damage and not reader.connections:
         raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
     try:
-        return reader, readers, make_plan(reader.connections, options)
+        return reader, readers, make_plan(reader.connections, options, reader)
     except TopicError as err:
         if damage:
             note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"

@@ -165,11 +165,10 @@ class Selection:
             if connection.ros_type in kinds and connection.ros_version is not None:
                 found.setdefault(connection.topic, []).append(connection)
         if not found:
-            topics = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
-            others = f"its topics are: {name_list(topics)}" if topics else "it has no topics"
-            raise TopicError(
-                f"the recording has no {short_types(kinds)} topic; {others}", path=reader.path, hint=hint(reader)
-            )
+            from pc2scan.bags.other_clouds import without  # noqa: PLC0415  # only for errors
+
+            message, other = without(kinds, reader.connections, reader)
+            raise TopicError(message, path=reader.path, hint=hint(reader) or other or None)
         if not self.topics and len(found) > 1:
             raise TopicError(
                 f"the recording has {len(found)} {short_types(kinds)} topics: {name_list(sorted(found))}",
