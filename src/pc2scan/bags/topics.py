@@ -138,13 +138,6 @@ def usual_types(kinds: Iterable[str]) -> list[str]:
     return [kind for kind in kinds if kind.startswith("sensor_msgs/")] or kinds
 
 
-def kind_of(connection: Connection) -> str:
-    """Return the type, and the encoding if it is not ROS's (MCAP files also hold JSON and Protobuf)."""
-    if connection.ros_version is None:
-        return f"{connection.msgtype or 'untyped'} in {connection.serialization or 'no encoding'}"
-    return connection.ros_type
-
-
 def by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
     """Return the connections of each topic, in the order of the first ones."""
     topics: dict[str, list[Connection]] = {}

@@ -327,9 +327,9 @@ def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list
 
         if any(connection.ros_type in CLOUDS for connection in reader.connections):
             raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
-        from pc2scan.bags.other_clouds import without  # noqa: PLC0415  # only for errors
+        from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
 
-        message, hint = without((LASERSCAN,), reader.connections, reader)
+        message, hint = without("LaserScan", reader.connections, reader)
         raise TopicError(message, hint=hint or None)
     asked = (find_topics(topic, types, sorted(scans), LASERSCAN) for topic in topics)
     names = {name for found in asked for name in found} or scans.keys()

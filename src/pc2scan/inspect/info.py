@@ -307,7 +307,7 @@ def info(
         clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, buffer, first)
         warnings += first.unit_warnings()
         if not any(topic.msgtype in {*CLOUDS, LASERSCAN} for topic in topics):
-            from pc2scan.bags.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
+            from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
 
             if instead := instead_of_clouds(reader.connections, reader):
                 warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")

@@ -39,10 +39,9 @@ def scan_connections(reader: Reader, asked: Sequence[str]) -> dict[str, list[Con
         types.setdefault(connection.topic, set()).add(connection.ros_type)
     candidates = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
     if not candidates:
-        from pc2scan.bags.other_clouds import without  # noqa: PLC0415  # only for errors
-        from pc2scan.messages.pointcloud2 import POINTCLOUD2  # noqa: PLC0415
+        from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
 
-        message, hint = without((POINTCLOUD2, LASERSCAN), reader.connections, reader)
+        message, hint = without("PointCloud2 or LaserScan", reader.connections, reader)
         raise TopicError(message, hint=hint or None)
     chosen = [find_topic(name, types, candidates, LASERSCAN) for name in asked] or candidates
     return {topic: [c for c in reader.connections if c.topic == topic and c.ros_type == LASERSCAN] for topic in chosen}

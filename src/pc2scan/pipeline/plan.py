@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.topics import fill_glob, find_topic, find_topics, kind_of, matches, short_types
+from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import TopicError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
@@ -107,7 +107,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader
         already exists in the source.
     """
     specs = () if options.repair else options.scans
-    kinds = [kind_of(connection) for connection in connections]
+    kinds = [connection.kind for connection in connections]
     types: dict[str, set[str]] = {}
     for connection, kind in zip(connections, kinds, strict=True):
         types.setdefault(connection.topic, set()).add(kind)
@@ -228,7 +228,7 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
         if not spec.reverse and LASERSCAN in types.get(name, ()):
             err.hint = f"`rebin=True` makes other scans of LaserScan, `reverse=True` makes clouds; {err.hint}"
         elif not candidates and name in types:
-            from pc2scan.bags.other_clouds import instead_of_topic  # noqa: PLC0415  # only for errors
+            from pc2scan.messages.other_clouds import instead_of_topic  # noqa: PLC0415  # only for errors
 
             err.hint = instead_of_topic(name, types[name]) or err.hint
         raise
@@ -238,9 +238,9 @@ def _without_sources(
     connections: Sequence[Connection], types: dict[str, set[str]], spec: ScanSpec, reader: Reader | None
 ) -> TopicError:
     """Return the error about a recording with nothing to convert: what it has instead, and what makes clouds of it."""
-    from pc2scan.bags.other_clouds import without  # noqa: PLC0415  # only for errors
+    from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
 
-    message, hint = without(spec.source_types, connections, reader)
+    message, hint = without(short_types(spec.source_types), connections, reader)
     return TopicError(message, hint=_other_direction(types, spec) or hint or None)
 
 

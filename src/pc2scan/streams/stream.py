@@ -165,9 +165,9 @@ class Selection:
             if connection.ros_type in kinds and connection.ros_version is not None:
                 found.setdefault(connection.topic, []).append(connection)
         if not found:
-            from pc2scan.bags.other_clouds import without  # noqa: PLC0415  # only for errors
+            from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
 
-            message, other = without(kinds, reader.connections, reader)
+            message, other = without(short_types(kinds), reader.connections, reader)
             raise TopicError(message, path=reader.path, hint=hint(reader) or other or None)
         if not self.topics and len(found) > 1:
             raise TopicError(

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import re
 from contextlib import closing
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pc2scan.errors import Pc2ScanError, name_list
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.wire import Cursor
 
-from .topics import by_topic, kind_of, short_types
+from .clouds import CLOUDS
+from .laserscan import LASERSCAN
+from .wire import Cursor
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Generator, Iterator, Sequence
 
-    from pc2scan.model import Connection
-
-    from .reader import Reader
+    from pc2scan.model import Connection, RawMessage
 
 
 class _Kind(NamedTuple):
@@ -97,10 +94,18 @@ _MOST_IMAGES = 20
 _DEPTH_ENCODINGS = frozenset({"16UC1", "mono16", "32FC1"})
 
 
+class Source(Protocol):
+    """A recording whose messages can be read: a `pc2scan.bags.reader.Reader`."""
+
+    def messages(self, connections: Collection[Connection], /) -> Generator[RawMessage]:
+        """Yield the messages of connections."""
+        ...
+
+
 class _Images:
     """Says which images are depth images: by the first message, or without one by the name of the topic."""
 
-    def __init__(self, reader: Reader | None) -> None:
+    def __init__(self, reader: Source | None) -> None:
         self._reader = reader
         self._looks = 0
 
@@ -129,7 +134,7 @@ class _Images:
             return None
 
 
-def instead_of_clouds(connections: Sequence[Connection], reader: Reader | None = None) -> tuple[str, str] | None:
+def instead_of_clouds(connections: Sequence[Connection], reader: Source | None = None) -> tuple[str, str] | None:
     """Return what a recording has instead of clouds and scans, and what makes clouds of it; None for nothing.
 
     The first images of a ``reader`` are looked into, to see whether they are depth images; without one, their topics'
@@ -150,12 +155,11 @@ def instead_of_clouds(connections: Sequence[Connection], reader: Reader | None =
 
 def _kinds(connections: Sequence[Connection], images: _Images) -> Iterator[tuple[_Kind, list[str]]]:
     """Yield the kinds that there are, with their topics; three at most."""
-    left = by_topic(connection for connection in connections if _type(connection) not in CLOUDS)
+    left = {connection.topic: connection for connection in reversed(connections) if _type(connection) not in CLOUDS}
     count = 0
     for kind in _KINDS:
         topics = []
-        for topic, several in left.items():
-            first = several[0]
+        for topic, first in left.items():
             if re.fullmatch(kind.types, _type(first).replace("/msg/", "/")) and (
                 kind is not _DEPTH or images.are_depth(first)
             ):
@@ -177,15 +181,13 @@ def instead_of_topic(topic: str, types: Collection[str]) -> str:
     return f"these are {kind.name}: {kind.advice}" if kind else ""
 
 
-def without(
-    wanted: Collection[str], connections: Sequence[Connection], reader: Reader | None = None
-) -> tuple[str, str]:
+def without(wanted: str, connections: Sequence[Connection], reader: Source | None = None) -> tuple[str, str]:
     """Return the message that a recording has no topic of a type, and the hint; the hint may be empty.
 
     Parameters
     ----------
     wanted
-        The types, in ROS 2's spelling.
+        The types, without their packages.
     connections
         All connections of the recording.
     reader
@@ -193,15 +195,15 @@ def without(
     """
     if not connections:
         return "the recording has no topics", ""
-    missing = f"the recording has no {short_types(wanted)} topic"
+    missing = f"the recording has no {wanted} topic"
     scans = sorted({each.topic for each in connections if _type(each) == LASERSCAN})
-    if scans and LASERSCAN not in wanted:
+    if scans and "LaserScan" not in wanted:
         return f"{missing}, but 2D scans: {name_list(scans, _MOST_TOPICS)}", ""
     if instead := instead_of_clouds(connections, reader):
         return f"{missing}, but {instead[0]}", instead[1]
-    types = {f"{each.topic} ({kind_of(each)})" for each in connections}
+    types = {f"{each.topic} ({each.kind})" for each in connections}
     if len(types) > _MOST_TOPICS:
-        return f"{missing} among its {len(by_topic(connections))}", "pc2scan info lists them"
+        return f"{missing} among its {len({each.topic for each in connections})}", "pc2scan info lists them"
     return f"{missing}; its topics are: {name_list(sorted(types))}", ""
 
 
