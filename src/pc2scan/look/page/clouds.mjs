@@ -7,9 +7,9 @@ import { band, beamsFromAbove, endsOf, frameMarks, rings, sector } from "./draw.
 import { Flat } from "./flat.mjs";
 import { Orbit } from "./orbit.mjs";
 import { copyButton, element, figure, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
-import { coloursOf, outcomeColours, usualRange, word } from "./palette.mjs";
+import { outcomeColours, paintValues, usualRange, word } from "./palette.mjs";
 import { emptyRange, problemOf } from "./params.mjs";
-import { OUTCOMES, project, transformed } from "./project.mjs";
+import { OUTCOMES, Projector, transformed } from "./project.mjs";
 import { layoutOf } from "./rule.mjs";
 import { niceStep } from "./stage.mjs";
 import { matrixOf, matrixOfMount } from "./transform.mjs";
@@ -80,13 +80,15 @@ export function showClouds(recording) {
   let fields = new Map();
   /** @type {ArrayLike<number> | null} */
   let filtered = null;
+  const projector = new Projector();
   /** @type {Cloud} in the scan's frame */
-  let cloud = { x: new Float32Array(), y: new Float32Array(), z: new Float32Array() };
+  let cloud = emptyCloud(0);
+  /** @type {Cloud} where points are transformed to */
+  let moved = emptyCloud(0);
   /** @type {Scan} */
-  let scan = project(cloud, params);
+  let scan = projector.scan(params);
   let ends = new Float64Array();
   let colours = new Uint32Array();
-  let front = new Float32Array();
   let milliseconds = 0;
   let problem = problemOf(params);
   let markedBeam = -1;
@@ -164,14 +166,10 @@ export function showClouds(recording) {
     const matrix = mount
       ? matrixOfMount(mount)
       : entry.transform && matrixOf(entry.transform.quaternion, entry.transform.translation);
-    const length = own.x.length;
-    cloud = matrix
-      ? transformed(own, matrix, {
-          x: new Float32Array(length),
-          y: new Float32Array(length),
-          z: new Float32Array(length),
-        })
-      : own;
+    if (moved.x.length !== own.x.length) moved = emptyCloud(own.x.length);
+    // Another object, by which the views know that points have moved.
+    cloud = { ...(matrix ? transformed(own, matrix, moved) : own) };
+    projector.place(cloud, filtered);
     if (!fitted) fit();
     update();
   }
@@ -183,7 +181,7 @@ export function showClouds(recording) {
     controls.show(params, mount ?? entry.mount, preset);
     if (!problem) {
       const begin = performance.now();
-      scan = project(cloud, params, (params.intensity_field && fields.get(params.intensity_field)) || null, filtered);
+      scan = projector.scan(params, (params.intensity_field && fields.get(params.intensity_field)) || null);
       milliseconds = performance.now() - begin;
       ends = endsOf(scan, isReturn);
     }
@@ -197,30 +195,28 @@ export function showClouds(recording) {
     return Number.isFinite(range) && !Object.is(range, emptyRange(params));
   }
 
-  /** Choose the colour of each point, and which points are drawn in front. */
+  /** Choose the colour of each point. */
   function paint() {
     const by = colourBy.value;
     const { outcomes } = scan;
     const count = cloud.x.length;
-    front = new Float32Array(count);
-    for (let n = 0; n < count; n++) front[n] = outcomes[n] === 0 ? 1 : 0;
-    if (by === "outcome") {
-      const words = outcomeColours(theme()).map(word);
-      colours = Uint32Array.from(outcomes, (outcome) => words[outcome]);
-    } else {
-      colours = coloursOf(by === "height" ? cloud.z : (fields.get(by) ?? cloud.z), theme());
-    }
     if (colours.length !== count) colours = new Uint32Array(count);
+    if (by === "outcome") {
+      const words = Uint32Array.from(outcomeColours(theme()), word);
+      for (let n = 0; n < count; n++) colours[n] = words[outcomes[n]];
+    } else {
+      paintValues(by === "height" ? cloud.z : (fields.get(by) ?? cloud.z), theme(), colours);
+    }
   }
 
   function drawAll() {
     if (!cloud.x.length && !fields.size) return;
-    const byOutcome = colourBy.value === "outcome";
+    const ranks = colourBy.value === "outcome" ? scan.outcomes : null;
     const beam = style.getPropertyValue("--beam");
     const size = cloud.x.length > 60_000 ? 1 : 1.5;
-    top.points(cloud, colours, byOutcome ? front : null, size);
-    side.points(cloud, colours, byOutcome ? front : null, size);
-    orbit.points(cloud, colours, size);
+    top.points(cloud, size, colours, ranks);
+    side.points(cloud, size, colours, ranks);
+    orbit.points(cloud, size, colours);
     const axis = 40 / shown.scale;
     let pen = top.axes(style);
     rings(pen, top, niceStep(top.stage.width / shown.scale, 8), style);
@@ -378,7 +374,7 @@ export function showClouds(recording) {
       view.stage.element.addEventListener("pointermove", (event) => {
         const [x, y] = view.stage.place(event);
         const { ratio, raster } = view.stage;
-        const point = raster.at(x * ratio, y * ratio, 6 * ratio);
+        const point = raster?.at(x * ratio, y * ratio, 6 * ratio) ?? -1;
         if (view === side) {
           const near = bandEdges().some((edge) => Math.abs(edge - y) <= GRAB);
           side.stage.element.style.cursor = near ? "ns-resize" : "";
@@ -462,6 +458,14 @@ function revived(values) {
       return [name, infinite ? (value === "inf" ? Infinity : -Infinity) : value];
     }),
   );
+}
+
+/**
+ * @param {number} points
+ * @returns {Cloud}
+ */
+function emptyCloud(points) {
+  return { x: new Float32Array(points), y: new Float32Array(points), z: new Float32Array(points) };
 }
 
 /** @param {[number, number]} pair */

@@ -102,27 +102,22 @@ export class Flat {
 
   /**
    * Draw points.
-   * @param {{x: Float32Array, y: Float32Array, z: Float32Array}} cloud
-   * @param {Uint32Array} colours
-   * @param {Float32Array | null} front points with larger values are drawn in front; null: those closer to the eye
+   * @param {import("./raster.mjs").Cloud} cloud
    * @param {number} size pixels of CSS
+   * @param {Uint32Array} colours
+   * @param {Uint8Array | null} ranks points of rank 0 are drawn in front; null: those closer to the eye
    */
-  points(cloud, colours, front, size) {
-    const { raster, ratio } = this.stage;
-    raster.clear();
-    const across = cloud.x;
-    const upward = cloud[this.up];
-    const away = this.up === "y" ? cloud.z : cloud.y;
-    const sign = this.up === "y" ? 1 : -1;
+  points(cloud, size, colours, ranks) {
+    const { ratio } = this.stage;
     const [mx, my] = this.middle;
     const scale = this.shown.scale * ratio;
-    const [x0, y0] = [mx * ratio - this.shown.x * scale, my * ratio + this.shown[this.up] * scale];
-    const dot = Math.max(1, Math.round(size * ratio));
-    for (let n = 0; n < across.length; n++) {
-      const depth = front ? front[n] : sign * away[n];
-      raster.dot(n, x0 + across[n] * scale, y0 - upward[n] * scale, depth, colours[n], dot);
-    }
-    raster.show();
+    const left = mx * ratio - this.shown.x * scale;
+    const top = my * ratio + this.shown[this.up] * scale;
+    const view =
+      this.up === "y"
+        ? { right: [scale, 0, 0, left], down: [0, -scale, 0, top], near: [0, 0, 1] }
+        : { right: [scale, 0, 0, left], down: [0, 0, -scale, top], near: [0, -1, 0] };
+    this.stage.points(cloud, view, size, colours, ranks);
   }
 
   /**

@@ -76,9 +76,6 @@ export function showScans(recording) {
   function drawAll() {
     if (!layers.length) return;
     const pen = top.axes(style);
-    const { raster } = top.stage;
-    raster.clear();
-    raster.show();
     rings(pen, top, niceStep(top.stage.width / shown.scale, 8), style);
     layers.forEach((layer) =>
       beamsFromAbove(

@@ -1,4 +1,4 @@
-// A drawing area, as large as its element: a canvas for points, and one above it for lines and text.
+// A drawing area, as large as its element: points, and lines and text above them.
 
 import { Raster } from "./raster.mjs";
 
@@ -12,11 +12,10 @@ export class Stage {
    */
   constructor(element, draw) {
     this.element = element;
-    const [below, above] = [document.createElement("canvas"), document.createElement("canvas")];
-    element.replaceChildren(below, above);
-    this.below = below;
-    this.above = above;
-    this.raster = new Raster(below);
+    this.canvas = document.createElement("canvas");
+    element.replaceChildren(this.canvas);
+    /** @type {Raster | null} the points; null before any are drawn */
+    this.raster = null;
     this.ratio = 1;
     this.width = 0;
     this.height = 0;
@@ -32,17 +31,30 @@ export class Stage {
     this.ratio = Math.min(MAX_RATIO, window.devicePixelRatio || 1);
     this.width = this.element.clientWidth;
     this.height = this.element.clientHeight;
-    for (const canvas of [this.below, this.above]) {
-      canvas.width = Math.round(this.width * this.ratio);
-      canvas.height = Math.round(this.height * this.ratio);
-    }
+    this.canvas.width = Math.round(this.width * this.ratio);
+    this.canvas.height = Math.round(this.height * this.ratio);
   }
 
-  /** @returns {CanvasRenderingContext2D} for lines and text, cleared, in the units of CSS */
+  /**
+   * Draw a cloud; `pen` shows it. The parameters are those of `Raster.draw`.
+   * @param {import("./raster.mjs").Cloud} cloud
+   * @param {import("./raster.mjs").View} view
+   * @param {number} size pixels of CSS
+   * @param {Uint32Array} colours
+   * @param {Uint8Array | null} ranks
+   */
+  points(cloud, view, size, colours, ranks) {
+    this.raster ??= new Raster();
+    this.raster.resize(this.canvas.width, this.canvas.height);
+    this.raster.draw(cloud, view, Math.max(1, Math.round(size * this.ratio)), colours, ranks);
+  }
+
+  /** @returns {CanvasRenderingContext2D} for lines and text over the points, in the units of CSS */
   pen() {
-    const pen = /** @type {CanvasRenderingContext2D} */ (this.above.getContext("2d"));
+    const pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    pen.clearRect(0, 0, this.width, this.height);
+    if (this.raster?.image) pen.putImageData(this.raster.image, 0, 0);
+    else pen.clearRect(0, 0, this.width, this.height);
     pen.font = `12px ${getComputedStyle(document.documentElement).fontFamily}`;
     pen.textBaseline = "middle";
     pen.lineWidth = 1;
