@@ -504,6 +504,13 @@ function resultsIn(panel, choice) {
     staticButton,
   );
   panel.prepend(heading, table, summary, take, buttons, command);
+  const rows = OUTCOMES.map((outcome) => {
+    const row = table.insertRow();
+    const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
+    row.insertCell().append(swatch, OUTCOME_NAMES[outcome]);
+    const [count, share] = ["count", "share"].map((className) => Object.assign(row.insertCell(), { className }));
+    return { row, swatch, count, share };
+  });
   return {
     /**
      * @param {Scan} scan
@@ -513,24 +520,13 @@ function resultsIn(panel, choice) {
     show(scan, milliseconds, entry) {
       const colours = outcomeColours(theme());
       const total = Math.max(1, scan.outcomes.length);
-      table.replaceChildren(
-        ...OUTCOMES.slice(0, entry.filtered ? OUTCOMES.length : -1).map((outcome, n) => {
-          const row = document.createElement("tr");
-          const name = document.createElement("td");
-          const swatch = document.createElement("span");
-          swatch.className = "swatch";
-          swatch.style.background = colours[n];
-          name.append(swatch, OUTCOME_NAMES[outcome]);
-          const count = Object.assign(document.createElement("td"), { className: "count" });
-          count.textContent = scan.counts[n].toLocaleString("en");
-          const share = Object.assign(document.createElement("td"), { className: "share" });
-          share.textContent = `${((100 * scan.counts[n]) / total).toFixed(1)} %`;
-          row.append(name, count, share);
-          return row;
-        }),
-      );
-      const thinned =
-        entry.total > scan.outcomes.length ? ` of ${entry.total.toLocaleString("en")} points, thinned;` : "";
+      rows.forEach(({ row, swatch, count, share }, n) => {
+        row.hidden = OUTCOMES[n] === "filtered" && !entry.filtered;
+        swatch.style.background = colours[n];
+        count.textContent = grouped(scan.counts[n]);
+        share.textContent = `${((100 * scan.counts[n]) / total).toFixed(1)} %`;
+      });
+      const thinned = entry.total > scan.outcomes.length ? ` of ${grouped(entry.total)} points, thinned;` : "";
       summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return;${thinned} ${milliseconds.toFixed(1)} ms`;
       command.replaceChildren(
         ...commandWords(choice())
@@ -541,3 +537,5 @@ function resultsIn(panel, choice) {
     },
   };
 }
+
+const { format: grouped } = new Intl.NumberFormat("en");
