@@ -4,9 +4,9 @@ import { commandLine, commandWords, parameterFile, staticText } from "./commands
 import { Controls } from "./controls.mjs";
 import { columns } from "./data.mjs";
 import { band, beamsFromAbove, endsOf, frameMarks, rings, sector } from "./draw.mjs";
-import { Flat } from "./flat.mjs";
+import { Flat, GRAB } from "./flat.mjs";
 import { Orbit } from "./orbit.mjs";
-import { copyButton, element, figure, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
+import { copyButton, element, figure, nameFrame, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
 import { outcomeColours, paintValues, usualRange, word } from "./palette.mjs";
 import { emptyRange, problemOf } from "./params.mjs";
 import { OUTCOMES, Projector, transformed } from "./project.mjs";
@@ -35,6 +35,13 @@ import { Unrolled } from "./unrolled.mjs";
  */
 
 /**
+ * @typedef {object} TopicEntry
+ * @property {string} topic
+ * @property {Partial<Params>} heights that suit its clouds, `min_height` and `max_height`; empty: those of `params`
+ * @property {CloudEntry[]} clouds
+ */
+
+/**
  * @typedef {object} CloudRecording
  * @property {string} title
  * @property {string} subtitle
@@ -47,7 +54,7 @@ import { Unrolled } from "./unrolled.mjs";
  * @property {Record<string, {help: string, choices: string[]}>} parameters
  * @property {string[]} command
  * @property {string} targetFrame the requested target frame
- * @property {{topic: string, clouds: CloudEntry[]}[]} topics
+ * @property {TopicEntry[]} topics
  */
 
 const OUTCOME_NAMES = {
@@ -60,19 +67,18 @@ const OUTCOME_NAMES = {
   filtered: "rejected by filters",
 };
 
-/** How close to an edge of the band the pointer must be to drag it, pixels. */
-const GRAB = 7;
+/** How many times as large heights are shown from the side, at most. */
+const MOST_STRETCH = 20;
 
 /** @param {CloudRecording} recording */
 export function showClouds(recording) {
   const style = getComputedStyle(document.documentElement);
-  const shown = { x: 0, y: 0, z: 0, scale: 20 };
-  const given = /** @type {Params} */ (revived(recording.params));
+  const shown = { x: 0, y: 0, z: 0, scale: 20, stretch: 1 };
   const defaults = revived(recording.defaults);
-  let params = { ...given };
+  let topic = recording.topics[0];
+  let params = given();
   let base = revived(recording.base);
   let preset = recording.preset;
-  let topic = recording.topics[0];
   let entry = topic.clouds[0];
   /** @type {Mount | null} the user's mount; null: the recorded one */
   let mount = null;
@@ -103,12 +109,11 @@ export function showClouds(recording) {
   const orbit = new Orbit(element("orbit", HTMLElement), { draw, fit });
   const unrolled = new Unrolled(element("unrolled", HTMLElement), draw);
 
-  const panel = element("panel", HTMLElement);
   const fieldNames = [
     ...new Set(recording.topics.flatMap((t) => t.clouds.flatMap((c) => c.data.fields.map((f) => f.name)))),
   ];
   const controls = new Controls(
-    panel,
+    element("controls", HTMLElement),
     {
       parameters: recording.parameters,
       presets: Object.keys(recording.presets),
@@ -116,7 +121,7 @@ export function showClouds(recording) {
     },
     { param: setParam, mount: setMount, preset: setPreset, reset },
   );
-  const results = resultsIn(panel, choice);
+  const results = resultsIn(element("results", HTMLElement), choice);
 
   colourBy.replaceChildren(
     ...["outcome", "height", ...fieldNames.filter((name) => !["x", "y", "z"].includes(name))].map(
@@ -130,7 +135,12 @@ export function showClouds(recording) {
   const topics = element("topic", HTMLSelectElement);
   topics.replaceChildren(...recording.topics.map(({ topic: name }) => new Option(name, name)));
   topics.addEventListener("change", () => {
+    const before = given();
     topic = recording.topics[topics.selectedIndex];
+    // Heights that the user has set are kept.
+    const { min_height, max_height } = params;
+    if (min_height === before.min_height && max_height === before.max_height)
+      params = { ...params, ...heightsOf(given()) };
     fitted = false;
     void go(0);
   });
@@ -146,6 +156,11 @@ export function showClouds(recording) {
     paint();
     draw();
   });
+
+  /** The parameters that the page opens a topic with. */
+  function given() {
+    return /** @type {Params} */ ({ ...revived(recording.params), ...topic.heights });
+  }
 
   /** @param {number} step */
   async function load(step) {
@@ -170,6 +185,7 @@ export function showClouds(recording) {
     // Another object, by which the views know that points have moved.
     cloud = { ...(matrix ? transformed(own, matrix, moved) : own) };
     projector.place(cloud, filtered);
+    nameFrame(choice().targetFrame || entry.targetFrame);
     if (!fitted) fit();
     update();
   }
@@ -244,6 +260,7 @@ export function showClouds(recording) {
           increment: scan.layout.increment,
           ranges: scan.ranges,
           colour: beam,
+          size: 2,
           isReturn,
         },
       ],
@@ -278,11 +295,14 @@ export function showClouds(recording) {
     return /** @type {[number, number]} */ ([keep(side.py(params.max_height)), keep(side.py(params.min_height))]);
   }
 
-  /** @param {[number, number]} start */
-  function grabBand([, y]) {
+  /**
+   * @param {[number, number]} start
+   * @param {number} reach pixels
+   */
+  function grabBand([, y], reach) {
     const [upper, lower] = bandEdges();
     const [toUpper, toLower] = [Math.abs(y - upper), Math.abs(y - lower)];
-    if (Math.min(toUpper, toLower) > GRAB) return null;
+    if (Math.min(toUpper, toLower) > reach) return null;
     const name = toUpper < toLower ? "max_height" : "min_height";
     return (/** @type {[number, number]} */ at) => {
       const height = Math.round(side.world(at)[1] * 100) / 100;
@@ -294,17 +314,16 @@ export function showClouds(recording) {
   /** Show the whole cloud except for a few points far away. */
   function fit() {
     fitted = true;
-    const [x0, x1] = usualRange(cloud.x);
-    const [y0, y1] = usualRange(cloud.y);
-    const [z0, z1] = usualRange(cloud.z);
-    const { width, height } = top.stage;
-    const reach = [Math.max(x1, 0) - Math.min(x0, 0), Math.max(y1, 0) - Math.min(y0, 0)];
-    shown.x = (Math.max(x1, 0) + Math.min(x0, 0)) / 2;
-    shown.y = (Math.max(y1, 0) + Math.min(y0, 0)) / 2;
-    shown.z = (z0 + z1) / 2;
-    shown.scale = 0.85 * Math.min((width - 40) / Math.max(1, reach[0]), (height - 20) / Math.max(1, reach[1]));
-    orbit.centre = [shown.x, shown.y, shown.z];
-    orbit.scale = (0.8 * Math.min(orbit.stage.width, orbit.stage.height)) / Math.max(1, Math.hypot(reach[0], reach[1]));
+    const [[x0, x1], [y0, y1], heights] = [cloud.x, cloud.y, cloud.z].map(usualRange);
+    // With the sensor.
+    const limits = [[Math.min(x0, 0), Math.max(x1, 0)], [Math.min(y0, 0), Math.max(y1, 0)], heights];
+    const [x, y, z] = limits.map(([low, high]) => ({ middle: (low + high) / 2, size: Math.max(1, high - low) }));
+    const [across, upward] = top.room;
+    Object.assign(shown, { x: x.middle, y: y.middle, z: z.middle });
+    shown.scale = 0.92 * Math.min(across / x.size, upward / y.size);
+    shown.stretch = Math.min(MOST_STRETCH, Math.max(1, (0.75 * side.room[1]) / (z.size * shown.scale)));
+    element("stretch", HTMLElement).textContent = shown.stretch > 1 ? `, heights × ${figure(shown.stretch, 1)}` : "";
+    orbit.fit(/** @type {[number, number][]} */ (limits));
     draw();
   }
 
@@ -349,7 +368,7 @@ export function showClouds(recording) {
   }
 
   function reset() {
-    params = { ...given };
+    params = given();
     base = revived(recording.base);
     preset = recording.preset;
     mount = null;
@@ -460,6 +479,9 @@ function revived(values) {
   );
 }
 
+/** @param {Params} params */
+const heightsOf = ({ min_height, max_height }) => ({ min_height, max_height });
+
 /**
  * @param {number} points
  * @returns {Cloud}
@@ -503,7 +525,7 @@ function resultsIn(panel, choice) {
     copyButton("ROS 2 parameters", () => parameterFile(choice(), 2)),
     staticButton,
   );
-  panel.prepend(heading, table, summary, take, buttons, command);
+  panel.append(heading, table, summary, take, buttons, command);
   const rows = OUTCOMES.map((outcome) => {
     const row = table.insertRow();
     const swatch = Object.assign(document.createElement("span"), { className: "swatch" });

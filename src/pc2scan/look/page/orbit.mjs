@@ -66,6 +66,19 @@ export class Orbit {
   }
 
   /**
+   * Show a box as large as the view allows.
+   * @param {[number, number][]} limits of x, y and z, metres
+   */
+  fit(limits) {
+    this.centre = limits.map(([low, high]) => (low + high) / 2);
+    const [right, up] = this.directions();
+    const half = (/** @type {number[]} */ direction) =>
+      limits.reduce((sum, [low, high], axis) => sum + (Math.abs(direction[axis]) * (high - low)) / 2, 0);
+    const { width, height } = this.stage;
+    this.scale = 0.46 * Math.min(width / Math.max(0.1, half(right)), height / Math.max(0.1, half(up)));
+  }
+
+  /**
    * Where a point of the world is on the screen, pixels of CSS.
    * @param {number} x metres
    * @param {number} y
