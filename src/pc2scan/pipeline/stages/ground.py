@@ -97,7 +97,7 @@ class MinHeightSlope:
 
     @classmethod
     def parse(cls, slope: float, min_height: float) -> MinHeightSlope:
-        """Return the filter of a slope; see `pc2scan.pipeline.stages.filters.filters_of`."""
+        """Return the filter of a value of the option."""
         return cls(min_height, slope)
 
     @property

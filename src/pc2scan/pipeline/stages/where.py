@@ -88,7 +88,7 @@ class Where:
 
     @classmethod
     def parse(cls, text: str, _: float = 0.0) -> Where:
-        """Return the filter of a condition; see `pc2scan.pipeline.stages.filters.filters_of`."""
+        """Return the filter of a condition."""
         return cls(text)
 
     @property
