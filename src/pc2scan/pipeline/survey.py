@@ -1,81 +1,34 @@
-"""The look ahead of a conversion: reads the first messages, and all transforms, once for everything that needs them.
+"""The look ahead: reads the first messages of topics, and the transforms, once for everything that asks for them.
 
-What an output needs is a list of observers, which the modules of the subjects make; the same modules draw facts, notes
-and warnings from what was observed.
+`info`, `check`, conversions and pages ask for the facts that they need, let the recordings be read, and then read the
+facts; so they cannot disagree. The subjects' modules say what follows from the facts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.observers import observe
-from pc2scan.bags.topics import is_static
-from pc2scan.tf.placing import FrameOptions, Placer
+from pc2scan.bags.topics import by_topic, is_static
 from pc2scan.tf.reading import RobotTransforms, TransformReading, tf_connections
 
+from .facts import TopicFacts
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
-    from pc2scan.tf.imu import ImuReading, ImuRequest, UpEstimate
+    from pc2scan.tf.imu import ImuReading
+    from pc2scan.tf.placing import FrameOptions
 
     from .clocks import Delays
-    from .combine.measurements import CombinationObservers
     from .items import Span
-    from .measurements import FirstCloud
-    from .options import ScanSpec
-    from .plan import Combination, Plan
-    from .point_times import PointTimes
-    from .stages.turn import TurnSample
-
-
-class DeskewObservers(NamedTuple):
-    """Observers of the times of points, or of the lidars' turns, by topic."""
-
-    times: Mapping[str, Observer[PointTimes | None]]
-    turns: Mapping[str, Observer[TurnSample]]
-
-
-@dataclass(slots=True)
-class OutputObservers:
-    """What one output needs of the first messages; None and empty if it does not need it.
-
-    Attributes
-    ----------
-    delays
-        Delays from stamps to log times, by topic: of its sources, and of what says where the robot was.
-    frame
-        The frame of its first message.
-    clouds
-        The first clouds of each topic.
-    deskew
-        The times of points: for scans of one message (None), and for each combination.
-    combinations
-        The first messages of topics that become scans together.
-    """
-
-    delays: tuple[Mapping[str, Observer[Delays]], Mapping[str, Observer[Delays]]] | None = None
-    frame: Observer[str] | None = None
-    clouds: Mapping[str, Observer[FirstCloud]] = field(default_factory=dict)
-    deskew: dict[Combination | None, DeskewObservers] = field(default_factory=dict)
-    combinations: dict[Combination, CombinationObservers] = field(default_factory=dict)
-
-    @property
-    def all(self) -> list[Observer[Any]]:
-        """All observers."""
-        found: list[Observer[Any]] = [each for delays in self.delays or () for each in delays.values()]
-        found += [] if self.frame is None else [self.frame]
-        found += self.clouds.values()
-        found += (each for pair in self.deskew.values() for observers in pair for each in observers.values())
-        found += (each for joint in self.combinations.values() for each in joint.all)
-        return found
 
 
 class Survey:
-    """What the outputs of a run need of the first messages and of the transforms, as it was recorded.
+    """What is asked for of recordings before anything else is done with them.
 
     Parameters
     ----------
@@ -83,9 +36,7 @@ class Survey:
         The sources.
     others
         The recordings of ``tf_from``.
-    plan
-        The plan of the conversion.
-    asked
+    frames
         The options about transforms.
     span
         The cut. It limits clouds, never transforms.
@@ -94,76 +45,81 @@ class Survey:
 
     Attributes
     ----------
+    reader, span
+        As given.
     transforms
-        All transforms; None if they are not needed.
+        All transforms; None if they are not read.
     robot
         Those between the robot's frames, if not all transforms are read.
-    given_frames
-        The frames of the first messages, if the user gives frames.
-    outputs
-        For each output that makes scans.
+    observers
+        Further observers of the sources.
 
     Raises
     ------
     UsageError
-        If it is not clear which transforms to use, or an IMU does not exist.
+        If it is not clear which transforms to use.
     """
 
     def __init__(
         self,
         reader: Reader,
         others: Sequence[Reader],
-        plan: Plan,
-        asked: FrameOptions,
+        frames: FrameOptions,
         span: Span,
         *,
         reads_transforms: bool,
     ) -> None:
-        self._readers = [reader, *others]
-        self._span = span
-        self.transforms = TransformReading(asked) if reads_transforms else None
-        self.robot = None if reads_transforms else RobotTransforms(reader, asked, span.first_ns)
-        self.given_frames: list[Observer[str]] = []
-        if asked.static or asked.source_frame:
-            from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions add frames
-
-            self.given_frames = [frame_observer([route.connection], span) for route in plan.routes if route.tasks]
+        self.reader, self.span = reader, span
+        self._others, self._frames = others, frames
+        self.transforms = TransformReading(frames) if reads_transforms else None
+        self.robot = None if reads_transforms else RobotTransforms(reader, frames, span.first_ns)
+        self.observers: list[Observer[Any]] = []
+        self._facts: dict[tuple[int, ...], TopicFacts] = {}
         self._imus: dict[str, ImuReading] = {}
-        for spec in plan.specs:
-            if spec.imu_request:
-                from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few scans are level
+        self._motion: dict[tuple[int, ...], Mapping[str, Observer[Delays]]] = {}
 
-                topic = spec.imu_request.topic
-                self._imus.setdefault(topic, ImuReading(self._readers, topic))
-        self.outputs = {spec: self._observers_of(spec, plan, asked) for spec in plan.specs if not spec.reverse}
+    def facts(self, connections: Sequence[Connection]) -> TopicFacts:
+        """Return the facts about the messages of some connections of one topic."""
+        key = tuple(each.id for each in connections)
+        if key not in self._facts:
+            self._facts[key] = TopicFacts(connections, self.span)
+        return self._facts[key]
 
-    def _observers_of(self, spec: ScanSpec, plan: Plan, asked: FrameOptions) -> OutputObservers:
-        reader, span = self._readers[0], self._span
-        found = OutputObservers()
-        own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
-        if spec.fixed_frame or spec.imu:
-            from .clocks import delay_observers  # noqa: PLC0415  # only where times of several topics are compared
+    def topics(self, connections: Iterable[Connection]) -> dict[str, TopicFacts]:
+        """Return the facts about the topics of connections."""
+        return {topic: self.facts(own) for topic, own in by_topic(connections).items()}
 
-            motion = _motion_connections(reader, spec, asked)
-            found.delays = delay_observers(own, span), delay_observers(motion, span)
-        if spec.fixed_frame:
-            from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions have one
+    def motion(self, *, by_transforms: bool, imu: str = "") -> Mapping[str, Observer[Delays]]:
+        """Return the observers of the clocks of what says where the robot was: moving transforms, and an IMU."""
+        from .clocks import motion_observers  # noqa: PLC0415  # only where times of several topics are compared
 
-            found.frame = frame_observer(own, span)
-        placer = None if spec.needs_transforms else Placer(source_frame=asked.source_frame)
-        for combination in (each for each in plan.combinations if each.spec is spec):
-            from .combine.measurements import source_observers  # noqa: PLC0415  # few scans are of several messages
+        found: list[Connection] = []
+        if by_transforms:
+            known = tf_connections(self.reader.connections, self._frames.tf_topics)
+            found += (each for each in known if not is_static(each.topic))
+        if imu:
+            from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
 
-            sources = combination_sources(plan, combination)
-            found.combinations[combination] = source_observers(combination, sources, placer, span)
-            found.deskew[combination] = _deskew_observers(spec, sources, span)
-        if converted := converted_alone(plan, spec):
-            if spec.needs_measuring:
-                from .measurements import cloud_observers  # noqa: PLC0415  # only if something is to be measured
+            name = imu.strip("/")
+            found += (c for c in self.reader.connections if c.ros_type == IMU and c.topic.strip("/") == name)
+        key = tuple(each.id for each in found)
+        if key not in self._motion:
+            self._motion[key] = motion_observers(found, self.span)
+        return self._motion[key]
 
-                found.clouds = cloud_observers(converted, spec, placer, span.start_ns, span.stop_ns)
-            found.deskew[None] = _deskew_observers(spec, converted, span)
-        return found
+    def imu(self, topic: str, most: int | None = None) -> ImuReading:
+        """Return the messages of an IMU: the first ones, or all.
+
+        Raises
+        ------
+        TopicError
+            If there is no such topic.
+        """
+        if topic not in self._imus:
+            from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few recordings have one
+
+            self._imus[topic] = ImuReading([self.reader, *self._others], topic, most)
+        return self._imus[topic]
 
     def read(self) -> None:
         """Read the recordings: each once, as far as anything of it is needed.
@@ -173,55 +129,15 @@ class Survey:
         RecordingError
             If one cannot be read.
         """
-        for number, reader in enumerate(self._readers):
+        for reader in (self.reader, *self._others):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
                 observers += self.transforms.observers(reader)
             for imu in self._imus.values():
                 observers += imu.observers(reader)
-            if number == 0:
+            if reader is self.reader:
                 observers += [] if self.robot is None else self.robot.observers
-                observers += self.given_frames
-                observers += (each for output in self.outputs.values() for each in output.all)
+                observers += (each for facts in self._facts.values() for each in facts.observers)
+                observers += (each for motion in self._motion.values() for each in motion.values())
+                observers += self.observers
             observe(reader, observers)
-
-    def up(self, request: ImuRequest) -> UpEstimate:
-        """Estimate the direction of up by an IMU; see `ImuReading.up`."""
-        return self._imus[request.topic].up(request.frame)
-
-
-def combination_sources(plan: Plan, combination: Combination) -> list[Connection]:
-    """Return the connections whose messages become scans together."""
-    return [route.connection for route in plan.routes if any(task.combination is combination for task in route.tasks)]
-
-
-def converted_alone(plan: Plan, spec: ScanSpec) -> list[Connection]:
-    """Return the connections whose messages become scans by themselves."""
-    return [
-        route.connection
-        for route in plan.routes
-        if any(task.spec is spec and task.combination is None for task in route.tasks)
-    ]
-
-
-def _deskew_observers(spec: ScanSpec, sources: Sequence[Connection], span: Span) -> DeskewObservers:
-    if not spec.deskew:
-        return DeskewObservers({}, {})
-    from .point_times import time_observers, turn_observers  # noqa: PLC0415  # only with deskewing
-    from .stages.deskew import PointTime  # noqa: PLC0415
-
-    where = PointTime.parse(spec.point_time)
-    if where.turn is None:
-        return DeskewObservers(time_observers(sources, where, span), {})
-    return DeskewObservers({}, turn_observers(sources, spec.point_time, span.start_ns, span.stop_ns))
-
-
-def _motion_connections(reader: Reader, spec: ScanSpec, frames: FrameOptions) -> Iterator[Connection]:
-    """Yield the connections with moving transforms, and those of the IMU, that the spec uses."""
-    if spec.fixed_frame:
-        yield from (c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic))
-    if spec.imu_request:
-        from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
-
-        topic = spec.imu_request.topic.strip("/")
-        yield from (c for c in reader.connections if c.ros_type == IMU and c.topic.strip("/") == topic)

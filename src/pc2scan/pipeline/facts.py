@@ -1,0 +1,174 @@
+"""The facts about a topic that its first messages show, for `info`, conversions, pages, `check` and their warnings.
+
+A fact is asked for before the recording is read (`pc2scan.pipeline.survey`), and known afterwards. One that is asked
+for twice is observed once, and one that is not asked for costs nothing.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pc2scan.bags.observers import Observer
+from pc2scan.core.floor import MOST_CLOUDS, CloudSample
+from pc2scan.core.timing import median_interval_ns
+from pc2scan.errors import TransformError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Sequence
+
+    from pc2scan.core.points import Points
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.tf.placing import Placer
+
+    from .items import Span
+
+#: How many messages are read to find the first clouds that can be decoded and transformed.
+_MOST_SAMPLES = 30
+
+
+class Header(NamedTuple):
+    """What a message with a cloud or a scan says of itself.
+
+    Attributes
+    ----------
+    log_time_ns, stamp_ns, frame_id
+        Its times and its frame.
+    fields
+        The names of the cloud's fields; empty for a LaserScan.
+    increment
+        The size of the angle increment of a LaserScan, radians; None for a cloud.
+    """
+
+    log_time_ns: int
+    stamp_ns: int
+    frame_id: str
+    fields: tuple[str, ...] = ()
+    increment: float | None = None
+
+    @property
+    def delay_ns(self) -> int:
+        """From the stamp to the log time."""
+        return self.log_time_ns - self.stamp_ns
+
+
+class TopicFacts:
+    """What the first messages of a topic show.
+
+    Parameters
+    ----------
+    connections
+        Those of one topic, with clouds or LaserScans. Of LaserScans only the headers are observed.
+    span
+        The cut.
+    """
+
+    def __init__(self, connections: Sequence[Connection], span: Span) -> None:
+        self.topic = connections[0].topic
+        self.connections = connections
+        self._span = span
+        self._clouds = [each for each in connections if each.ros_type != LASERSCAN]
+        self._decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in self._clouds}
+        self._observers: dict[Hashable, Observer[Any]] = {}
+
+    @property
+    def observers(self) -> Sequence[Observer[Any]]:
+        """Those of everything that was asked for."""
+        return [each for each in self._observers.values() if each.connections]
+
+    def ask_headers(self, most: int) -> None:
+        """Ask for the headers of so many messages."""
+        self._ask("headers", self._header, most, self.connections)
+
+    def ask_samples(self, *, moved: bool) -> None:
+        """Ask for samples of points.
+
+        Parameters
+        ----------
+        moved
+            Whether they are moved into another frame, which the first ones may lack a transform to.
+        """
+        observer = self.ask(("samples", moved), lambda points, _: CloudSample.of(points), _MOST_SAMPLES)
+        if not moved:
+            found = observer.found
+            observer.is_needless = lambda: bool(found) and (found[0].floor is not None or len(found) >= MOST_CLOUDS)
+
+    def ask(self, fact: Hashable, take: Callable[[Points, RawMessage], Any], most: int) -> Observer[Any]:
+        """Ask for what is taken of each of so many clouds, under a name.
+
+        Parameters
+        ----------
+        fact
+            Its name, which is also known to whoever reads it (`found`).
+        take
+            Returns it; None and errors of messages are left out.
+        most
+            How many clouds are wanted.
+        """
+        return self._ask(fact, lambda message: take(self._points(message), message), most, self._clouds)
+
+    def delays_from(self, start_ns: int, most: int) -> Observer[int]:
+        """Return the observer of the delays from stamps to log times of so many messages, from a log time on."""
+        return Observer(
+            self.connections, lambda message: self._header(message).delay_ns, most, start_ns, self._span.stop_ns
+        )
+
+    @property
+    def headers(self) -> Sequence[Header]:
+        """The headers, in the order of log time."""
+        return self.found("headers")
+
+    @property
+    def frame(self) -> str:
+        """The frame of the first message; empty if there is none."""
+        return next((each.frame_id for each in self.headers), "")
+
+    @property
+    def fields(self) -> Sequence[str]:
+        """The names of the fields that any of the first clouds has."""
+        return list(dict.fromkeys(name for each in self.headers for name in each.fields))
+
+    @property
+    def period_ns(self) -> int | None:
+        """The median interval of the stamps; None if there are no two different ones."""
+        return median_interval_ns(each.stamp_ns for each in self.headers)
+
+    def found(self, fact: Hashable) -> list[Any]:
+        """Return what was taken of the first messages, in the order of log time; nothing if it was not asked for."""
+        observer = self._observers.get(fact)
+        return [] if observer is None else observer.found
+
+    def samples(self, placer: Placer, *, moved: bool) -> list[CloudSample]:
+        """Return as many samples as show how the sensor is mounted, in the frames of scans.
+
+        Those that have no place there are left out.
+        """
+        clouds: list[CloudSample] = []
+        for sample in self.found(("samples", moved)):
+            try:
+                place = placer.place(sample.frame_id, sample.stamp_ns)
+            except TransformError:
+                continue
+            clouds.append(sample.placed_in(place.frame_id, place.target_from_source))
+            if clouds[0].floor is not None or len(clouds) == MOST_CLOUDS:
+                break
+        return clouds
+
+    def _ask(
+        self, fact: Hashable, take: Callable[[RawMessage], Any], most: int, connections: Sequence[Connection]
+    ) -> Observer[Any]:
+        new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns)
+        observer = self._observers.setdefault(fact, new)
+        observer.most = max(observer.most or 0, most)
+        return observer
+
+    def _points(self, message: RawMessage) -> Points:
+        return self._decoders[message.connection.id](message.data)
+
+    def _header(self, message: RawMessage) -> Header:
+        if message.connection.id in self._decoders:
+            points = self._points(message)
+            return Header(message.log_time_ns, points.stamp_ns, points.frame_id, tuple(points.fields))
+        scan = decode_laserscan(message.data, message.connection.serialization)
+        return Header(message.log_time_ns, scan.stamp_ns, scan.frame_id, increment=abs(scan.angle_increment))
