@@ -30,7 +30,7 @@ def test_clouds_whose_clock_is_not_that_of_the_transforms(kind: str, clock: floa
     path = write_world(tmp_path / "w.mcap", [replace(LIDAR, kind=kind, clock=clock)], seconds=0.3)
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
-        survey = Survey(reader, [], FrameOptions(), Span(None, None, BEGIN_NS), reads_transforms=False)
+        survey = Survey(reader, [], FrameOptions(), Span(None, None, BEGIN_NS))
         facts, motion = survey.facts(own), survey.motion(by_transforms=True)
         facts.ask_headers(3)
         survey.read()

@@ -58,7 +58,7 @@ def measured(
         placer = placer or Placer()
         spec = ScanSpec(params=replace(params, target_frame=placer.target_frame))
         span = Span(cut.get("start_ns"), cut.get("stop_ns"), 0)
-        survey = Survey(reader, [], FrameOptions(), span, reads_transforms=False)
+        survey = Survey(reader, [], FrameOptions(), span)
         topics = survey.topics(reader.connections).values()
         for facts in topics:
             ask_measurements(facts, spec)

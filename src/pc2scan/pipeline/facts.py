@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import Placer
 
     from .items import Span
@@ -154,6 +156,34 @@ class TopicFacts:
             if clouds[0].floor is not None or len(clouds) == MOST_CLOUDS:
                 break
         return clouds
+
+    def mounting(self, placer: Placer, buffer: TransformBuffer | None, *, moved: bool) -> Mounting | None:
+        """Return how the sensor is mounted, and which options suit that; None if no cloud can be judged.
+
+        Parameters
+        ----------
+        placer
+            The frames of the scans.
+        buffer
+            The robot's transforms; None if there are none.
+        moved
+            As for `ask_samples`.
+        """
+        clouds = self.samples(placer, moved=moved)
+        if not clouds:
+            return None
+        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # slow to import
+
+        return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer)
+
+    def unit_warning(self, *, moved: bool) -> str:
+        """Return the warning that the clouds are probably in millimetres; empty if they are not."""
+        first = next(iter(self.found(("samples", moved))), None)
+        if first is None:
+            return ""
+        from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # slow to import
+
+        return unit_warning(self.topic, first)
 
     def _ask(
         self, fact: Hashable, take: Callable[[RawMessage], Any], most: int, connections: Sequence[Connection]

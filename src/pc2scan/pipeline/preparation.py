@@ -119,7 +119,11 @@ def prepare(
     others: list[Reader] = []
     if reads_transforms:
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-    survey = Survey(reader, others, asked, span, reads_transforms=reads_transforms)
+    survey = Survey(reader, others, asked, span)
+    if reads_transforms:
+        survey.ask_transforms()
+    else:
+        survey.ask_robot()
     given = [survey.facts([route.connection]) for route in plan.routes if route.tasks and _gives_frames(asked)]
     for facts in given:
         facts.ask_headers(1)

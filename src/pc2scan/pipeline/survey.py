@@ -40,43 +40,38 @@ class Survey:
         The options about transforms.
     span
         The cut. It limits clouds, never transforms.
-    reads_transforms
-        Whether all transforms are read.
 
     Attributes
     ----------
     reader, span
         As given.
     transforms
-        All transforms; None if they are not read.
+        All transforms; None if they were not asked for.
     robot
-        Those between the robot's frames, if not all transforms are read.
+        Those between the robot's frames; None if they were not asked for.
     observers
         Further observers of the sources.
-
-    Raises
-    ------
-    UsageError
-        If it is not clear which transforms to use.
     """
 
-    def __init__(
-        self,
-        reader: Reader,
-        others: Sequence[Reader],
-        frames: FrameOptions,
-        span: Span,
-        *,
-        reads_transforms: bool,
-    ) -> None:
+    def __init__(self, reader: Reader, others: Sequence[Reader], frames: FrameOptions, span: Span) -> None:
         self.reader, self.span = reader, span
         self._others, self._frames = others, frames
-        self.transforms = TransformReading(frames) if reads_transforms else None
-        self.robot = None if reads_transforms else RobotTransforms(reader, frames, span.first_ns)
+        self.transforms: TransformReading | None = None
+        self.robot: RobotTransforms | None = None
         self.observers: list[Observer[Any]] = []
         self._facts: dict[tuple[int, ...], TopicFacts] = {}
         self._imus: dict[str, ImuReading] = {}
         self._motion: dict[tuple[int, ...], Mapping[str, Observer[Delays]]] = {}
+
+    def ask_transforms(self) -> TransformReading:
+        """Ask for all transforms."""
+        self.transforms = TransformReading(self._frames)
+        return self.transforms
+
+    def ask_robot(self) -> RobotTransforms:
+        """Ask for the transforms between the robot's frames."""
+        self.robot = RobotTransforms(self.reader, self._frames, self.span.first_ns)
+        return self.robot
 
     def facts(self, connections: Sequence[Connection]) -> TopicFacts:
         """Return the facts about the messages of some connections of one topic."""
@@ -128,6 +123,8 @@ class Survey:
         ------
         RecordingError
             If one cannot be read.
+        UsageError
+            If it is not clear which transforms to use.
         """
         for reader in (self.reader, *self._others):
             observers: list[Observer[Any]] = []
