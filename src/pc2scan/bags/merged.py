@@ -11,8 +11,8 @@ from dataclasses import replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import UsageError
-from pc2scan.files.limits import ConnectionLimit
 from pc2scan.model import Summary
 
 from .reader import Reader

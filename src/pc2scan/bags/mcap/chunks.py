@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
 from pc2scan.bags.units import MAX_LISTED_ITEMS
-from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, crc32, decompress
-from pc2scan.files.limits import allowed_bytes
+from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
 from pc2scan.model import StoredChunk, own_data
 
 from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.chunks import ChunkedReader, isolated_chunks, segment_units
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
-from pc2scan.bags.qos import latches
+from pc2scan.bags.reader import MAX_CONNECTIONS
+from pc2scan.bags.topics import latches
 from pc2scan.bags.units import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import combine_crc32, crc32
-from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
