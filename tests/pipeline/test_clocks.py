@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pc2scan.bags.opening import open_recording
-from pc2scan.pipeline.clocks import are_doubtful, clock_warnings
+from pc2scan.pipeline.clocks import are_doubtful, ask_motion, clock_warnings
 from pc2scan.pipeline.items import Span
+from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.survey import Survey
 from pc2scan.tf.placing import FrameOptions
 from support.worlds.moving import BEGIN_NS, Lidar, write_world
@@ -31,7 +32,7 @@ def test_clouds_whose_clock_is_not_that_of_the_transforms(kind: str, clock: floa
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
         survey = Survey(reader, [], FrameOptions(), Span(None, None, BEGIN_NS))
-        facts, motion = survey.facts(own), survey.motion(by_transforms=True)
+        facts, motion = survey.facts(own), ask_motion(survey, FrameOptions(), ScanSpec(fixed_frame="odom", deskew=True))
         facts.ask_headers(3)
         survey.read()
         found = list(clock_warnings([facts], motion))

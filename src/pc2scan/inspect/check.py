@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.verdicts import ConsumerScan, Verdict
     from pc2scan.model import Connection
-    from pc2scan.pipeline.facts import TopicFacts
+    from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
 
     from .findings import Finding

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
-    from pc2scan.pipeline.facts import TopicFacts
+    from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.imu import ImuReading
     from pc2scan.tf.mounting import Mounting

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from pc2scan.pipeline.facts import TopicFacts
+    from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
 
     from .findings import Level

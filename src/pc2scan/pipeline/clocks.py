@@ -5,18 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 from pc2scan.bags.observers import Observer
-from pc2scan.bags.topics import by_topic
+from pc2scan.bags.topics import by_topic, is_static
 from pc2scan.core.percentiles import median_low
 from pc2scan.messages.imu import IMU, decode_imu
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.tf.reading import tf_connections
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.tf.placing import FrameOptions
 
-    from .facts import TopicFacts
-    from .items import Span
+    from .options import ScanSpec
+    from .survey import Survey, TopicFacts
 
 #: Delays from stamps in a message to its log time, nanoseconds, with the child frames of transforms.
 Delays: TypeAlias = "list[tuple[str, int]]"
@@ -53,12 +55,19 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
 
 
-def motion_observers(connections: Iterable[Connection], span: Span) -> dict[str, Observer[Delays]]:
-    """Return the observers of the delays of topics with moving transforms, or of an IMU."""
-    return {
-        topic: Observer(own, _delays, _MOTIONS, span.start_ns, span.stop_ns)
-        for topic, own in by_topic(connections).items()
-    }
+def ask_motion(survey: Survey, frames: FrameOptions, spec: ScanSpec) -> dict[str, Observer[Delays]]:
+    """Ask for the delays of what says where the robot was: moving transforms, and an IMU; return their observers."""
+    connections = survey.reader.connections
+    found: list[Connection] = []
+    if spec.fixed_frame:
+        found += (each for each in tf_connections(connections, frames.tf_topics) if not is_static(each.topic))
+    if spec.imu_request:
+        name = spec.imu_request.topic.strip("/")
+        found += (each for each in connections if each.ros_type == IMU and each.topic.strip("/") == name)
+    start_ns, stop_ns = survey.span.start_ns, survey.span.stop_ns
+    observers = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(found).items()}
+    survey.observers += observers.values()
+    return observers
 
 
 def clock_warnings(topics: Iterable[TopicFacts], motion: Mapping[str, Observer[Delays]]) -> Iterator[str]:

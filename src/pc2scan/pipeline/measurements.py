@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.timing import Sweep
 
-    from .facts import TopicFacts
     from .options import ScanSpec
+    from .survey import TopicFacts
 
 #: How many clouds are read to measure the scan time, and how many to measure the time and the width of a beam.
 FIRST_CLOUDS = 51

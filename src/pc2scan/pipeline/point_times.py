@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
 
-    from .facts import TopicFacts
     from .stages.deskew import PointTime
     from .stages.turn import Turn
+    from .survey import TopicFacts
 
 #: How many clouds of a topic are read, and how many stamps are needed to know its period.
 _CLOUDS = 4

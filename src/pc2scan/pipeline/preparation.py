@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import Pc2ScanError, UsageError
+from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.tf.placing import Placer
 
 from .first_clouds import FirstClouds
@@ -25,11 +26,10 @@ if TYPE_CHECKING:
     from .clocks import Delays
     from .combine.measurements import SourceFacts
     from .conversion import Conversion, Measurements
-    from .facts import TopicFacts
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
     from .stages.deskew import Deskew, PointTime
-    from .survey import Survey
+    from .survey import Survey, TopicFacts
 
 
 class Preparation(NamedTuple):
@@ -101,7 +101,7 @@ def prepare(
     """
     reads_transforms = keep_transforms or plan.needs_transforms
     asked = options.frames
-    read_later = cache(partial(_robot_transforms, sources, options, span))
+    read_later = cache(partial(_robot_transforms, reader, sources, options, span))
     firsts = FirstClouds(asked.source_frame, read_later, warn)
     needs_survey = reads_transforms or asked.static or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
@@ -123,10 +123,11 @@ def prepare(
         survey.ask_transforms()
     else:
         survey.ask_robot()
-    given = [survey.facts([route.connection]) for route in plan.routes if route.tasks and _gives_frames(asked)]
+    gives_frames = bool(asked.static or asked.source_frame)
+    given = [survey.facts([route.connection]) for route in plan.routes if gives_frames and route.tasks]
     for facts in given:
         facts.ask_headers(1)
-    outputs = {spec: _OutputFacts(spec, plan, survey) for spec in plan.specs if not spec.reverse}
+    outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
     survey.read()
     transforms: TransformBuffer | None = None
     if survey.transforms is not None:
@@ -168,29 +169,27 @@ def prepare(
     return Preparation(conversions, span, firsts, others, notes, warnings, transforms)
 
 
-def _gives_frames(asked: FrameOptions) -> bool:
-    return bool(asked.static or asked.source_frame)
-
-
 class _OutputFacts:
     """The facts that one output to scans needs: asked for before the survey reads, and then made into conversions."""
 
-    def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey) -> None:
+    def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey, frames: FrameOptions) -> None:
         self._spec, self._reader = spec, survey.reader
-        self._topics = survey.topics(plan.sources_of(spec))
-        self._alone = survey.topics(plan.sources_of(spec, None))
+        self._is_alone = bool(plan.sources_of(spec, None))
+        self._topics: Mapping[str, TopicFacts] = {}
+        self._alone: Mapping[str, TopicFacts] = {}
         self._where: PointTime | None = None
         self._motion: Mapping[str, Observer[Delays]] = {}
+        self._sources: list[SourceFacts] = []
+        if spec.fixed_frame or spec.imu or spec.deskew:
+            self._topics = survey.topics(plan.sources_of(spec))
         if spec.fixed_frame or spec.imu:
-            from .clocks import CLOCK_HEADERS  # noqa: PLC0415  # only where times of several topics are compared
+            from .clocks import CLOCK_HEADERS, ask_motion  # noqa: PLC0415  # only where clocks are compared
 
-            request = spec.imu_request
-            topic = "" if request is None else request.topic
-            self._motion = survey.motion(by_transforms=bool(spec.fixed_frame), imu=topic)
-            if topic:
-                survey.imu(topic)
+            self._motion = ask_motion(survey, frames, spec)
             for facts in self._topics.values():
                 facts.ask_headers(CLOCK_HEADERS)
+            if spec.imu_request:
+                survey.imu(spec.imu_request.topic)
         if spec.deskew:
             from .point_times import ask_times  # noqa: PLC0415  # only with deskewing
             from .stages.deskew import PointTime  # noqa: PLC0415
@@ -198,7 +197,6 @@ class _OutputFacts:
             self._where = PointTime.parse(spec.point_time)
             for facts in self._topics.values():
                 ask_times(facts, self._where)
-        self._sources: list[SourceFacts] = []
         for combination in (each for each in plan.combinations if each.spec is spec):
             from .combine.measurements import SourceFacts  # noqa: PLC0415  # few scans are of several messages
 
@@ -209,6 +207,7 @@ class _OutputFacts:
         if spec.needs_measuring:
             from .measurements import ask_measurements  # noqa: PLC0415  # only if something is to be measured
 
+            self._alone = survey.topics(plan.sources_of(spec, None))
             for facts in self._alone.values():
                 ask_measurements(facts, spec)
 
@@ -250,7 +249,7 @@ class _OutputFacts:
             conversions[combination] = MessagesToScan(
                 spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec)
             )
-        if self._alone or not self._sources:
+        if self._is_alone or not self._sources:
             measurements = None
             if spec.needs_measuring:
                 from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
@@ -285,10 +284,14 @@ class _OutputFacts:
         return deskew, [spec.label + note for note in notes], doubts
 
 
-def _robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
+def _robot_transforms(
+    opened: Reader, sources: Sequence[Path], options: ConvertOptions, span: Span
+) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
     from pc2scan.tf.reading import read_robot_transforms  # noqa: PLC0415  # only where the first clouds leave a doubt
 
+    if not options.frames.static and all(each.ros_type not in TF_TYPES for each in opened.connections):
+        return None
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))
         return read_robot_transforms(reader, options.frames, span.first_ns)

@@ -1,30 +1,206 @@
 """The look ahead: reads the first messages of topics, and the transforms, once for everything that asks for them.
 
 `info`, `check`, conversions and pages ask for the facts that they need, let the recordings be read, and then read the
-facts; so they cannot disagree. The subjects' modules say what follows from the facts.
+facts; so they cannot disagree. A fact that is asked for twice is observed once, and one that is not asked for costs
+nothing. The subjects' modules say what follows from the facts.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.observers import observe
-from pc2scan.bags.topics import by_topic, is_static
-from pc2scan.tf.reading import RobotTransforms, TransformReading, tf_connections
-
-from .facts import TopicFacts
+from pc2scan.bags.observers import Observer, observe
+from pc2scan.bags.topics import by_topic
+from pc2scan.core.floor import MOST_CLOUDS, CloudSample
+from pc2scan.errors import TransformError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.tf.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Sequence
 
-    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
+    from pc2scan.core.points import Points
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.imu import ImuReading
-    from pc2scan.tf.placing import FrameOptions
+    from pc2scan.tf.mounting import Mounting
+    from pc2scan.tf.placing import FrameOptions, Placer
 
-    from .clocks import Delays
     from .items import Span
+
+#: How many messages are read to find the first clouds that can be decoded and transformed.
+_MOST_SAMPLES = 30
+
+
+class Header(NamedTuple):
+    """What a message with a cloud or a scan says of itself.
+
+    Attributes
+    ----------
+    log_time_ns, stamp_ns, frame_id
+        Its times and its frame.
+    fields
+        The names of the cloud's fields; empty for a LaserScan.
+    increment
+        The size of the angle increment of a LaserScan, radians; None for a cloud.
+    """
+
+    log_time_ns: int
+    stamp_ns: int
+    frame_id: str
+    fields: tuple[str, ...] = ()
+    increment: float | None = None
+
+    @property
+    def delay_ns(self) -> int:
+        """From the stamp to the log time."""
+        return self.log_time_ns - self.stamp_ns
+
+
+class TopicFacts:
+    """What the first messages of a topic show.
+
+    Parameters
+    ----------
+    connections
+        Those of one topic, with clouds or LaserScans. Of LaserScans only the headers are observed.
+    span
+        The cut.
+    """
+
+    def __init__(self, connections: Sequence[Connection], span: Span) -> None:
+        self.topic = connections[0].topic
+        self.connections = connections
+        self._span = span
+        self._clouds = [each for each in connections if each.ros_type != LASERSCAN]
+        self._decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in self._clouds}
+        self._observers: dict[Hashable, Observer[Any]] = {}
+
+    @property
+    def observers(self) -> Sequence[Observer[Any]]:
+        """Those of everything that was asked for."""
+        return [each for each in self._observers.values() if each.connections]
+
+    def ask_headers(self, most: int) -> None:
+        """Ask for the headers of so many messages."""
+        self._ask("headers", self._header, most, self.connections)
+
+    def ask_samples(self, *, moved: bool) -> None:
+        """Ask for samples of points.
+
+        Parameters
+        ----------
+        moved
+            Whether they are moved into another frame, which the first ones may lack a transform to.
+        """
+        observer = self.ask(("samples", moved), lambda points, _: CloudSample.of(points), _MOST_SAMPLES)
+        if not moved:
+            found = observer.found
+            observer.is_needless = lambda: bool(found) and (found[0].floor is not None or len(found) >= MOST_CLOUDS)
+
+    def ask(self, fact: Hashable, take: Callable[[Points, RawMessage], Any], most: int) -> Observer[Any]:
+        """Ask for what is taken of each of so many clouds, under a name.
+
+        Parameters
+        ----------
+        fact
+            Its name, which is also known to whoever reads it (`found`).
+        take
+            Returns it; None and errors of messages are left out.
+        most
+            How many clouds are wanted.
+        """
+        return self._ask(fact, lambda message: take(self._points(message), message), most, self._clouds)
+
+    def delays_from(self, start_ns: int, most: int) -> Observer[int]:
+        """Return the observer of the delays from stamps to log times of so many messages, from a log time on."""
+        return Observer(
+            self.connections, lambda message: self._header(message).delay_ns, most, start_ns, self._span.stop_ns
+        )
+
+    @property
+    def headers(self) -> Sequence[Header]:
+        """The headers, in the order of log time."""
+        return self.found("headers")
+
+    @property
+    def frame(self) -> str:
+        """The frame of the first message; empty if there is none."""
+        return next((each.frame_id for each in self.headers), "")
+
+    @property
+    def fields(self) -> Sequence[str]:
+        """The names of the fields that any of the first clouds has."""
+        return list(dict.fromkeys(name for each in self.headers for name in each.fields))
+
+    def found(self, fact: Hashable) -> list[Any]:
+        """Return what was taken of the first messages, in the order of log time; nothing if it was not asked for."""
+        observer = self._observers.get(fact)
+        return [] if observer is None else observer.found
+
+    def samples(self, placer: Placer, *, moved: bool) -> list[CloudSample]:
+        """Return as many samples as show how the sensor is mounted, in the frames of scans.
+
+        Those that have no place there are left out.
+        """
+        clouds: list[CloudSample] = []
+        for sample in self.found(("samples", moved)):
+            try:
+                place = placer.place(sample.frame_id, sample.stamp_ns)
+            except TransformError:
+                continue
+            clouds.append(sample.placed_in(place.frame_id, place.target_from_source))
+            if clouds[0].floor is not None or len(clouds) == MOST_CLOUDS:
+                break
+        return clouds
+
+    def mounting(self, placer: Placer, buffer: TransformBuffer | None, *, moved: bool) -> Mounting | None:
+        """Return how the sensor is mounted, and which options suit that; None if no cloud can be judged.
+
+        Parameters
+        ----------
+        placer
+            The frames of the scans.
+        buffer
+            The robot's transforms; None if there are none.
+        moved
+            As for `ask_samples`.
+        """
+        clouds = self.samples(placer, moved=moved)
+        if not clouds:
+            return None
+        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # slow to import
+
+        return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer)
+
+    def unit_warning(self, *, moved: bool) -> str:
+        """Return the warning that the clouds are probably in millimetres; empty if they are not."""
+        first = next(iter(self.found(("samples", moved))), None)
+        if first is None:
+            return ""
+        from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # slow to import
+
+        return unit_warning(self.topic, first)
+
+    def _ask(
+        self, fact: Hashable, take: Callable[[RawMessage], Any], most: int, connections: Sequence[Connection]
+    ) -> Observer[Any]:
+        new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns)
+        observer = self._observers.setdefault(fact, new)
+        observer.most = max(observer.most or 0, most)
+        return observer
+
+    def _points(self, message: RawMessage) -> Points:
+        return self._decoders[message.connection.id](message.data)
+
+    def _header(self, message: RawMessage) -> Header:
+        if message.connection.id in self._decoders:
+            points = self._points(message)
+            return Header(message.log_time_ns, points.stamp_ns, points.frame_id, tuple(points.fields))
+        scan = decode_laserscan(message.data, message.connection.serialization)
+        return Header(message.log_time_ns, scan.stamp_ns, scan.frame_id, increment=abs(scan.angle_increment))
 
 
 class Survey:
@@ -61,7 +237,6 @@ class Survey:
         self.observers: list[Observer[Any]] = []
         self._facts: dict[tuple[int, ...], TopicFacts] = {}
         self._imus: dict[str, ImuReading] = {}
-        self._motion: dict[tuple[int, ...], Mapping[str, Observer[Delays]]] = {}
 
     def ask_transforms(self) -> TransformReading:
         """Ask for all transforms."""
@@ -83,24 +258,6 @@ class Survey:
     def topics(self, connections: Iterable[Connection]) -> dict[str, TopicFacts]:
         """Return the facts about the topics of connections."""
         return {topic: self.facts(own) for topic, own in by_topic(connections).items()}
-
-    def motion(self, *, by_transforms: bool, imu: str = "") -> Mapping[str, Observer[Delays]]:
-        """Return the observers of the clocks of what says where the robot was: moving transforms, and an IMU."""
-        from .clocks import motion_observers  # noqa: PLC0415  # only where times of several topics are compared
-
-        found: list[Connection] = []
-        if by_transforms:
-            known = tf_connections(self.reader.connections, self._frames.tf_topics)
-            found += (each for each in known if not is_static(each.topic))
-        if imu:
-            from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
-
-            name = imu.strip("/")
-            found += (c for c in self.reader.connections if c.ros_type == IMU and c.topic.strip("/") == name)
-        key = tuple(each.id for each in found)
-        if key not in self._motion:
-            self._motion[key] = motion_observers(found, self.span)
-        return self._motion[key]
 
     def imu(self, topic: str, most: int | None = None) -> ImuReading:
         """Return the messages of an IMU: the first ones, or all.
@@ -135,6 +292,5 @@ class Survey:
             if reader is self.reader:
                 observers += [] if self.robot is None else self.robot.observers
                 observers += (each for facts in self._facts.values() for each in facts.observers)
-                observers += (each for motion in self._motion.values() for each in motion.values())
                 observers += self.observers
             observe(reader, observers)

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
-    from pc2scan.pipeline.facts import Header, TopicFacts
     from pc2scan.pipeline.items import Span
     from pc2scan.pipeline.plan import Combination
+    from pc2scan.pipeline.survey import Header, TopicFacts
     from pc2scan.tf.placing import Placer
 
     from .conversion import Contribution
