@@ -80,17 +80,12 @@ def ask_times(facts: TopicFacts, point_time: PointTime) -> None:
         facts.ask(AZIMUTH, lambda points, message: turn_sample(points, message.log_time_ns), FIRST_CLOUDS)
 
 
-def times_of(facts: TopicFacts, point_time: PointTime) -> list[PointTimes]:
-    """Return the times of the points of the first clouds that have some."""
-    return facts.found(point_time)
-
-
 def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
     """Yield warnings about times of points that are probably wrong, and would deskew a cloud wrongly.
 
     Times that are impossible are not among them: those are errors when their cloud is converted.
     """
-    yield from _doubts(facts.topic, times_of(facts, point_time))
+    yield from _doubts(facts.topic, facts.found(point_time))
 
 
 def _times(points: Points, point_time: PointTime) -> PointTimes | None:

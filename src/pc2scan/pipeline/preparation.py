@@ -231,8 +231,11 @@ class _OutputFacts:
         if spec.fixed_frame and placer.buffer is not None:
             from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
 
+            # By log time.
+            first = min((facts.headers[0] for facts in self._topics.values() if facts.headers), default=None)
+            source = placer.source_frame or ("" if first is None else first.frame_id)
             with spec.naming_errors():
-                doubts = check_fixed_frame(placer.source_frame or self._first_frame, spec, placer.buffer)
+                doubts = check_fixed_frame(source, spec, placer.buffer)
             warnings += (spec.label + doubt for doubt in doubts)
         for sources in self._sources:
             from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
@@ -262,12 +265,6 @@ class _OutputFacts:
             warnings += doubts
             conversions[spec] = _to_scans(spec, placer, measurements, deskew, firsts)
         return conversions, notes, warnings
-
-    @property
-    def _first_frame(self) -> str:
-        """The frame of the first message; empty if there is none."""
-        firsts = [facts.headers[0] for facts in self._topics.values() if facts.headers]
-        return min(firsts, key=lambda each: each.log_time_ns).frame_id if firsts else ""
 
     def _deskew(self, placer: Placer, topics: Collection[TopicFacts]) -> tuple[Deskew | None, list[str], list[str]]:
         """Return what places points at their own times (None: nothing does), notes and warnings."""
