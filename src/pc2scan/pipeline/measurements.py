@@ -214,7 +214,8 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     """Raise if no cloud has a requested field."""
     if not facts.headers:
         return
-    fields, topic = facts.fields, facts.topic
+    topic = facts.topic
+    fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
     there = f"their fields are: {', '.join(fields) or 'none'}"
     name = spec.params.intensity_field
     asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []

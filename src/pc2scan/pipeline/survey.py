@@ -39,8 +39,8 @@ class Header(NamedTuple):
 
     Attributes
     ----------
-    log_time_ns, stamp_ns, frame_id
-        Its times and its frame.
+    log_time_ns, stamp_ns, delay_ns, frame_id
+        Its times, from the stamp to the log time, and its frame.
     fields
         The names of the cloud's fields; empty for a LaserScan.
     increment
@@ -49,14 +49,10 @@ class Header(NamedTuple):
 
     log_time_ns: int
     stamp_ns: int
+    delay_ns: int
     frame_id: str
     fields: tuple[str, ...] = ()
     increment: float | None = None
-
-    @property
-    def delay_ns(self) -> int:
-        """From the stamp to the log time."""
-        return self.log_time_ns - self.stamp_ns
 
 
 class TopicFacts:
@@ -130,11 +126,6 @@ class TopicFacts:
         """The frame of the first message; empty if there is none."""
         return next((each.frame_id for each in self.headers), "")
 
-    @property
-    def fields(self) -> Sequence[str]:
-        """The names of the fields that any of the first clouds has."""
-        return list(dict.fromkeys(name for each in self.headers for name in each.fields))
-
     def found(self, fact: Hashable) -> list[Any]:
         """Return what was taken of the first messages, in the order of log time; nothing if it was not asked for."""
         observer = self._observers.get(fact)
@@ -196,11 +187,14 @@ class TopicFacts:
         return self._decoders[message.connection.id](message.data)
 
     def _header(self, message: RawMessage) -> Header:
-        if message.connection.id in self._decoders:
+        connection, time_ns = message.connection, message.log_time_ns
+        if connection.id in self._decoders:
             points = self._points(message)
-            return Header(message.log_time_ns, points.stamp_ns, points.frame_id, tuple(points.fields))
-        scan = decode_laserscan(message.data, message.connection.serialization)
-        return Header(message.log_time_ns, scan.stamp_ns, scan.frame_id, increment=abs(scan.angle_increment))
+            stamp_ns = points.stamp_ns
+            return Header(time_ns, stamp_ns, time_ns - stamp_ns, points.frame_id, tuple(points.fields))
+        scan = decode_laserscan(message.data, connection.serialization)
+        increment = abs(scan.angle_increment)
+        return Header(time_ns, scan.stamp_ns, time_ns - scan.stamp_ns, scan.frame_id, increment=increment)
 
 
 class Survey:
