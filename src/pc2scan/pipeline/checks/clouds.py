@@ -182,14 +182,11 @@ class CloudFacts:
 
     @cached_property
     def mounting(self) -> Mounting:
-        """How the sensor is mounted; the robot's transforms are only read if it is not level."""
+        """How the sensor is mounted, as `info` sees it: with the robot's transforms, which are read for it."""
         from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
 
         known = self.transforms
-        found = mounting(self.topic, self.source, self.samples, known.buffer)
-        if known.buffer is None and found.fault:
-            return mounting(self.topic, self.source, self.samples, known.read())
-        return found
+        return mounting(self.topic, self.source, self.samples, known.read() if known.buffer is None else known.buffer)
 
     @cached_property
     def advice(self) -> str:
