@@ -169,6 +169,11 @@ def own_message(message: RawMessage) -> RawMessage:
     return message if data is message.data else message._replace(data=data)
 
 
+def copied_message(message: RawMessage) -> RawMessage:
+    """Return a message that keeps nothing else in memory: a view would keep a whole chunk."""
+    return message._replace(data=bytes(message.data))
+
+
 def declared_counts(connections: Iterable[Connection]) -> dict[int, int]:
     """Return the number of messages of each connection in the whole recording, by id, as the container declares it."""
     return {c.id: c.message_count for c in connections if c.message_count is not None}

@@ -219,7 +219,7 @@ def _units_in_turn(sources: Iterable[_Source]) -> Iterator[Unit]:
 
 
 def _sources_by_start(sources: Iterable[_Source]) -> Iterator[Unit]:
-    return heapq.merge(*(source.units() for source in sources), key=attrgetter("start_ns", "place"))
+    return heapq.merge(*(source.units() for source in sources), key=attrgetter("due"))
 
 
 def unify_connections(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:

@@ -107,7 +107,7 @@ def scans_page(
             stamps.append(scan.stamp_ns or message.log_time_ns)
             layers.append(layer(f"{topic} ({where})", number, scan, blobs, pose=pose or _HERE))
         if layers:
-            moments.append({"moment": moment_text(stamps[0]), "layers": layers})
+            moments.append({"moment": moment_text(stamps[0]), "frame": common, "layers": layers})
     if not moments:
         why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)

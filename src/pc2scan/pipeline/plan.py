@@ -85,6 +85,14 @@ class Plan(NamedTuple):
         """Whether any output is transformed."""
         return any(spec.needs_transforms for spec in self.specs)
 
+    def sources_of(self, spec: ScanSpec, *combinations: Combination | None) -> list[Connection]:
+        """Return the connections that an output converts; if given, only those of a combination (None: of none)."""
+        return [
+            route.connection
+            for route in self.routes
+            if any(task.spec is spec and (not combinations or task.combination in combinations) for task in route.tasks)
+        ]
+
 
 def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Plan:
     """Decide which topics are converted, which pass through, and which are skipped.

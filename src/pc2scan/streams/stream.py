@@ -20,12 +20,11 @@ from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, 
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import items_of
-from pc2scan.pipeline.items import OpenRoute, Output
+from pc2scan.pipeline.items import OpenRoute, Output, Tally
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.preparation import span_of
 from pc2scan.pipeline.refusals import refuse_no_messages
 from pc2scan.pipeline.report import TopicReport
-from pc2scan.pipeline.tally import Tally
 from pc2scan.threads import Threads, cores
 
 if TYPE_CHECKING:
