@@ -181,7 +181,7 @@ def _of_node(
             launch_args=options.launch_args,
             preset=options.preset,
             reverse=options.reverse,
-            remapped=_remapped(options),
+            remapped=_remapped(options) if options.params_file is not None else (),
         )
     known = {note for other in beside or () for note in other.notes}
     notes = tuple(dict.fromkeys(_IGNORED + place for place in resolved.ignored if _IGNORED + place not in known))
