@@ -1,7 +1,8 @@
 """An executor: runs jobs as tasks on a Dask cluster, and yields their events. Dask handles lost workers.
 
-A task starts a child process of its Dask worker and converts there, as a batch on one machine does. So a conversion can
-be interrupted, and it removes its unfinished output even if the Dask worker is killed.
+A task converts in a child process of its Dask worker, as a batch on one machine does. So a conversion can be
+interrupted, and it removes its unfinished output even if the Dask worker is killed. The process stays for the next
+recordings of the batch, because starting one takes longer than converting a small recording.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ import asyncio
 import os
 import signal
 import socket
+import threading
 import time
 from collections import Counter, deque
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from itertools import count
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from uuid import uuid4
 
 from pc2scan.errors import MissingError, OutputError, Pc2ScanError, UsageError
@@ -26,10 +28,10 @@ from pc2scan.version import __version__
 
 from .jobs import Event
 from .manifest import Identity
-from .processes import run_jobs
+from .processes import Pool, run_jobs
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from .jobs import Job
@@ -40,6 +42,13 @@ _POLL_SECONDS = 0.5
 
 #: Seconds that interrupted conversions, and those of lost workers, have to remove their unfinished output.
 _CLEANUP_SECONDS = 15.0
+
+#: Seconds after which a process that no recording needs is ended.
+_KEEP_SECONDS = 10.0
+
+#: How many recordings a task has at most, and how many bytes if it has several.
+_MOST_JOBS = 16
+_TASK_BYTES = 20_000_000
 
 #: Seconds within which a scheduler must answer.
 _CONNECT_SECONDS = 10
@@ -87,22 +96,63 @@ def run_jobs_on_dask(
     if not jobs:
         return
     with ExitStack() as stack:
-        client = stack.enter_context(_connect(address, workers, cores, retries))
+        client = stack.enter_context(_connect(address, workers, retries))
         yield Event("told", value=f"Dask's dashboard: {client.dashboard_link}")
         if not client.scheduler_info(n_workers=-1)["workers"]:
             yield Event("told", value=f"{address} has no worker yet; the batch begins when one joins")
             client.wait_for_workers(1)
         _check_workers(client, jobs)
-        yield from _run_jobs(client, jobs, retries)
+        at_a_time = _tasks_at_a_time(client)
+        yield Event("workers", value=at_a_time)
+        # A cluster that was started here has a thread for each task: the cores are for the conversions.
+        threads = 0 if address else max(1, cores // workers)
+        yield from _run_jobs(client, _tasks_of(jobs, at_a_time, retries), threads)
+        if client.status == "running":
+            yield Event("workers", value=_tasks_at_a_time(client))
 
 
-def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event]:
-    """Submit all jobs, and yield what happens until all are done."""
+def _tasks_at_a_time(client: Any) -> int:
+    """Return how many recordings the workers of a cluster convert at a time."""
+    return sum(worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values())
+
+
+class _Task(NamedTuple):
+    """Recordings that a worker converts one after the other, and how often the task is tried again if one kills it."""
+
+    jobs: tuple[Job, ...]
+    retries: int
+
+    def singly(self) -> list[_Task]:
+        """Return a task for each recording, after an attempt that may have completed some of them."""
+        return [_Task((job.retried(),), self.retries) for job in self.jobs]
+
+
+def _tasks_of(jobs: Sequence[Job], at_a_time: int, retries: int) -> Iterator[_Task]:
+    """Yield tasks of several small recordings: handing one over takes longer than converting it."""
+    most = max(1, min(_MOST_JOBS, len(jobs) // (4 * max(1, at_a_time))))
+    together: list[Job] = []
+    size = 0
+    for job in jobs:
+        is_small = job.size_bytes * most <= _TASK_BYTES and not any(map(is_url, job.sources))
+        if together and (not is_small or len(together) == most or size + job.size_bytes > _TASK_BYTES):
+            yield _Task(tuple(together), retries)
+            together, size = [], 0
+        together.append(job)
+        size = size + job.size_bytes if is_small else _TASK_BYTES
+    if together:
+        yield _Task(tuple(together), retries)
+
+
+def _run_jobs(client: Any, tasks: Iterable[_Task], threads: int) -> Generator[Event]:
+    """Submit all tasks, and yield what happens until all are done.
+
+    A conversion has this number of threads; 0: its part of those of its Dask worker.
+    """
     inbox: SimpleQueue[tuple[str, str, Any]] = SimpleQueue()
     topic = f"pc2scan-{uuid4().hex}"
     client.subscribe_topic(topic, lambda event: inbox.put(event[1]))
-    pending = deque(jobs)
-    left: dict[str, Job] = {}
+    pending = deque(tasks)
+    left: dict[str, _Task] = {}
     futures: dict[str, Any] = {}
     attempts: Counter[str] = Counter()
     running: dict[str, float] = {}
@@ -110,55 +160,85 @@ def _run_jobs(client: Any, jobs: Sequence[Job], retries: int) -> Generator[Event
     try:
         while pending or left:
             while pending:
-                job = pending.popleft()
-                left[job.key] = job
-                number = next(numbers)
-                future = client.submit(
+                task, number = pending.popleft(), next(numbers)
+                name = f"{topic}-{number}"
+                left[name] = task
+                futures[name] = client.submit(
                     _convert_on_worker,
-                    job,
+                    task.jobs,
                     __version__,
                     topic,
-                    key=f"{topic}-{number}",
-                    retries=retries,
+                    threads,
+                    key=name,
+                    retries=task.retries,
                     priority=-number,
                 )
-                futures[job.key] = future
-                future.add_done_callback(lambda future, key=job.key: inbox.put(("done", key, future)))
-            try:
-                what, key, value = inbox.get(timeout=_POLL_SECONDS)
-            except Empty:
-                if client.status == "closed":
-                    raise _loss_error() from None
-                continue
-            if what == "gone":
-                running.pop(key, None)
-            if key not in left:
-                continue
-            match what:
-                case "began":
-                    attempts[key] += 1
-                    running[key] = time.monotonic()
-                    yield Event("begun", key)
-                case "done":
-                    job = left.pop(key)
-                    seconds = round(time.monotonic() - running.get(key, time.monotonic()), 3)
-                    record = _record(job, value, seconds)
-                    if attempts[key] > 1 and job != job.retried() and _says(record, "exists already"):
-                        # The first attempt, whose worker was lost, has completed the output nevertheless.
-                        pending.append(job.retried())
-                        continue
-                    yield Event("done", key, replace(record, attempts=max(1, attempts[key])))
+                futures[name].add_done_callback(lambda future, name=name: inbox.put(("done", name, future)))
+            happened = _next(inbox)
+            if not happened and client.status == "closed":
+                raise _loss_error()
+            # All results that are there are fetched at once: a request takes as long as a small conversion.
+            found = _results(client, [value for what, _, value in happened if what == "done"])
+            for what, name, value in happened:
+                if what == "gone":
+                    running.pop(name, None)
+                if name not in left:
+                    continue
+                match what:
+                    case "began":
+                        running[name] = time.monotonic()
+                        for job in left[name].jobs:
+                            attempts[job.key] += 1
+                            yield Event("begun", job.key)
+                    case "done":
+                        task = left.pop(name)
+                        del futures[name]
+                        seconds = round(time.monotonic() - running.get(name, time.monotonic()), 3)
+                        records = found.get(name) or _records(task, value, seconds)
+                        if not records:
+                            # One of them has killed the worker, or is not there: each is tried by itself.
+                            pending += task.singly()
+                        for job, record in zip(task.jobs, records, strict=bool(records)):
+                            if attempts[job.key] > 1 and job != job.retried() and _says(record, "exists already"):
+                                # The first attempt, whose worker was lost, has completed the output nevertheless.
+                                pending.append(_Task((job.retried(),), task.retries))
+                            elif record.outcome == "died" and len(task.jobs) > 1 and task.retries:
+                                pending.append(_Task((job.retried(),), task.retries - 1))
+                            else:
+                                yield Event("done", job.key, replace(record, attempts=max(1, attempts[job.key])))
     finally:
         connected = client.status == "running"
         if left:
             if connected:
                 client.cancel(list(futures.values()), force=True)
                 _wait_for_end(inbox, running)
-            for job in left.values():
+            for job in (job for task in left.values() for job in task.jobs):
                 with suppress(Pc2ScanError):
                     clean_up(path_or_url(job.destination))
         if connected:
             client.unsubscribe_topic(topic)
+
+
+def _next(inbox: SimpleQueue[tuple[str, str, Any]]) -> list[tuple[str, str, Any]]:
+    """Wait for what happens next, and return it with all that has happened since; empty if nothing happens."""
+    happened: list[tuple[str, str, Any]] = []
+    with suppress(Empty):
+        happened.append(inbox.get(timeout=_POLL_SECONDS))
+        while True:
+            happened.append(inbox.get_nowait())
+    return happened
+
+
+def _results(client: Any, futures: Sequence[Any]) -> dict[str, list[ManifestRecord]]:
+    """Return the results of the tasks that have one, by the tasks' keys."""
+    finished = [future for future in futures if future.status == "finished"]
+    if len(finished) < 2:
+        return {}
+    try:
+        records = client.gather(finished)
+    except Exception:  # noqa: BLE001  # a result is lost; each is asked for by itself, which says why
+        return {}
+    return {future.key: record for future, record in zip(finished, records, strict=True)}
 
 
 def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, float]) -> None:
@@ -171,16 +251,26 @@ def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, f
                 running.pop(key, None)
 
 
-def _record(job: Job, future: Any, seconds: float) -> ManifestRecord:
-    """Return what a finished task has found; raises if the cluster cannot convert anything of this batch."""
-    from distributed import KilledWorker  # noqa: PLC0415  # an extra
+def _records(task: _Task, future: Any, seconds: float) -> list[ManifestRecord]:
+    """Return what a finished task has found; empty if its recordings must be tried one by one.
 
+    Raises if the cluster cannot convert anything of this batch.
+    """
     if future.status == "cancelled":
         raise _loss_error()
     if future.status != "error":
-        record: ManifestRecord = future.result()
-        return record
-    match future.exception():
+        records: list[ManifestRecord] = future.result()
+        return records
+    if len(task.jobs) > 1 and not isinstance(future.exception(), UsageError):
+        return []
+    return [_failure(task.jobs[0], future.exception(), seconds)]
+
+
+def _failure(job: Job, error: Any, seconds: float) -> ManifestRecord:
+    """Return the line of a recording whose task has failed; raises if the cluster cannot convert anything."""
+    from distributed import KilledWorker  # noqa: PLC0415  # an extra
+
+    match error:
         case KilledWorker() as err:
             return job.death(f"its Dask worker died: {err}", attempts=1, seconds=seconds)
         case _ProcessDeathError() as err:
@@ -205,46 +295,93 @@ def _says(record: ManifestRecord, text: str) -> bool:
     return text in (record.error or {}).get("message", "")
 
 
-def _convert_on_worker(job: Job, version: str, topic: str) -> ManifestRecord:
-    """Convert a recording in a child process: runs on a worker, in one of its threads."""
+class _Processes:
+    """The processes of a Dask worker that wait for the next recording of a batch, which is named by its topic."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[str, Pool, float]] = []
+
+    @contextmanager
+    def take(self, batch: str) -> Iterator[Pool]:
+        """Yield a process that waits, or none yet; afterwards it waits again, unless it has ended meanwhile."""
+        with self._lock:
+            index = next((at for at, (topic, *_) in enumerate(self._waiting) if topic == batch), None)
+            pool = Pool() if index is None else self._waiting.pop(index)[1]
+        if pool.workers and not pool.is_ready:
+            pool.close()
+            pool = Pool()
+        try:
+            yield pool
+        finally:
+            if pool.is_ready:
+                with self._lock:
+                    self._waiting.append((batch, pool, time.monotonic()))
+                timer = threading.Timer(_KEEP_SECONDS, self._end_idle)
+                timer.daemon = True
+                timer.start()
+
+    def _end_idle(self) -> None:
+        """End the processes that have waited for too long."""
+        before = time.monotonic() - _KEEP_SECONDS + 0.1
+        with self._lock:
+            idle = [pool for _, pool, since in self._waiting if since <= before]
+            self._waiting = [each for each in self._waiting if each[2] > before]
+        for pool in idle:
+            pool.close()
+
+
+_PROCESSES = _Processes()
+
+
+def _convert_on_worker(jobs: Sequence[Job], version: str, topic: str, threads: int) -> list[ManifestRecord]:
+    """Convert recordings in a child process: runs on a worker, in one of its threads. Returns a line for each."""
     from distributed import get_worker  # noqa: PLC0415  # an extra
 
     host = socket.gethostname()
     if version != __version__:
         raise _version_error(host, __version__)
-    folder = path_or_url(job.destination).parent
-    unseen = [path for path in job.sources if not is_url(path) and not os.path.lexists(path)]
-    if not is_url(folder) and not _is_there(folder):
-        unseen.insert(0, str(folder))
+    folders = dict.fromkeys(path_or_url(job.destination).parent for job in jobs)
+    unseen = [str(folder) for folder in folders if not is_url(folder) and not _is_there(folder)]
+    unseen += [path for job in jobs for path in job.sources if not is_url(path) and not os.path.lexists(path)]
     if unseen:
         raise _UnseenError(host, unseen[0])
     worker = get_worker()
-    threads = max(1, worker.state.nthreads // max(1, worker.state.executing_count))
+    task = worker.get_current_task()
+    threads = threads or max(1, worker.state.nthreads // max(1, worker.state.executing_count))
     deadline = time.monotonic() + _CLEANUP_SECONDS
-    worker.log_event(topic, ("began", job.key, None))
+    worker.log_event(topic, ("began", task, None))
     try:
-        record = _convert_in_process(job, threads, worker)
-        # The process of an earlier attempt may still hold the output. It ends soon after its worker was killed.
-        while _says(record, "being written by another run") and time.monotonic() < deadline:
+        found = _convert_in_process(jobs, threads, worker, topic)
+        # The process of an earlier attempt may still hold an output. It ends soon after its worker was killed.
+        while held := [job for job in jobs if _says(found[job.key], "being written by another run")]:
+            if time.monotonic() > deadline:
+                break
             time.sleep(_POLL_SECONDS)
-            record = _convert_in_process(job, threads, worker)
+            found |= _convert_in_process(held, threads, worker, topic)
     finally:
-        worker.log_event(topic, ("gone", job.key, None))
-    if record.outcome == "died":
-        raise _ProcessDeathError((record.error or {}).get("message", ""))
-    return record
+        worker.log_event(topic, ("gone", task, None))
+    records = [found[job.key] for job in jobs]
+    if len(records) == 1 and records[0].outcome == "died":
+        raise _ProcessDeathError((records[0].error or {}).get("message", ""))
+    return records
 
 
-def _convert_in_process(job: Job, threads: int, worker: Any) -> ManifestRecord:
-    """Convert a recording; raises if its task is cancelled meanwhile."""
+def _convert_in_process(jobs: Sequence[Job], threads: int, worker: Any, batch: str) -> dict[str, ManifestRecord]:
+    """Convert recordings, and return their lines by key; raises if their task is cancelled meanwhile."""
     from distributed import Status  # noqa: PLC0415  # an extra
 
     key = worker.get_current_task()
-    with closing(run_jobs([job], workers=1, cores=threads, retries=0)) as events:
+    found: dict[str, ManifestRecord] = {}
+    with (
+        _PROCESSES.take(batch) as pool,
+        closing(run_jobs(jobs, workers=1, cores=threads, retries=0, pool=pool)) as events,
+    ):
         for event in events:
             if event.what == "done":
-                record: ManifestRecord = event.value
-                return record
+                found[event.key] = event.value
+            if len(found) == len(jobs):
+                return found
             task = worker.state.tasks.get(key)
             if task is None or task.state == "cancelled" or worker.status not in (Status.running, Status.paused):
                 break
@@ -329,7 +466,7 @@ def _block_sigint() -> Iterator[None]:
 
 
 @contextmanager
-def _connect(address: str, workers: int, cores: int, retries: int) -> Iterator[Any]:
+def _connect(address: str, workers: int, retries: int) -> Iterator[Any]:
     """Yield a client of the scheduler, or of a cluster on this machine."""
     import logging  # noqa: PLC0415
 
@@ -356,7 +493,7 @@ def _connect(address: str, workers: int, cores: int, retries: int) -> Iterator[A
                 cluster = stack.enter_context(
                     LocalCluster(
                         n_workers=workers,
-                        threads_per_worker=max(1, cores // workers),
+                        threads_per_worker=1,
                         processes=True,
                         dashboard_address="127.0.0.1:0",
                         memory_limit=0,

@@ -99,12 +99,19 @@ class _Worker:
 
 
 @dataclass(slots=True)
-class _Pool:
+class Pool:
     """The workers and their messages; None at the end of a worker."""
 
-    lock: int | None
+    lock: int | None = None
     workers: list[_Worker] = field(default_factory=list)
     inbox: SimpleQueue[tuple[_Worker, Any]] = field(default_factory=SimpleQueue)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether there are workers, and all of them wait for a job."""
+        return bool(self.workers) and all(
+            worker.job is None and worker.ready and worker.process.poll() is None for worker in self.workers
+        )
 
     @property
     def busy(self) -> int:
@@ -162,15 +169,23 @@ class _Pool:
 
 
 def run_jobs(
-    jobs: Sequence[Job], *, workers: int, cores: int, retries: int = 1, lock: int | None = None
+    jobs: Sequence[Job],
+    *,
+    workers: int,
+    cores: int,
+    retries: int = 1,
+    lock: int | None = None,
+    pool: Pool | None = None,
 ) -> Generator[Event]:
     """Run jobs in worker processes; see `pc2scan.batch.jobs.Executor`.
 
     The last recordings get the threads of idle workers. The last attempt to convert a recording uses a single thread.
+    The workers of a ``pool`` that is given stay for the next jobs if all of these are done.
     """
+    stays = pool is not None
     pending = deque(jobs)
     attempts: Counter[str] = Counter()
-    pool = _Pool(lock)
+    pool = Pool(lock) if pool is None else pool
     stillborn = 0
     try:
         while pending or pool.busy:
@@ -217,10 +232,11 @@ def run_jobs(
                 case ("unreadable", why):
                     raise _unsendable(why)
     finally:
-        pool.close()
+        if not stays or not pool.is_ready:
+            pool.close()
 
 
-def _begin(pending: deque[Job], attempts: Counter[str], pool: _Pool, workers: int, cores: int) -> Generator[Event]:
+def _begin(pending: deque[Job], attempts: Counter[str], pool: Pool, workers: int, cores: int) -> Generator[Event]:
     """Give jobs to workers that have none; start workers if there are too few."""
     for _ in range(min(workers, pool.busy + len(pending)) - len(pool.workers)):
         pool.add()

@@ -432,6 +432,8 @@ class _Batch:
                         self.watch.warn(f"{key}: {value}; it is tried again")
                     case "told":
                         self.watch.inform(value)
+                    case "workers":
+                        self.workers = min(max(1, value), len(jobs))
                     case "done":
                         self._end(value)
                         progress.end(key)
