@@ -13,12 +13,14 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 import pc2scan
 from batch.cluster import cluster
+from pc2scan.batch.cluster import tasks_of
+from pc2scan.batch.jobs import Job
 from pc2scan.errors import UsageError
 from support.batches import HEIGHTS, batch, contents, manifest_of, place, run_batch
 from support.builders import POINTS, T0, Recording, cloud, item, points_of, write_rosbag1
@@ -249,3 +251,115 @@ def test_what_kills_every_worker_is_reported(drives: Path, tmp_path: Path, monke
     assert "its Dask worker died" in line["error"]["message"]
     assert line["attempts"] == 2
     assert not list(out.glob("*.pc2scan-*"))
+
+
+COUNTER = """
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from pc2scan.pipeline.stages.filters import Frame
+
+
+@dataclass(frozen=True)
+class Counter:
+    folder: str
+    name = "counter"
+    explanation = "counted"
+    fields = ()
+    frame = Frame.SOURCE
+
+    def __call__(self, points):
+        x, _, _ = points.xyz()
+        open(os.path.join(self.folder, str(os.getpid())), "w").close()
+        if x.size == 13:
+            os._exit(5)
+        return np.ones(x.shape, bool)
+"""
+
+
+def many(folder: Path, count: int) -> Path:
+    for number in range(count):
+        made = (item(POINTS, T0, lambda g, s: cloud(points_of(s), g, seq=s)),)
+        folder.mkdir(exist_ok=True)
+        write_rosbag1(folder / f"{number}.bag", Recording((POINTS,), made))
+    return folder
+
+
+@slow
+def test_a_process_stays_for_all_recordings_and_not_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On two workers of a cluster that goes on; one recording ends its process, which is started again."""
+    (tmp_path / "counting_filter.py").write_text(COUNTER)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import counting_filter  # type: ignore[import-not-found]
+
+    drives, seen, out = many(tmp_path / "drives", 40), tmp_path / "seen", tmp_path / "out"
+    seen.mkdir()
+    bad = item(POINTS, T0, lambda g, s: cloud(points_of(s, 13), g, seq=s))
+    write_rosbag1(drives / "ends.bag", Recording((POINTS,), (bad,)))
+    with cluster(tmp_path, {}, {}, PYTHONPATH=str(tmp_path)) as (address, _):
+        with distributed.Client(address, timeout=30) as client:
+            client.wait_for_workers(2, timeout=60)
+        report = batch(drives, out, dask=address, filters=[counting_filter.Counter(str(seen))])
+        assert report.workers == 2
+        found = outcomes(out)
+        assert found.pop("ends.bag") == "died"
+        assert manifest_of(out)["ends.bag"]["attempts"] == 2
+        assert (len(found), set(found.values())) == (40, {"converted"})
+        # Both workers have one process, and another one after each attempt of the recording that ends it.
+        processes = [int(path.name) for path in seen.iterdir()]
+        assert len(processes) <= 4
+        deadline = time.monotonic() + 30
+        while any(map(psutil.pid_exists, processes)) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert not any(map(psutil.pid_exists, processes))
+
+
+@slow
+def test_a_worker_that_dies_spoils_nothing_else_of_its_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "killing_filter.py").write_text(f"MARK = {str(tmp_path / 'mark')!r}\n{KILLER}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "killing_filter", raising=False)
+    import killing_filter
+
+    drives, out = many(tmp_path / "drives", 15), tmp_path / "out"
+    for name, points in (("killer", 13), ("once", 14)):
+        made = item(POINTS, T0, lambda g, s, points=points: cloud(points_of(s, points), g, seq=s))  # type: ignore[misc]
+        write_rosbag1(drives / f"{name}.bag", Recording((POINTS,), (made,)))
+    assert batch(drives, out, dask=True, jobs=2, filters=[killing_filter.Killer()]).exit_status == 1
+    found = outcomes(out)
+    assert found.pop("killer.bag") == "died"
+    assert (len(found), set(found.values())) == (16, {"converted"})
+    assert not list(out.glob("*.pc2scan-*"))
+
+
+@pytest.mark.parametrize(
+    ("sizes", "at_a_time", "tasks"),
+    [
+        ([10] * 7, 2, [1] * 7),
+        ([10] * 16, 2, [2] * 8),
+        ([10] * 2000, 2, [16] * 125),
+        ([10] * 100, 20, [1] * 100),
+        ([10] * 100, 0, [16] * 6 + [4]),
+        ([10**9, 10**8, *[10] * 62], 2, [1, 1, *[8] * 7, 6]),
+        ([10**6] * 64, 1, [16] * 4),
+        ([2 * 10**6] * 64, 1, [1] * 64),
+        ([], 2, []),
+    ],
+)
+def test_small_recordings_share_a_task(sizes: list[int], at_a_time: int, tasks: list[int]) -> None:
+    jobs = [job(str(number), size) for number, size in enumerate(sizes)]
+    made = list(tasks_of(jobs, at_a_time, 1))
+    assert [len(task.jobs) for task in made] == tasks
+    assert [each for task in made for each in task.jobs] == jobs
+
+
+def test_recordings_at_urls_have_a_task_each() -> None:
+    jobs = [job(str(number), 10, "s3://bucket/a.bag") for number in range(64)]
+    assert [len(task.jobs) for task in tasks_of(jobs, 1, 1)] == [1] * 64
+
+
+def job(key: str, size: int, source: str = "/data/a.bag") -> Job:
+    request: Any = None
+    return Job(key=key, sources=(source,), destination="/out/a.bag", output="a.bag", request=request, size_bytes=size)

@@ -46,6 +46,9 @@ _CLEANUP_SECONDS = 15.0
 #: Seconds after which a process that no recording needs is ended.
 _KEEP_SECONDS = 10.0
 
+#: Seconds without an event after which the workers of a cluster on this machine are counted.
+_LONELY_SECONDS = 30.0
+
 #: How many recordings a task has at most, and how many bytes if it has several.
 _MOST_JOBS = 16
 _TASK_BYTES = 20_000_000
@@ -106,7 +109,7 @@ def run_jobs_on_dask(
         yield Event("workers", value=at_a_time)
         # A cluster that was started here has a thread for each task: the cores are for the conversions.
         threads = 0 if address else max(1, cores // workers)
-        yield from _run_jobs(client, _tasks_of(jobs, at_a_time, retries), threads)
+        yield from _run_jobs(client, tasks_of(jobs, at_a_time, retries), threads)
         if client.status == "running":
             yield Event("workers", value=_tasks_at_a_time(client))
 
@@ -127,7 +130,7 @@ class _Task(NamedTuple):
         return [_Task((job.retried(),), self.retries) for job in self.jobs]
 
 
-def _tasks_of(jobs: Sequence[Job], at_a_time: int, retries: int) -> Iterator[_Task]:
+def tasks_of(jobs: Sequence[Job], at_a_time: int, retries: int) -> Iterator[_Task]:
     """Yield tasks of several small recordings: handing one over takes longer than converting it."""
     most = max(1, min(_MOST_JOBS, len(jobs) // (4 * max(1, at_a_time))))
     together: list[Job] = []
@@ -150,13 +153,23 @@ def _run_jobs(client: Any, tasks: Iterable[_Task], threads: int) -> Generator[Ev
     """
     inbox: SimpleQueue[tuple[str, str, Any]] = SimpleQueue()
     topic = f"pc2scan-{uuid4().hex}"
-    client.subscribe_topic(topic, lambda event: inbox.put(event[1]))
+    # How often each task has begun, and each recording in tasks that have ended.
+    begun: Counter[str] = Counter()
+    attempts: Counter[str] = Counter()
+
+    def listen(event: tuple[Any, tuple[str, str, Any]]) -> None:
+        # Counted here: a task may begin again, because its result was lost, while that is waited for below.
+        what, name, _ = event[1]
+        begun[name] += what == "began"
+        inbox.put(event[1])
+
+    client.subscribe_topic(topic, listen)
     pending = deque(tasks)
     left: dict[str, _Task] = {}
     futures: dict[str, Any] = {}
-    attempts: Counter[str] = Counter()
     running: dict[str, float] = {}
     numbers = count()
+    quiet_since = time.monotonic()
     try:
         while pending or left:
             while pending:
@@ -175,8 +188,17 @@ def _run_jobs(client: Any, tasks: Iterable[_Task], threads: int) -> Generator[Ev
                 )
                 futures[name].add_done_callback(lambda future, name=name: inbox.put(("done", name, future)))
             happened = _next(inbox)
-            if not happened and client.status == "closed":
+            if happened:
+                quiet_since = time.monotonic()
+            elif client.status == "closed":
                 raise _loss_error()
+            elif threads and time.monotonic() > quiet_since + _LONELY_SECONDS:
+                # Dask does not replace a worker that dies while it starts. Elsewhere, another one may still join.
+                quiet_since = time.monotonic()
+                if not _tasks_at_a_time(client):
+                    raise Pc2ScanError(
+                        "no Dask worker is left on this machine", hint="run the same batch again to continue it"
+                    )
             # All results that are there are fetched at once: a request takes as long as a small conversion.
             found = _results(client, [value for what, _, value in happened if what == "done"])
             for what, name, value in happened:
@@ -188,7 +210,6 @@ def _run_jobs(client: Any, tasks: Iterable[_Task], threads: int) -> Generator[Ev
                     case "began":
                         running[name] = time.monotonic()
                         for job in left[name].jobs:
-                            attempts[job.key] += 1
                             yield Event("begun", job.key)
                     case "done":
                         task = left.pop(name)
@@ -198,14 +219,17 @@ def _run_jobs(client: Any, tasks: Iterable[_Task], threads: int) -> Generator[Ev
                         if not records:
                             # One of them has killed the worker, or is not there: each is tried by itself.
                             pending += task.singly()
+                        attempts.update({job.key: begun[name] for job in task.jobs})
                         for job, record in zip(task.jobs, records, strict=bool(records)):
-                            if attempts[job.key] > 1 and job != job.retried() and _says(record, "exists already"):
+                            if begun[name] > 1 and job != job.retried() and _says(record, "exists already"):
                                 # The first attempt, whose worker was lost, has completed the output nevertheless.
                                 pending.append(_Task((job.retried(),), task.retries))
                             elif record.outcome == "died" and len(task.jobs) > 1 and task.retries:
                                 pending.append(_Task((job.retried(),), task.retries - 1))
                             else:
-                                yield Event("done", job.key, replace(record, attempts=max(1, attempts[job.key])))
+                                yield Event(
+                                    "done", job.key, replace(record, attempts=max(record.attempts, attempts[job.key]))
+                                )
     finally:
         connected = client.status == "running"
         if left:
@@ -258,12 +282,14 @@ def _records(task: _Task, future: Any, seconds: float) -> list[ManifestRecord]:
     """
     if future.status == "cancelled":
         raise _loss_error()
-    if future.status != "error":
+    try:
+        # A result that was lost with its worker is waited for, and may become an error.
         records: list[ManifestRecord] = future.result()
-        return records
-    if len(task.jobs) > 1 and not isinstance(future.exception(), UsageError):
-        return []
-    return [_failure(task.jobs[0], future.exception(), seconds)]
+    except Exception as err:  # noqa: BLE001  # any error of the task
+        if len(task.jobs) > 1 and not isinstance(err, UsageError):
+            return []
+        return [_failure(task.jobs[0], err, seconds)]
+    return records
 
 
 def _failure(job: Job, error: Any, seconds: float) -> ManifestRecord:
@@ -272,7 +298,8 @@ def _failure(job: Job, error: Any, seconds: float) -> ManifestRecord:
 
     match error:
         case KilledWorker() as err:
-            return job.death(f"its Dask worker died: {err}", attempts=1, seconds=seconds)
+            attempts = err.allowed_failures + 1
+            return job.death(f"its Dask worker died: {err}", attempts=attempts, seconds=seconds)
         case _ProcessDeathError() as err:
             return job.death(str(err), attempts=1, seconds=seconds)
         case _UnseenError(args=(host, path)):
