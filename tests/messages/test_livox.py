@@ -165,5 +165,14 @@ def test_info_describes_them_and_their_times_deskew(tmp_path: Path) -> None:
     source = written(tmp_path / "a.mcap", stream, items, 2)
     (cloud,) = pc2scan.info(source).clouds
     assert cloud.frames == ("livox_frame",)
-    assert [name for name, *_ in cloud.fields] == ["x", "y", "z", "offset_time", "reflectivity", "tag", "line"]
+    assert [name for name, *_ in cloud.fields] == [
+        "x",
+        "y",
+        "z",
+        "offset_time",
+        "reflectivity",
+        "tag",
+        "line",
+        "intensity",
+    ]
     assert cloud.nan_share > 0.1

@@ -5,49 +5,16 @@ A new type is one entry, because everything that needs to know which topics can 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Callable, Collection, Mapping
+from typing import TypeAlias
 
 from pc2scan.core.points import Points
 from pc2scan.model import Buffer
 
-from .pointcloud2 import POINTCLOUD2, CloudDecoder
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from .pointcloud2 import PointCloud2
+from .pointcloud2 import POINTCLOUD2, CloudDecoder, CloudFields
 
 #: A decoder: returns the points of a message's bytes, or raises a `DecodeError`. Threads may share one.
 Decode: TypeAlias = Callable[[Buffer], Points]
-
-
-@dataclass(slots=True, eq=False)
-class _Fields(Mapping[str, "NDArray[Any]"]):
-    """The fields of a PointCloud2, which become arrays on request."""
-
-    cloud: PointCloud2
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        if name == "x":
-            self.cloud.check_size()
-        return self.cloud.field(name)
-
-    def __contains__(self, name: object) -> bool:
-        return any(field.name == name for field in self.cloud.fields)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys(field.name for field in self.cloud.fields))
-
-    def __len__(self) -> int:
-        return len({field.name for field in self.cloud.fields})
-
-
-def message_of(points: Points) -> PointCloud2 | None:
-    """Return the PointCloud2 that these points are all the points of; None for other types."""
-    fields = points.fields
-    return fields.cloud if isinstance(fields, _Fields) else None
 
 
 def _pointcloud2(serialization: str) -> Decode:
@@ -55,7 +22,7 @@ def _pointcloud2(serialization: str) -> Decode:
 
     def points(data: Buffer) -> Points:
         cloud = decode(data)
-        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, _Fields(cloud))
+        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, CloudFields(cloud))
 
     return points
 
@@ -66,10 +33,49 @@ def _livox(serialization: str) -> Decode:
     return livox_decoder(serialization)
 
 
+def _compressed(serialization: str) -> Decode:
+    from .compressed_cloud import compressed_cloud_decoder  # noqa: PLC0415  # few recordings have them
+
+    return compressed_cloud_decoder(serialization)
+
+
+def _pointcloud(serialization: str) -> Decode:
+    from .pointcloud import pointcloud_decoder  # noqa: PLC0415  # few recordings have them
+
+    return pointcloud_decoder(serialization)
+
+
+def _velodyne(serialization: str) -> Decode:
+    from .velodyne import velodyne_decoder  # noqa: PLC0415  # few recordings have them
+
+    return velodyne_decoder(serialization)
+
+
 #: By ROS type in ROS 2's spelling, the function that makes the decoder of a serialisation (``ros1`` or ``cdr``). A
 #: decoder is fastest if it is used for only one topic.
 CLOUDS: dict[str, Callable[[str], Decode]] = {
     POINTCLOUD2: _pointcloud2,
     "livox_ros_driver/msg/CustomMsg": _livox,
     "livox_ros_driver2/msg/CustomMsg": _livox,
+    "point_cloud_interfaces/msg/CompressedPointCloud2": _compressed,
+    "draco_point_cloud_transport/msg/CompressedPointCloud2": _compressed,
+    "sensor_msgs/msg/PointCloud": _pointcloud,
+    "velodyne_msgs/msg/VelodyneScan": _velodyne,
 }
+
+#: Types of topics that are often recorded beside a PointCloud2 with the same points, or are no lidar's cloud.
+SECONDARY = frozenset(CLOUDS) - {POINTCLOUD2, "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg"}
+
+
+def usual_topics(types: Mapping[str, Collection[str]], kinds: Collection[str]) -> list[str]:
+    """Return the topics that are used if none is chosen: those with a type of ``kinds``.
+
+    Topics of `SECONDARY` types are used only if there are no others.
+
+    Parameters
+    ----------
+    types
+        The types of each topic of a recording.
+    """
+    found = [topic for topic, own in types.items() if any(kind in kinds for kind in own)]
+    return [topic for topic in found if any(kind in kinds and kind not in SECONDARY for kind in types[topic])] or found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,10 +14,11 @@ from pc2scan.errors import DecodeError
 from .wire import MAX_CACHED_BYTES, Cursor, Packer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
+    from pc2scan.core.points import Points
     from pc2scan.model import Buffer
 
 #: The type in ROS 2's spelling.
@@ -279,9 +281,12 @@ class CloudDecoder:
         #: The byte order, the bytes of a description, and the description.
         self._last: tuple[str, bytes, _Description] | None = None
 
-    def __call__(self, data: Buffer) -> PointCloud2:
-        """Decode a message; see `decode_pointcloud2`."""
-        cursor = Cursor(data, self._serialization)
+    def __call__(self, data: Buffer, cursor: Cursor | None = None) -> PointCloud2:
+        """Decode a message; see `decode_pointcloud2`.
+
+        With a cursor at the beginning of a message that has further fields, it is at these afterwards.
+        """
+        cursor = cursor or Cursor(data, self._serialization)
         sequence, stamp_ns = cursor.stamp()
         try:
             description = self._description(cursor)
@@ -337,6 +342,94 @@ def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
         If the message ends too early or declares more than `MAX_FIELDS`.
     """
     return CloudDecoder(serialization)(data)
+
+
+@dataclass(slots=True, eq=False)
+class CloudFields(Mapping[str, "NDArray[Any]"]):
+    """The fields of a message that is laid out like a PointCloud2, which become arrays on request.
+
+    Attributes
+    ----------
+    cloud
+        The message's points, as they were recorded.
+    replaced
+        What is used instead of some fields, by name.
+    further
+        What the message has besides a PointCloud2, by name.
+    """
+
+    cloud: PointCloud2
+    replaced: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    further: Mapping[str, object] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name == "x":
+            self.cloud.check_size()
+        return self.replaced[name] if name in self.replaced else self.cloud.field(name)
+
+    def __contains__(self, name: object) -> bool:
+        return any(field.name == name for field in self.cloud.fields)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys(field.name for field in self.cloud.fields))
+
+    def __len__(self) -> int:
+        return len({field.name for field in self.cloud.fields})
+
+    def recorded(self) -> PointCloud2:
+        """Return the points as they were recorded, laid out alike in every wire format."""
+        return self.cloud
+
+    def as_pointcloud2(self) -> PointCloud2:
+        """Return the PointCloud2 that is written of the message."""
+        return self.cloud
+
+
+def recorded_cloud(points: Points) -> PointCloud2:
+    """Return the points of a message as they were recorded; a copy if the message is not laid out like a PointCloud2.
+
+    Raises
+    ------
+    DecodeError
+        If their fields cannot be decoded.
+    """
+    fields = points.fields
+    return fields.recorded() if isinstance(fields, CloudFields) else pack_cloud(points)
+
+
+def as_pointcloud2(points: Points) -> PointCloud2:
+    """Return the PointCloud2 that is written of all points of a message.
+
+    Raises
+    ------
+    DecodeError
+        If their fields cannot be decoded.
+    """
+    fields = points.fields
+    return fields.as_pointcloud2() if isinstance(fields, CloudFields) else pack_cloud(points)
+
+
+def pack_cloud(points: Points) -> PointCloud2:
+    """Return a cloud of one row with a copy of all fields, little-endian and without padding."""
+    columns = {name: np.asarray(values).reshape(-1) for name, values in points.fields.items()}
+    fields, step = [], 0
+    for name, values in columns.items():
+        fields.append(PointField(name, step, _DATATYPE_CODES[values.dtype.str[1:]]))
+        step += values.dtype.itemsize
+    count = next((values.size for values in columns.values()), 0)
+    data = np.empty((count, step), np.uint8)
+    for place, values in zip(fields, columns.values(), strict=True):
+        size = values.dtype.itemsize
+        own = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        data[:, place.offset : place.offset + size] = own.view(np.uint8).reshape(count, size)
+    header = points.sequence, points.stamp_ns, points.frame_id
+    return PointCloud2(*header, 1, count, tuple(fields), False, step, count * step, bytes_of(data), False)
+
+
+def bytes_of(array: NDArray[Any]) -> memoryview:
+    """Return the bytes of a contiguous array."""
+    data: Any = array.view(np.uint8).reshape(-1)
+    return memoryview(data).toreadonly() if array.size else memoryview(b"")
 
 
 def encode_pointcloud2(
@@ -395,6 +488,23 @@ class StructuredCloud:
     points: NDArray[np.void]
 
 
+def structured_cloud(cloud: StructuredCloud, *, is_dense: bool = False) -> PointCloud2:
+    """Return the points as a PointCloud2 of one row, without a copy."""
+    points = cloud.points
+    step, count = points.dtype.itemsize, len(points)
+    header = cloud.sequence, cloud.stamp_ns, cloud.frame_id
+    fields, size = _structured_fields(points.dtype), count * step
+    return PointCloud2(*header, 1, count, fields, False, step, size, bytes_of(points), is_dense)
+
+
+def _structured_fields(dtype: np.dtype[Any]) -> tuple[PointField, ...]:
+    fields = []
+    for name in dtype.names or ():
+        kind, offset = dtype[name], dtype.fields[name][1]  # type: ignore[index]  # a type with names has fields
+        fields.append(PointField(name, offset, _DATATYPE_CODES[kind.str[1:]]))
+    return tuple(fields)
+
+
 def encode_structured(cloud: StructuredCloud, serialization: str) -> bytes:
     """Serialise a cloud.
 
@@ -403,17 +513,12 @@ def encode_structured(cloud: StructuredCloud, serialization: str) -> bytes:
     serialization
         ``ros1`` or ``cdr``.
     """
-    dtype = cloud.points.dtype
-    fields = []
-    for name in dtype.names or ():
-        kind, offset = dtype[name], dtype.fields[name][1]  # type: ignore[index]  # a type with names has fields
-        fields.append(PointField(name, offset, _DATATYPE_CODES[kind.str[1:]]))
     return encode_pointcloud2(
         serialization=serialization,
         sequence=cloud.sequence,
         stamp_ns=cloud.stamp_ns,
         frame_id=cloud.frame_id,
-        fields=fields,
-        point_step=dtype.itemsize,
+        fields=_structured_fields(cloud.points.dtype),
+        point_step=cloud.points.dtype.itemsize,
         data=cloud.points.tobytes(),
     )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import TopicError, name_list
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.text import did_you_mean
 
@@ -188,7 +188,10 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
                 target = request.target and fill_glob(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
-        requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}
+        usual = usual_topics(
+            {topic: types[topic] for topic in candidates if not matches(topic, options.drop)}, convertible
+        )
+        requests = {topic: [None] for topic in usual}
         if not requests:
             raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, spec))
     single = len(requests) == 1
@@ -203,11 +206,11 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
     name = "cloud" if spec.reverse else "scan"
     found = {}
     for topic, asked in requests.items():
-        usual = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
+        own = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
         if spec.combining.rebin:
-            usual = f"{topic}_rebinned" if options.keep_clouds else topic
+            own = f"{topic}_rebinned" if options.keep_clouds else topic
         # A topic that is requested twice is converted once.
-        found[topic] = tuple(dict.fromkeys(target or usual for target in asked))
+        found[topic] = tuple(dict.fromkeys(target or own for target in asked))
     return found
 
 
