@@ -8,6 +8,7 @@ attribute for each field, in their order.
 
 from __future__ import annotations
 
+import struct
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,15 +28,23 @@ if TYPE_CHECKING:
 
     from pc2scan.model import Buffer
 
-    from .pointcloud2 import PointCloud2
+    from .pointcloud2 import PointCloud2, PointField
+
+#: Draco's header and metadata, and what describes the attributes, are shorter.
+_MOST_HEAD = 1 << 16
+
+_LOSSY = (
+    "its clouds are compressed with Draco, which may round coordinates, reorder points and merge equal ones: scans and "
+    "points are those of the compressed clouds"
+)
 
 #: Formats that are decompressed to the bytes that were compressed.
 _LOSSLESS = ("zlib", "zstd")
 
-_UNKNOWN = {
-    "cloudini": "decode it with its own tool, cloudini_rosbag_converter: the only package for Python that reads this "
-    "format has the licence GPL-3.0",
-}
+_CLOUDINI = (
+    "Cloudini's own cloudini_rosbag_converter makes PointCloud2 of them; the only package for Python that reads this "
+    "format has the licence GPL-3.0"
+)
 
 
 def compressed_cloud_decoder(serialization: str) -> Callable[[Buffer], Points]:
@@ -57,7 +66,8 @@ def compressed_cloud_decoder(serialization: str) -> Callable[[Buffer], Points]:
             _decompress(cloud, name)
         except CompressionError as err:
             raise DecodeError(f"its data cannot be decompressed with {name}: {err}", stamp_ns=cloud.stamp_ns) from err
-        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, CloudFields(cloud, further={"format": name}))
+        fields = CloudFields(cloud, further={"format": name})
+        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, fields, _LOSSY if name == "draco" else "")
 
     return points
 
@@ -66,14 +76,14 @@ def _decompress(cloud: PointCloud2, name: str) -> None:
     """Replace the data of a cloud by what they are decompressed to."""
     if name in _LOSSLESS:
         limit = allowed_bytes(len(cloud.data))
-        cloud.data = memoryview(decompress_within(name, cloud.data, limit) if cloud.points or cloud.data else b"")
+        cloud.data = memoryview(decompress_within(name, cloud.data, limit) if cloud.data else b"")
     elif name == "draco":
         _from_draco(cloud)
     else:
         raise DecodeError(
             f"its data are compressed with {name!r}; zlib, zstd and draco are read",
             stamp_ns=cloud.stamp_ns,
-            hint=_UNKNOWN.get(name),
+            hint=_CLOUDINI if name.startswith("cloudini") else None,
         )
 
 
@@ -87,36 +97,89 @@ def _from_draco(cloud: PointCloud2) -> None:
             stamp_ns=cloud.stamp_ns,
             hint="pip install 'pc2scan[draco]'",
         ) from err
-    # Draco's header declares as many points as it likes, and a point takes at least some bits.
-    if cloud.points * max(cloud.point_step, 1) > (limit := allowed_bytes(len(cloud.data))):
-        raise CompressionError(f"{cloud.points:,} points are more than {limit:,} bytes, the limit for these data")
+    count, components = _read_draco_head(cloud.data)
+    if len(components) != len(cloud.fields):
+        raise CompressionError(f"they have {len(components)} attributes, and the cloud has {len(cloud.fields)} fields")
+    # The library makes room for as many points as the data declare.
+    if count * max(sum(components) * 8, cloud.point_step) > (limit := allowed_bytes(len(cloud.data))):
+        raise CompressionError(f"they declare {count:,} points, which take more than {limit:,} bytes")
     try:
-        found = DracoPy.decode(bytes(cloud.data))
+        attributes = DracoPy.decode(bytes(cloud.data)).attributes
     except Exception as err:  # the package raises exceptions of several kinds
         raise CompressionError(str(err)) from err
-    attributes = [] if found is None else found.attributes
-    if len(attributes) != len(cloud.fields):
-        raise CompressionError(f"they have {len(attributes)} attributes, and the cloud has {len(cloud.fields)} fields")
-    columns = [_column(each["data"]) for each in sorted(attributes, key=lambda each: int(each["unique_id"]))]
-    sizes = {len(column) for column in columns}
-    if len(sizes) > 1:
-        raise CompressionError("the attributes have different numbers of values")
-    count = sizes.pop() if sizes else 0
+    columns = [each["data"] for each in sorted(attributes, key=lambda each: int(each["unique_id"]))]
     data = np.zeros((count, cloud.point_step), np.uint8)
     for field, column in zip(cloud.fields, columns, strict=True):
-        size = np.dtype(DATATYPES.get(field.datatype, "V")).itemsize * max(field.count, 1)
-        # Colours are packed into a number, and Draco has their bytes.
-        values = np.ascontiguousarray(column).view(np.uint8).reshape(count, -1)
-        if values.shape[1] != size or field.offset + size > cloud.point_step:
-            raise CompressionError(f"the attribute of the field {field.name!r} has {values.shape[1]} bytes, not {size}")
-        data[:, field.offset : field.offset + size] = values
+        values = _field_bytes(field, column)
+        if values.shape[0] != count or field.offset + values.shape[1] > cloud.point_step:
+            raise CompressionError(f"the attribute of the field {field.name!r} does not fit into the cloud")
+        data[:, field.offset : field.offset + values.shape[1]] = values
     cloud.height, cloud.width, cloud.row_step = 1, count, count * cloud.point_step
     cloud.is_bigendian = False
     cloud.data = bytes_of(data)
-    # The table of layouts is shared with other messages, which have other sizes.
-    cloud._layouts = {}  # noqa: SLF001  # the only other place that makes a cloud of parts
+    # The table of layouts is shared with messages of other sizes.
+    cloud.forget_layouts()
 
 
-def _column(values: Any) -> NDArray[Any]:
-    column = np.asarray(values)
-    return column.astype(column.dtype.newbyteorder("<"), copy=False)
+def _read_draco_head(data: Buffer) -> tuple[int, list[int]]:
+    """Return the number of points that Draco's data declare, and the number of components of each attribute.
+
+    Source of the layout: draco/compression, Decoder and PointCloudDecoder of Draco 1.5: a header, metadata (names and
+    values), the number of points, and the attributes.
+    """
+    head = bytes(data[:_MOST_HEAD])
+    place = 11
+
+    def number() -> int:
+        """Read a variable-length integer."""
+        nonlocal place
+        value = shift = 0
+        while True:
+            byte = head[place]
+            place += 1
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80 or shift > 63:
+                return value
+
+    try:
+        if head[:5] != b"DRACO" or head[7] != 0:
+            raise CompressionError("they are no point cloud of Draco")
+        if head[10] & 0x80:
+            if number():
+                raise CompressionError("their attributes have metadata, which no plugin writes")
+            for _ in range(number()):
+                place += 1 + head[place]
+                size = number()
+                place += size
+            if number():
+                raise CompressionError("their metadata are nested, which no plugin writes")
+        (count,) = struct.unpack_from("<i", head, place)
+        decoders, place = head[place + 4], place + 5
+        if decoders != 1 or count < 0:
+            raise CompressionError("they are no point cloud of Draco")
+        components = []
+        for _ in range(number()):
+            components.append(head[place + 2])
+            place += 4
+            number()
+    except (IndexError, struct.error) as err:
+        raise CompressionError("the data are cut off") from err
+    return count, components
+
+
+def _field_bytes(field: PointField, values: NDArray[Any]) -> NDArray[np.uint8]:
+    """Return the bytes of a field of each point, of the values of its attribute."""
+    if field.datatype not in DATATYPES:
+        raise CompressionError(f"field {field.name!r} has datatype {field.datatype}, known are 1 to 8")
+    kind, elements = np.dtype("<" + DATATYPES[field.datatype]), max(field.count, 1)
+    column = np.asarray(values).reshape(len(values), -1)
+    if column.shape[1] == 4 * elements and kind.itemsize >= 4:
+        # A colour that is packed into a number: four numbers.
+        column = column.astype(np.dtype(f"<u{kind.itemsize // 4}"))
+    elif column.shape[1] == elements:
+        # The package has other types than Draco.
+        column = column.astype(kind)
+    else:
+        raise CompressionError(f"the attribute of {field.name!r} has {column.shape[1]} elements, and it {elements}")
+    return np.ascontiguousarray(column).view(np.uint8).reshape(len(column), -1)

@@ -235,6 +235,10 @@ class PointCloud2:
         self.check_size()
         return self.field("x"), self.field("y"), self.field("z")
 
+    def forget_layouts(self) -> None:
+        """Begin a table of layouts of its own, after the description was changed."""
+        self._layouts = {}
+
     def check_size(self) -> None:
         """Raise if the cloud has too many tiny points.
 

@@ -48,6 +48,7 @@ EACH_CLOUD: Checks[CloudFacts] = (
     clouds.target_that_moves,
     clouds.clouds_in_fixed_frame,
     clouds.returns_at_sensor,
+    clouds.lossy_clouds,
 )
 
 #: What the first clouds show about their frame, which all outputs share.

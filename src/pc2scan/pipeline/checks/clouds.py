@@ -310,6 +310,12 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
     )
 
 
+def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the points are not those that the lidar measured."""
+    if text := clouds.samples[-1].lossy:
+        yield f"{clouds.topic}: {text}"
+
+
 def clouds_in_millimetres(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are so far away that they are probably in millimetres."""
     from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # only where there may be a warning
