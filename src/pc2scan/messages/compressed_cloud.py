@@ -15,8 +15,7 @@ import numpy as np
 
 from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError
-from pc2scan.files.compression import CompressionError, decompress_within
-from pc2scan.files.limits import allowed_bytes
+from pc2scan.files.compression import CompressionError, allowed_bytes, decompress_within
 
 from .pointcloud2 import DATATYPES, CloudDecoder, CloudFields, bytes_of
 from .wire import Cursor

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import Pc2ScanError, UsageError
 from pc2scan.tf.placing import Placer
-from pc2scan.tf.reading import read_robot_transforms
 
 from .first_clouds import FirstClouds
 from .items import Span
@@ -223,6 +222,8 @@ def _deskew(
 
 def _robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
+    from pc2scan.tf.reading import read_robot_transforms  # noqa: PLC0415  # only where the first clouds leave a doubt
+
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))
         return read_robot_transforms(reader, options.frames, span.first_ns)

@@ -8,7 +8,6 @@ from pc2scan.bags.formats import chunk_format
 from pc2scan.errors import MessageError, UnwritableError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
 
 from .conversion import ConvertedMessage
@@ -224,6 +223,8 @@ def _write_static(
     frames: FrameOptions, log_time_ns: int, handle: int, target: Destination, writer: Writer
 ) -> TopicReport:
     """Write the added transforms, and return what was written; ``handle`` is that of `_static_connection`."""
+    from pc2scan.messages.tfmessage import encode_transforms  # noqa: PLC0415  # few conversions add transforms
+
     rows = [transform.row(log_time_ns) for transform in frames.static]
     writer.write(handle, log_time_ns, encode_transforms(rows, target.serialization), log_time_ns)
     msgtype = "tf2_msgs/msg/TFMessage"

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.chunks import Segment
+from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
-from pc2scan.files.limits import ConnectionLimit
 
 from . import records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at

@@ -9,14 +9,14 @@ from operator import attrgetter
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import ChunkedReader, isolated_chunks, segment_units
+from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
-from pc2scan.bags.qos import latches
+from pc2scan.bags.reader import MAX_CONNECTIONS
+from pc2scan.bags.topics import latches
 from pc2scan.bags.units import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import combine_crc32, crc32
-from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
@@ -164,13 +164,13 @@ class McapReader(ChunkedReader):
             return []
         rule = rule if rule and rule.container == "mcap" else None
         segments = self._segments_with(ids, start_ns, stop_ns)
-        alone = isolated_chunks(segments, rule, start_ns, stop_ns) if rule else frozenset()
+        whole = whole_chunks(segments, rule, start_ns, stop_ns) if rule else {}
         blindly: frozenset[int] = frozenset()
-        if rule and alone and not self._verify and not self._packs(segments[0]):
+        if rule and whole and not self._verify and not self._packs(segments[0]):
             blindly = shared_channels(self._index, rule)
         times = (0 if start_ns is None else start_ns, 1 << 64 if stop_ns is None else stop_ns)
         selection = _Selection(wanted, *times, rule, blindly)
-        return segment_units(segments, partial(self._load, selection), alone, self._file)
+        return segment_units(segments, partial(self._load, selection), whole, self._file)
 
     def _load(
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool

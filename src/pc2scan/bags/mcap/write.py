@@ -264,7 +264,7 @@ class McapWriter:
         for channel_id, entries in chunk.index.items():
             places[channel_id] = self._file.put(
                 struct.pack("<BQHI", OP_MESSAGE_INDEX, 6 + 16 * len(entries), channel_id, 16 * len(entries)),
-                struct.pack(f"<{2 * len(entries)}Q", *chain.from_iterable(entries)),
+                struct.pack(f"<{2 * len(entries)}Q", *chain.from_iterable(sorted(entries))),
             )
         index = records.ChunkIndex(
             chunk_length=length,
