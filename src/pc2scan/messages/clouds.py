@@ -9,9 +9,9 @@ from collections.abc import Callable, Collection, Mapping
 from typing import TypeAlias
 
 from pc2scan.core.points import Points
-from pc2scan.model import Buffer
+from pc2scan.model import Buffer, Connection
 
-from .pointcloud2 import POINTCLOUD2, CloudDecoder, CloudFields
+from .pointcloud2 import POINTCLOUD2, CloudDecoder, CloudFields, as_pointcloud2, encode_cloud
 
 #: A decoder: returns the points of a message's bytes, or raises a `DecodeError`. Threads may share one.
 Decode: TypeAlias = Callable[[Buffer], Points]
@@ -63,6 +63,24 @@ CLOUDS: dict[str, Callable[[str], Decode]] = {
     "velodyne_msgs/msg/VelodyneScan": _velodyne,
 }
 
+
+def written_as_pointcloud2(connection: Connection) -> bool:
+    """Return whether the messages of a connection are clouds that another message type can hold, PointCloud2."""
+    return connection.ros_version is not None and connection.ros_type in CLOUDS and connection.ros_type != POINTCLOUD2
+
+
+def to_pointcloud2(connection: Connection, serialization: str) -> Callable[[Buffer], bytes]:
+    """Return what makes serialised PointCloud2 messages of a connection's clouds; it raises a `DecodeError`.
+
+    Parameters
+    ----------
+    serialization
+        Of the new messages: ``ros1`` or ``cdr``.
+    """
+    decode = CLOUDS[connection.ros_type](connection.serialization)
+    return lambda data: encode_cloud(as_pointcloud2(decode(data)), serialization)
+
+
 #: Types of topics that are often recorded beside a PointCloud2 with the same points, or are no lidar's cloud.
 SECONDARY = frozenset(CLOUDS) - {POINTCLOUD2, "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg"}
 
@@ -77,5 +95,6 @@ def usual_topics(types: Mapping[str, Collection[str]], kinds: Collection[str]) -
     types
         The types of each topic of a recording.
     """
-    found = [topic for topic, own in types.items() if any(kind in kinds for kind in own)]
-    return [topic for topic in found if any(kind in kinds and kind not in SECONDARY for kind in types[topic])] or found
+    wanted = set(kinds)
+    found = [topic for topic, own in types.items() if not wanted.isdisjoint(own)]
+    return [topic for topic in found if not (wanted - SECONDARY).isdisjoint(types[topic])] or found

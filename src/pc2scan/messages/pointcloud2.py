@@ -459,18 +459,24 @@ def encode_pointcloud2(
         The points, ``height * width`` times ``point_step`` bytes; the width is computed from it.
     """
     width = len(data) // (point_step * height) if point_step * height else 0
+    layout = height, width, tuple(fields), is_bigendian, point_step, width * point_step
+    return encode_cloud(PointCloud2(sequence, stamp_ns, frame_id, *layout, memoryview(data), is_dense), serialization)
+
+
+def encode_cloud(cloud: PointCloud2, serialization: str) -> bytes:
+    """Serialise a cloud as ``ros1`` or ``cdr``."""
     packer = Packer(serialization)
-    packer.header(sequence, stamp_ns, frame_id)
-    packer.write("III", height, width, len(fields))
-    for part in fields:
+    packer.header(cloud.sequence, cloud.stamp_ns, cloud.frame_id)
+    packer.write("III", cloud.height, cloud.width, len(cloud.fields))
+    for part in cloud.fields:
         packer.string(part.name)
         packer.write("I", part.offset)
         packer.write("B", part.datatype)
         packer.write("I", part.count)
-    packer.write("B", is_bigendian)
-    packer.write("III", point_step, width * point_step, len(data))
-    packer.raw(data)
-    packer.write("B", is_dense)
+    packer.write("B", cloud.is_bigendian)
+    packer.write("III", cloud.point_step, cloud.row_step, len(cloud.data))
+    packer.raw(cloud.data)
+    packer.write("B", cloud.is_dense)
     return packer.finish()
 
 

@@ -48,7 +48,6 @@ EACH_CLOUD: Checks[CloudFacts] = (
     clouds.target_that_moves,
     clouds.clouds_in_fixed_frame,
     clouds.returns_at_sensor,
-    clouds.lossy_clouds,
 )
 
 #: What the first clouds show about their frame, which all outputs share.
@@ -56,6 +55,7 @@ FRAME: Checks[CloudFacts] = (clouds.frame_not_level,)
 
 #: What the first clouds show about the parameters of an output.
 FIRST_CLOUDS: Checks[CloudFacts] = (
+    clouds.lossy_clouds,
     clouds.swapped_transform,
     clouds.clouds_in_millimetres,
     clouds.heights_in_millimetres,

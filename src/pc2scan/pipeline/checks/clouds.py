@@ -115,8 +115,12 @@ class CloudFacts:
 
     @property
     def are_fine(self) -> bool:
-        """Whether scans have points, heights need no advice, and the first cloud is level or too small to be judged."""
-        if self.are_nearly_empty or self._need_heights or any(heights_in_millimetres(self)):
+        """Whether nothing is doubtful.
+
+        The points are those that were measured, scans have some, heights need no advice, and the first cloud is level
+        or too small to be judged.
+        """
+        if self.samples[0].lossy or self.are_nearly_empty or self._need_heights or any(heights_in_millimetres(self)):
             return False
         first = self.samples[0]
         if len(first.points) < FEWEST_POINTS:
@@ -312,7 +316,7 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
 
 def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are not those that the lidar measured."""
-    if text := clouds.samples[-1].lossy:
+    if text := clouds.samples[0].lossy:
         yield f"{clouds.topic}: {text}"
 
 
