@@ -11,20 +11,10 @@ from typing import TypeAlias
 from pc2scan.core.points import Points
 from pc2scan.model import Buffer, Connection
 
-from .pointcloud2 import POINTCLOUD2, CloudDecoder, CloudFields, as_pointcloud2, encode_cloud
+from .pointcloud2 import POINTCLOUD2, as_pointcloud2, encode_cloud, point_decoder
 
 #: A decoder: returns the points of a message's bytes, or raises a `DecodeError`. Threads may share one.
 Decode: TypeAlias = Callable[[Buffer], Points]
-
-
-def _pointcloud2(serialization: str) -> Decode:
-    decode = CloudDecoder(serialization)
-
-    def points(data: Buffer) -> Points:
-        cloud = decode(data)
-        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, CloudFields(cloud))
-
-    return points
 
 
 def _livox(serialization: str) -> Decode:
@@ -54,7 +44,7 @@ def _velodyne(serialization: str) -> Decode:
 #: By ROS type in ROS 2's spelling, the function that makes the decoder of a serialisation (``ros1`` or ``cdr``). A
 #: decoder is fastest if it is used for only one topic.
 CLOUDS: dict[str, Callable[[str], Decode]] = {
-    POINTCLOUD2: _pointcloud2,
+    POINTCLOUD2: point_decoder,
     "livox_ros_driver/msg/CustomMsg": _livox,
     "livox_ros_driver2/msg/CustomMsg": _livox,
     "point_cloud_interfaces/msg/CompressedPointCloud2": _compressed,

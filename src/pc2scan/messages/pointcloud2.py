@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError
 
 from .wire import MAX_CACHED_BYTES, Cursor, Packer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from pc2scan.core.points import Points
     from pc2scan.model import Buffer
 
 #: The type in ROS 2's spelling.
@@ -434,6 +434,17 @@ def bytes_of(array: NDArray[Any]) -> memoryview:
     """Return the bytes of a contiguous array."""
     data: Any = array.view(np.uint8).reshape(-1)
     return memoryview(data).toreadonly() if array.size else memoryview(b"")
+
+
+def point_decoder(serialization: str) -> Callable[[Buffer], Points]:
+    """Return the decoder of messages to points; it is fastest for one topic. Threads may share it."""
+    decode = CloudDecoder(serialization)
+
+    def points(data: Buffer) -> Points:
+        cloud = decode(data)
+        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, CloudFields(cloud))
+
+    return points
 
 
 def encode_pointcloud2(

@@ -12,9 +12,9 @@ from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChun
 
 from .conversion import ConvertedMessage
 from .declarations import RecordingTopics
+from .items import NOTHING_REFUSED
 from .report import TopicReport
 from .routes import count_skipped, open_routes
-from .tally import NOTHING_REFUSED
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence
@@ -26,12 +26,11 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import FrameOptions
 
     from .combine.combiner import Combiner
-    from .items import Item, OpenRoute, Output
+    from .items import Item, OpenRoute, Output, Tally
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .plan import Plan
     from .preparation import Preparation
-    from .tally import Tally
 
 
 class OpenRecording(NamedTuple):

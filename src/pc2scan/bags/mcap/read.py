@@ -444,46 +444,42 @@ _SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
 
 def connections_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
     """Yield a connection for each channel; a schema that is missing is noted as damage."""
+    statistics = index.statistics
     for channel in index.channels.values():
         schema = index.schemas.get(channel.schema_id)
         if schema is None and channel.schema_id:
             missing = f"channel {channel.id} has schema {channel.schema_id}, which is not in the file"
             log.note(file.damage(missing), key=channel.id)
-        yield _connection(channel, schema, index)
-
-
-def _connection(channel: records.Channel, schema: records.Schema | None, index: McapIndex) -> Connection:
-    metadata = channel.metadata
-    encoding = schema.encoding if schema else ""
-    serialization = (
-        channel.message_encoding
-        or _SERIALIZATION_OF_SCHEMA.get(encoding)
-        or _SERIALIZATION_OF_PROFILE.get(index.profile, "")
-    )
-    qos = metadata.get("offered_qos_profiles", "")
-    ros1 = serialization == "ros1"
-    statistics = index.statistics
-    if statistics is None:
-        count = index.counts[channel.id] if index.all_counted else None
-    elif statistics.message_count and not statistics.channel_message_counts:
-        # Writers may omit the counts by channel.
-        count = None
-    else:
-        count = statistics.channel_message_counts.get(channel.id, 0)
-    return Connection(
-        id=channel.id,
-        topic=channel.topic,
-        msgtype=schema.name if schema else "",
-        serialization=serialization,
-        definition=Definition(encoding, schema.data) if schema else Definition(),
-        digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
-        callerid=metadata.get("callerid"),
-        latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
-        qos=qos,
-        metadata=metadata,
-        message_count=count,
-        schema_id=channel.schema_id,
-    )
+        metadata = channel.metadata
+        encoding = schema.encoding if schema else ""
+        serialization = (
+            channel.message_encoding
+            or _SERIALIZATION_OF_SCHEMA.get(encoding)
+            or _SERIALIZATION_OF_PROFILE.get(index.profile, "")
+        )
+        qos = metadata.get("offered_qos_profiles", "")
+        ros1 = serialization == "ros1"
+        if statistics is None:
+            count = index.counts[channel.id] if index.all_counted else None
+        elif statistics.message_count and not statistics.channel_message_counts:
+            # Writers may omit the counts by channel.
+            count = None
+        else:
+            count = statistics.channel_message_counts.get(channel.id, 0)
+        yield Connection(
+            id=channel.id,
+            topic=channel.topic,
+            msgtype=schema.name if schema else "",
+            serialization=serialization,
+            definition=Definition(encoding, schema.data) if schema else Definition(),
+            digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
+            callerid=metadata.get("callerid"),
+            latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
+            qos=qos,
+            metadata=metadata,
+            message_count=count,
+            schema_id=channel.schema_id,
+        )
 
 
 def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
