@@ -193,6 +193,7 @@ def _of_node(
             launch_args=options.launch_args,
             preset=options.preset,
             reverse=options.reverse,
+            remapped=_remapped(options) if options.params_file is not None else (),
         )
     known = {note for other in beside or () for note in other.notes}
     notes = tuple(dict.fromkeys(_IGNORED + place for place in resolved.ignored if _IGNORED + place not in known))
@@ -220,6 +221,13 @@ def _of_node(
     scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
     return ConversionRequest(ConvertOptions(scans=(scan,), frames=frames, **options.among(_OF_ALL)), files, notes)
+
+
+def _remapped(options: Options) -> set[str]:
+    """Return the topics that are given, in the nodes' names for them."""
+    if options.topics:
+        return {"cloud_in", "scan", "scan_in", "cloud"}
+    return {text.partition(":=")[0].rpartition(":")[2].strip("~/ ") for text in options.remap}
 
 
 #: The beginning of the note about an entry of a file.
