@@ -72,7 +72,9 @@ def to_pointcloud2(connection: Connection, serialization: str) -> Callable[[Buff
 
 
 #: Types of topics that are often recorded beside a PointCloud2 with the same points, or are no lidar's cloud.
-SECONDARY = frozenset(CLOUDS) - {POINTCLOUD2, "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg"}
+SECONDARY = frozenset(CLOUDS) - {POINTCLOUD2, "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg"} | {
+    "sensor_msgs/msg/MultiEchoLaserScan"
+}
 
 
 def usual_topics(types: Mapping[str, Collection[str]], kinds: Collection[str]) -> list[str]:

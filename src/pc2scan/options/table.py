@@ -38,6 +38,7 @@ from .conversion import (
     CloudCombination,
     CloudContent,
     ConversionFrames,
+    EchoChoice,
     FailureConditions,
     OtherTopics,
     PointSelection,
@@ -94,7 +95,7 @@ class _Clouds(ParameterSources, Projection, TimeRange, PointSelection, Conversio
     """How a cloud becomes a scan, and what is read."""
 
 
-class _Scans(_Clouds, CloudCombination, total=False):
+class _Scans(_Clouds, CloudCombination, EchoChoice, total=False):
     """How clouds become scans, and what is read."""
 
 
@@ -139,7 +140,7 @@ class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, BadMessages, ThreadC
     """``map``."""
 
 
-class Check(CheckRules, TransformSources, total=False):
+class Check(CheckRules, EchoChoice, TransformSources, total=False):
     """``check``."""
 
 
@@ -205,6 +206,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     RobotMotion: (MOVING, ONE_OUTPUT),
     CloudCombination: (MOVING, ONE_OUTPUT),
     CloudContent: (REVERSE, SINGLE),
+    EchoChoice: (TOPICS, ONE_OUTPUT),
     OtherTopics: (TOPICS, CONVERSION),
     FailureConditions: (RUN, CONVERSION),
     Container: (OUTPUT, CONVERSION),
