@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
-from pc2scan.errors import TopicError, name_list
+from pc2scan.errors import NothingToConvertError, TopicError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.text import did_you_mean
@@ -190,7 +190,8 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
     else:
         requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}
         if not requests:
-            raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, spec))
+            kind = TopicError if candidates else NothingToConvertError
+            raise kind(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, spec))
     single = len(requests) == 1
     if spec.name and not spec.topics:
         if not single:
@@ -218,6 +219,8 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
     except TopicError as err:
         if not spec.reverse and LASERSCAN in types.get(name, ()):
             err.hint = f"`rebin=True` makes other scans of LaserScan, `reverse=True` makes clouds; {err.hint}"
+        if all(kinds.isdisjoint(spec.source_types) for kinds in types.values()):
+            raise NothingToConvertError(err.message, hint=err.hint) from err
         raise
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.core.rule import PointCounts
-from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, visible
+from pc2scan.errors import NothingToConvertError, RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import items_of
@@ -166,7 +166,7 @@ class Selection:
         if not found:
             topics = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
             others = f"its topics are: {name_list(topics)}" if topics else "it has no topics"
-            raise TopicError(
+            raise NothingToConvertError(
                 f"the recording has no {short_types(kinds)} topic; {others}", path=reader.path, hint=hint(reader)
             )
         if not self.topics and len(found) > 1:
