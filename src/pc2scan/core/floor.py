@@ -158,9 +158,7 @@ def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = M
     most
         How many points to sample; the result has fewer, because points without a return are removed.
     """
-    count = x.size
-    # Multiples of the golden ratio never coincide with rings or columns.
-    order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
+    order = spread_indices(x.size, most)
     with np.errstate(all="ignore"):
         # Without a copy of an organised cloud, whose rows may be padded.
         places = np.unravel_index(order, x.shape)
@@ -168,6 +166,11 @@ def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = M
         # The nearest points are the robot itself, or no returns.
         good = (np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)
     return np.asarray(points[good])
+
+
+def spread_indices(count: int, most: int) -> NDArray[np.intp]:
+    """Return some of ``count`` indices, spread evenly: multiples of the golden ratio follow no ring and no column."""
+    return np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
 
 
 def cells_of(points: _Points) -> _Points:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
 
     from .conversion import Conversion, Measurements
+    from .odometry import Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
     from .stages.deskew import Deskew
@@ -167,12 +168,27 @@ def _prepare_output(
         from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
         warnings += clock_warnings(*observed.delays)
+    source = ""
     if observed.frame is not None and placer.buffer is not None:
         from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
+        from .odometry import odometry_warnings  # noqa: PLC0415
 
+        source = placer.source_frame or first_frame(observed.frame)
         with spec.naming_errors():
-            doubts = check_fixed_frame(placer.source_frame or first_frame(observed.frame), spec, placer.buffer)
-        warnings += (spec.label + doubt for doubt in doubts)
+            doubts = check_fixed_frame(source, spec, placer.buffer)
+        warnings += (spec.label + doubt for doubt in (*doubts, *odometry_warnings(spec, source, placer.buffer)))
+
+    def surroundings_of(topics: Sequence[str] = ()) -> Surroundings | None:
+        if not source or placer.buffer is None or not (spec.deskew or len(topics) > 1):
+            return None
+        from .odometry import Surroundings  # noqa: PLC0415  # few conversions have a fixed frame
+
+        last_ns = reader.summary.end_ns if survey.span.stop_ns is None else survey.span.stop_ns
+        span = (survey.span.first_ns, survey.span.first_ns if last_ns is None else last_ns)
+        seen = Surroundings(spec, placer.buffer, source, placer.source_frame, span, topics)
+        firsts.surroundings.append((spec.label, seen))
+        return seen
+
     for combination, observers in observed.combinations.items():
         from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
         from .combine.measurements import measure_sources  # noqa: PLC0415
@@ -181,11 +197,12 @@ def _prepare_output(
             timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, placer)
         notes += (spec.label + note for note in new_notes)
         warnings += (spec.label + doubt for doubt in doubts)
-        deskew, new_notes, doubts = _deskew(spec, placer, observed.deskew[combination])
+        seen = surroundings_of(combination.sources)
+        deskew, new_notes, doubts = _deskew(spec, placer, observed.deskew[combination], seen)
         notes += new_notes
         warnings += doubts
         conversions[combination] = MessagesToScan(
-            spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec)
+            spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec), seen
         )
     from .survey import converted_alone  # noqa: PLC0415  # most conversions need none
 
@@ -197,7 +214,7 @@ def _prepare_output(
             with spec.naming_errors():
                 measurements, new_notes = measure(observed.clouds, spec, placer)
             notes += (spec.label + note for note in new_notes)
-        deskew, new_notes, doubts = _deskew(spec, placer, observed.deskew.get(None))
+        deskew, new_notes, doubts = _deskew(spec, placer, observed.deskew.get(None), surroundings_of())
         notes += new_notes
         warnings += doubts
         conversions[spec] = _to_scans(spec, placer, measurements, deskew, firsts)
@@ -205,7 +222,7 @@ def _prepare_output(
 
 
 def _deskew(
-    spec: ScanSpec, placer: Placer, observers: DeskewObservers | None
+    spec: ScanSpec, placer: Placer, observers: DeskewObservers | None, surroundings: Surroundings | None
 ) -> tuple[Deskew | None, list[str], list[str]]:
     """Return what places points at their own times (None: nothing does), notes and warnings."""
     if not spec.deskew:
@@ -217,7 +234,7 @@ def _deskew(
     doubts = [] if observers is None else [spec.label + each for each in time_warnings(observers.times)]
     with spec.naming_errors():
         turns, notes = measure_turns({} if observers is None else observers.turns, spec.point_time)
-    deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns)
+    deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns, surroundings)
     return deskew, [spec.label + note for note in notes], doubts
 
 

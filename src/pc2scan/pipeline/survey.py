@@ -94,6 +94,8 @@ class Survey:
 
     Attributes
     ----------
+    span
+        The cut.
     transforms
         All transforms; None if they are not needed.
     robot
@@ -120,7 +122,7 @@ class Survey:
         reads_transforms: bool,
     ) -> None:
         self._readers = [reader, *others]
-        self._span = span
+        self.span = span
         self.transforms = TransformReading(asked) if reads_transforms else None
         self.robot = None if reads_transforms else RobotTransforms(reader, asked, span.first_ns)
         self.given_frames: list[Observer[str]] = []
@@ -138,7 +140,7 @@ class Survey:
         self.outputs = {spec: self._observers_of(spec, plan, asked) for spec in plan.specs if not spec.reverse}
 
     def _observers_of(self, spec: ScanSpec, plan: Plan, asked: FrameOptions) -> OutputObservers:
-        reader, span = self._readers[0], self._span
+        reader, span = self._readers[0], self.span
         found = OutputObservers()
         own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
         if spec.fixed_frame or spec.imu:
