@@ -25,8 +25,8 @@ _DIRECTIONS = (0.3, 1.0, 1.7)
 _STEP_NS = 50_000_000
 _MOST_STEPS = 20_000
 
-#: The number of consecutive poses that are compared, and how many there must be.
-_POSES = 5
+#: The number of consecutive values that are compared, and how often there must be so many.
+_TOGETHER = 5
 _FEWEST = 50
 
 
@@ -93,31 +93,43 @@ def steps_of(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def noise(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> tuple[float, float]:
-    """Return how far poses are off a smooth motion, as standard deviations: metres and radians; 0 for few poses.
+    """Return how far poses are off a smooth motion, as standard deviations: metres and radians; see `roughness`.
 
     Parameters
     ----------
     stamps_ns, poses
         As for `busiest`.
+    """
+    quaternions = poses[:, 3:]
+    signs = np.cumprod(np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0))
+    continuous = np.concatenate([quaternions[:1], quaternions[1:] * signs[:, None]])
+    sizes = roughness(stamps_ns, np.concatenate([poses[:, :3], continuous], axis=1))
+    return float(np.linalg.norm(sizes[:3])), 2 * float(np.linalg.norm(sizes[3:]))
+
+
+def roughness(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard deviations of values from a smooth course, (K,); 0 for few values.
+
+    Parameters
+    ----------
+    stamps_ns, values
+        (N,) increasing, and (N, K).
 
     Notes
     -----
-    The divided differences of five consecutive poses are 0 for every motion that is a polynomial of third degree. Their
-    median size is that of the noise, whatever single poses jump.
+    The divided differences of five consecutive values are 0 for every polynomial of third degree. Their median size is
+    that of the noise, even if single values jump.
     """
-    count = len(stamps_ns) - _POSES + 1
+    count = len(stamps_ns) - _TOGETHER + 1
     if count < _FEWEST:
-        return 0.0, 0.0
-    # Of long recordings, some thousand poses are enough; five of them are consecutive.
+        return np.zeros(values.shape[1])
+    # Of long recordings, some thousand values are enough.
     begins = np.unique(np.linspace(0, count - 1, min(count, 4_000)).astype(np.intp))
-    places = begins[:, None] + np.arange(_POSES)
+    places = begins[:, None] + np.arange(_TOGETHER)
     times = (stamps_ns[places] - stamps_ns[places[:, :1]]) / 1e9
     apart = times[:, :, None] - times[:, None, :]
-    apart[:, range(_POSES), range(_POSES)] = 1.0
+    apart[:, range(_TOGETHER), range(_TOGETHER)] = 1.0
     weights = 1 / apart.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    values = poses[places]
-    quaternions = values[:, :, 3:]
-    quaternions *= np.where((quaternions * quaternions[:, :1]).sum(axis=2, keepdims=True) < 0, -1.0, 1.0)
-    sizes = np.median(np.abs(np.einsum("np,npk->nk", weights, values)), axis=0) / 0.6745
-    return float(np.linalg.norm(sizes[:3])), 2 * float(np.linalg.norm(sizes[3:]))
+    sizes = np.median(np.abs(np.einsum("np,npk->nk", weights, values[places])), axis=0) / 0.6745
+    return np.asarray(sizes, np.float64)

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from pc2scan.core.floor import spread_indices
+from pc2scan.core.percentiles import percentiles
 from pc2scan.core.sharpness import LEVER, Window, busiest, noise, spread, steps_of
 from pc2scan.core.timing import TIME_FIELDS, fit_sweep, offset_and_unit
 from pc2scan.errors import TransformError
 from pc2scan.text import counted
+from pc2scan.tf.up_sources import UpByImu
 
 from .stages.turn import AZIMUTH
 
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.history import FrameHistory
+    from pc2scan.tf.up_sources import UpSource
 
     from .options import ScanSpec
 
@@ -42,6 +45,11 @@ _LEAST_NOISE = 0.03
 
 #: If poses come this many nanoseconds apart (median), fewer than five a second, motion within a cloud is not known.
 _SLOW_NS = 205_000_000
+
+#: Roll and pitch that change by more than this within a cloud, radians, and by less than this share of it in the
+#: odometry.
+_LEAST_TILT = math.radians(0.3)
+_LEVEL_BESIDE = 0.3
 
 #: The windows in which surroundings are sampled, and the points of each cloud, of each topic in a window, and in all
 #: windows that are needed.
@@ -102,6 +110,43 @@ def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> I
             f"{moved:.2g} m within {_CLOUD_NS / 1e9:g} s; without `deskew` they are sharper, or with a smoother "
             "`fixed_frame`"
         )
+
+
+def tilt_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer, up: UpSource | None) -> Iterator[str]:
+    """Yield a warning if an IMU shows that a robot tilts within a cloud, and the odometry, by which it is deskewed, not.
+
+    Parameters
+    ----------
+    source
+        The frame of the clouds.
+    up
+        What makes the scans level.
+    """
+    links = buffer.moving_links(spec.fixed_frame, source)
+    if not (spec.deskew and links and isinstance(up, UpByImu)):
+        return
+    body = _fastest(links)
+    x, y, z, w = body.poses[:, 3:].T
+    level = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y], axis=1)
+    by_imu, by_odometry = _tilts(up.stamps_ns, up.directions), _tilts(body.stamps_ns, level)
+    if by_imu > _LEAST_TILT and by_odometry < _LEVEL_BESIDE * by_imu:
+        yield (
+            f"by {up.topic}, roll and pitch change by {math.degrees(by_imu):.2g} degrees within {_CLOUD_NS / 1e9:g} s "
+            f"(90 %), by the transforms to {spec.fixed_frame} they do not: `level` turns each cloud as a whole, and "
+            f"`deskew` leaves points {LEVER:g} m away off by {LEVER * by_imu:.2g} m; a `fixed_frame` with roll and "
+            "pitch places them"
+        )
+
+
+def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
+    """Return by how much the direction of up changes within a cloud, radians (90 %)."""
+    intervals = np.diff(stamps_ns)
+    between = max(1, round(_CLOUD_NS / max(1, float(np.median(intervals))))) if intervals.size else 1
+    if len(ups) <= between:
+        return 0.0
+    chords = np.linalg.norm(ups[between:] - ups[:-between], axis=1)
+    (angle,) = percentiles(2 * np.arcsin(np.minimum(1.0, chords / 2)), 90)
+    return angle
 
 
 def _fastest(links: Sequence[FrameHistory]) -> FrameHistory:

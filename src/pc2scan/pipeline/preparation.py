@@ -171,12 +171,14 @@ def _prepare_output(
     source = ""
     if observed.frame is not None and placer.buffer is not None:
         from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
-        from .odometry import odometry_warnings  # noqa: PLC0415
+        from .odometry import odometry_warnings, tilt_warnings  # noqa: PLC0415
 
         source = placer.source_frame or first_frame(observed.frame)
         with spec.naming_errors():
             doubts = check_fixed_frame(source, spec, placer.buffer)
-        warnings += (spec.label + doubt for doubt in (*doubts, *odometry_warnings(spec, source, placer.buffer)))
+        doubts += odometry_warnings(spec, source, placer.buffer)
+        doubts += tilt_warnings(spec, source, placer.buffer, placer.up)
+        warnings += (spec.label + doubt for doubt in doubts)
 
     def surroundings_of(topics: Sequence[str] = ()) -> Surroundings | None:
         if not source or placer.buffer is None or not (spec.deskew or len(topics) > 1):
