@@ -113,7 +113,7 @@ def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> I
 
 
 def tilt_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer, up: UpSource | None) -> Iterator[str]:
-    """Yield a warning if an IMU shows that a robot tilts within a cloud, and the odometry, by which it is deskewed, not.
+    """Yield a warning if a robot tilts within a cloud by its IMU, and not by the odometry that deskews the cloud.
 
     Parameters
     ----------
@@ -128,7 +128,8 @@ def tilt_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer, up: UpSo
     body = _fastest(links)
     x, y, z, w = body.poses[:, 3:].T
     level = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y], axis=1)
-    by_imu, by_odometry = _tilts(up.stamps_ns, up.directions), _tilts(body.stamps_ns, level)
+    by_imu = _tilts(up.stamps_ns, up.directions)
+    by_odometry = _tilts(body.stamps_ns, level)
     if by_imu > _LEAST_TILT and by_odometry < _LEVEL_BESIDE * by_imu:
         yield (
             f"by {up.topic}, roll and pitch change by {math.degrees(by_imu):.2g} degrees within {_CLOUD_NS / 1e9:g} s "
