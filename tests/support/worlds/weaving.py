@@ -12,7 +12,7 @@ from pc2scan.core.rigid import Rigid
 from support.worlds.moving import Drive, Lidar, write_world
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -77,6 +77,7 @@ def write_weaving(
     drive: Drive = _WEAVING,
     *,
     odometry_hz: float = 100.0,
+    frames: Callable[[str], str] = str,
 ) -> Path:
     """Write three seconds of a robot that drives, with odometry that has a fault."""
 
@@ -90,4 +91,6 @@ def write_weaving(
         x, y, _ = drive.positions(at)[0].tolist()
         return Rigid.from_rpy(roll, pitch, fault.scale * yaw + turned, (x + dx, y + dy, 0.0))
 
-    return write_world(path, lidars or [RINGS], drive, seconds=3.0, odometry_hz=odometry_hz, odometry=odometry)
+    return write_world(
+        path, lidars or [RINGS], drive, seconds=3.0, odometry_hz=odometry_hz, odometry=odometry, frames=frames
+    )
