@@ -39,7 +39,8 @@ _LEVEL_BESIDE = 0.3
 #: Points with a larger median distance, metres, are probably in millimetres: lidars do not see as far.
 FARTHEST_MEDIAN = 400.0
 
-_GOLDEN = 0.6180339887498949
+#: The golden ratio's inverse.
+GOLDEN = 0.6180339887498949
 
 #: The conditions of a floor: the least share of the cells on it, the largest share below it, and metres below the
 #: sensor.
@@ -158,7 +159,9 @@ def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = M
     most
         How many points to sample; the result has fewer, because points without a return are removed.
     """
-    order = spread_indices(x.size, most)
+    count = x.size
+    # Multiples of the golden ratio never coincide with rings or columns.
+    order = np.arange(count) if count <= most else (np.arange(most) * GOLDEN % 1.0 * count).astype(np.intp)
     with np.errstate(all="ignore"):
         # Without a copy of an organised cloud, whose rows may be padded.
         places = np.unravel_index(order, x.shape)
@@ -166,11 +169,6 @@ def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = M
         # The nearest points are the robot itself, or no returns.
         good = (np.abs(points).max(axis=1, initial=0) < 1e4) & ((points * points).sum(axis=1) > 0.0025)
     return np.asarray(points[good])
-
-
-def spread_indices(count: int, most: int) -> NDArray[np.intp]:
-    """Return some of ``count`` indices, spread evenly: multiples of the golden ratio follow no ring and no column."""
-    return np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
 
 
 def cells_of(points: _Points) -> _Points:

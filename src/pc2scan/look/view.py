@@ -17,6 +17,7 @@ from pc2scan.tf.placing import FrameOptions
 
 from .clouds import clouds_page
 from .html import BEGINNING, check_page_name, html
+from .opening import Opening, opening
 from .recording import moment_text, open_recording, title_of
 from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
@@ -110,6 +111,7 @@ def write_page(
     clouds: int = 10,
     at: Sequence[TimeBound] = (),
     preset: str = "",
+    proposed: bool = False,
     overwrite: bool = False,
     also_read: Mapping[str, Path] | None = None,
 ) -> Page:
@@ -137,7 +139,7 @@ def write_page(
         [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
-        page = page_of(sources, options, clouds=clouds, at=at, preset=preset)
+        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, proposed=proposed)
         deliver(page.html)
     return replace(page, path=str(destination))
 
@@ -149,6 +151,7 @@ def page_of(
     clouds: int = 10,
     at: Sequence[TimeBound] = (),
     preset: str = "",
+    proposed: bool = False,
 ) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
 
@@ -164,6 +167,9 @@ def page_of(
         Moments to show instead.
     preset
         The preset that the parameters come from; empty for none.
+    proposed
+        Whether a page of clouds opens with the frame and the heights that `pc2scan.info` proposes, unless heights are
+        given.
 
     Raises
     ------
@@ -178,8 +184,9 @@ def page_of(
         reader = recording.reader
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
-            taken = take_shots(recording, options, count=clouds, at_ns=at_ns, level=False)
-            described, blobs = clouds_page(sources, taken, options, preset=preset)
+            opened = opening(sources, options) if proposed else Opening(options, {}, ())
+            taken = take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False)
+            described, blobs = clouds_page(sources, taken, opened, preset=preset)
         else:
             asked = [request.source for request in options.scan.topics]
             topics, buffer = scan_connections(reader, asked), _transforms(recording)

@@ -8,19 +8,16 @@ sharper by the poses of another time, or with the points in another order.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.floor import spread_indices
+from pc2scan.core.floor import GOLDEN
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.sharpness import LEVER, Window, busiest, noise, spread, steps_of
 from pc2scan.core.timing import TIME_FIELDS, fit_sweep, offset_and_unit
 from pc2scan.errors import TransformError
 from pc2scan.text import counted
-from pc2scan.tf.up_sources import UpByImu
-
-from .stages.turn import AZIMUTH
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -33,9 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.up_sources import UpSource
 
     from .options import ScanSpec
-
-#: Returns the times of points at some places, seconds after their cloud's stamp.
-Times: TypeAlias = "Callable[[tuple[NDArray[np.intp], ...]], NDArray[np.float64]]"
+    from .stages.deskew import Times
 
 #: About how long a lidar takes for a cloud, nanoseconds.
 _CLOUD_NS = 100_000_000
@@ -112,7 +107,7 @@ def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> I
         )
 
 
-def tilt_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer, up: UpSource | None) -> Iterator[str]:
+def tilt_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer, up: UpSource) -> Iterator[str]:
     """Yield a warning if a robot tilts within a cloud by its IMU, and not by the odometry that deskews the cloud.
 
     Parameters
@@ -122,6 +117,8 @@ def tilt_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer, up: UpSo
     up
         What makes the scans level.
     """
+    from pc2scan.tf.up_sources import UpByImu  # noqa: PLC0415  # few scans are level
+
     links = buffer.moving_links(spec.fixed_frame, source)
     if not (spec.deskew and links and isinstance(up, UpByImu)):
         return
@@ -254,15 +251,8 @@ class Surroundings:
         body = _fastest(links) if links else None
         self._windows = [] if body is None else busiest(body.stamps_ns, body.poses, Window(*span), _WINDOW_NS, _WINDOWS)
 
-    def wants(self, topic: str, stamp_ns: int) -> bool:
-        """Return whether a cloud is to be sampled. On any thread."""
-        return (
-            any(begin_ns <= stamp_ns < end_ns for begin_ns, end_ns in self._windows)
-            and len(self._clouds.get(topic, ())) < _MOST_CLOUDS
-        )
-
     def add(self, topic: str, points: Points, seconds: Times | None = None) -> None:
-        """Add a sample of a cloud. On any thread.
+        """Add a sample of a cloud, if it is of one of the windows. On any thread.
 
         Parameters
         ----------
@@ -270,11 +260,14 @@ class Surroundings:
             Returns the times of the points. None: they are in one of the fields `TIME_FIELDS`; a cloud without is not
             sampled.
         """
+        if not any(begin_ns <= points.stamp_ns < end_ns for begin_ns, end_ns in self._windows):
+            return
         x, y, z = points.xyz()
         seconds = seconds or _times_of(points)
-        if not x.size or seconds is None:
+        if len(self._clouds.get(topic, ())) >= _MOST_CLOUDS or not x.size or seconds is None:
             return
-        places = np.unravel_index(spread_indices(x.size, _OF_CLOUD), x.shape)
+        # As in `core.floor`: no ring and no column is preferred.
+        places = np.unravel_index((np.arange(_OF_CLOUD) * GOLDEN % 1.0 * x.size).astype(np.intp), x.shape)
         with np.errstate(all="ignore"):
             sample = np.stack([np.asarray(part[places], np.float64) for part in (x, y, z)], axis=1)
             times = seconds(places)
@@ -355,7 +348,7 @@ class Surroundings:
         spec = self._spec
         gain, shift = _best_shift(lambda seconds: _gain((each, each.placed(seconds)) for each in windows.values()))
         seen = f"in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
-        if spec.deskew and spec.point_time.startswith(AZIMUTH):
+        if spec.deskew and spec.point_time.startswith("azimuth"):
             turned = _gain((each, each.reversed()) for each in windows.values())
             if turned > max(gain, _SHARPER):
                 yield f"{topic}: {seen} {turned:.2g} times as sharp if {_other_way(spec.point_time, windows.values())}"

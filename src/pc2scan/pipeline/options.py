@@ -214,9 +214,9 @@ class ScanSpec:
         if values.keys() & CloudCombination.__annotations__.keys():
             read["combining"] = Combining.of(**values)
         if values.keys() & PointSelection.__annotations__.keys():
-            from .stages.filter_options import filters_from  # noqa: PLC0415  # few conversions have filters
+            from .stages.filters import filters_of  # noqa: PLC0415  # few conversions have filters
 
-            read["filters"] = (*filters_from(values, found.params.min_height), *values.get("filters", ()))
+            read["filters"] = (*filters_of(values, found.params.min_height), *values.get("filters", ()))
         if "remove" in values:
             from .stages.beam_filters import beam_filter  # noqa: PLC0415  # few scans are filtered
 

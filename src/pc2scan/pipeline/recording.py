@@ -8,14 +8,13 @@ from pc2scan.bags.formats import chunk_format
 from pc2scan.errors import MessageError, UnwritableError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
 
 from .conversion import ConvertedMessage
 from .declarations import RecordingTopics
+from .items import NOTHING_REFUSED
 from .report import TopicReport
 from .routes import count_skipped, open_routes
-from .tally import NOTHING_REFUSED
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence
@@ -27,12 +26,11 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import FrameOptions
 
     from .combine.combiner import Combiner
-    from .items import Item, OpenRoute, Output
+    from .items import Item, OpenRoute, Output, Tally
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .plan import Plan
     from .preparation import Preparation
-    from .tally import Tally
 
 
 class OpenRecording(NamedTuple):
@@ -224,6 +222,8 @@ def _write_static(
     frames: FrameOptions, log_time_ns: int, handle: int, target: Destination, writer: Writer
 ) -> TopicReport:
     """Write the added transforms, and return what was written; ``handle`` is that of `_static_connection`."""
+    from pc2scan.messages.tfmessage import encode_transforms  # noqa: PLC0415  # few conversions add transforms
+
     rows = [transform.row(log_time_ns) for transform in frames.static]
     writer.write(handle, log_time_ns, encode_transforms(rows, target.serialization), log_time_ns)
     msgtype = "tf2_msgs/msg/TFMessage"

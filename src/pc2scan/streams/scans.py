@@ -218,7 +218,7 @@ class Scans(Stream[Scan]):
             # Returns the only topic, or raises.
             self._selection.select_connections(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
-        plan = make_plan(reader.connections, options)
+        plan = make_plan(reader.connections, options, reader)
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame

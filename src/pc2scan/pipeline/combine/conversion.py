@@ -247,7 +247,7 @@ class MessagesToScan(Conversion):
         sample = None
         if not flat and number == 0 and firsts is not None and not firsts.full:
             sample = firsts.sample(points, placer.place(frame_id, stamp_ns))
-        if self._surroundings is not None and not flat and self._surroundings.wants(self.topics[number], stamp_ns):
+        if self._surroundings is not None and not flat:
             self._surroundings.add(self.topics[number], points)
         track = None if deskew is None else deskew.track(points)
         reference_ns = stamp_ns if track is None else track.reference_ns

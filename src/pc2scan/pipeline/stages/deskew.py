@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,14 +25,16 @@ from pc2scan.pipeline.conversion import Motion
 from .turn import AZIMUTH, Turn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Rigid
-    from pc2scan.pipeline.odometry import Surroundings
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placer
+
+#: Returns the times of points at some places, seconds after their cloud's stamp.
+Times: TypeAlias = "Callable[[tuple[NDArray[np.intp], ...]], NDArray[np.float64]]"
 
 #: Which time of a cloud is the stamp of its scan.
 STAMPS = ("header", "start", "middle", "end")
@@ -272,13 +274,14 @@ class Deskew:
         One of `STAMPS`.
     turns
         How lidars turn, by topic, where this was measured.
-    surroundings
-        Samples some clouds; None: nothing does.
+    sample
+        Called with the topic, the points of each cloud and a function that returns the times of the points at some
+        places; None: nothing is.
     topic
         The topic of the clouds.
     """
 
-    __slots__ = ("_fixed", "_placer", "_point_time", "_stamp", "_surroundings", "_topic", "_turns")
+    __slots__ = ("_fixed", "_placer", "_point_time", "_sample", "_stamp", "_topic", "_turns")
 
     def __init__(
         self,
@@ -287,7 +290,7 @@ class Deskew:
         point_time: PointTime,
         stamp: str = "header",
         turns: Mapping[str, Turn] | None = None,
-        surroundings: Surroundings | None = None,
+        sample: Callable[[str, Points, Times], None] | None = None,
         topic: str = "",
     ) -> None:
         self._placer = placer
@@ -295,14 +298,14 @@ class Deskew:
         self._point_time = point_time
         self._stamp = stamp
         self._turns = turns or {}
-        self._surroundings = surroundings
+        self._sample = sample
         self._topic = topic
 
     def of(self, topic: str) -> Deskew:
         """Return an instance for one topic, with the measured turn of its lidar."""
         turn = self._turns.get(topic)
         point_time = self._point_time if turn is None else PointTime(turn=turn)
-        return Deskew(self._placer, self._fixed, point_time, self._stamp, None, self._surroundings, topic)
+        return Deskew(self._placer, self._fixed, point_time, self._stamp, None, self._sample, topic)
 
     def within(self, placer: Placer) -> Deskew:
         """Return an instance with other frames."""
@@ -401,10 +404,8 @@ class Deskew:
         times = (stamps_ns - stamp_ns) / 1e9
         # A product and a quotient may differ in the last bit: without this, the first and the last points are outside.
         times[0], times[-1] = min(times[0], low), max(times[-1], high)
-        if self._surroundings is not None and not of_scan and self._surroundings.wants(self._topic, stamp_ns):
-            self._surroundings.add(
-                self._topic, points, lambda places: (values[places].astype(np.float64) - offset) * unit
-            )
+        if self._sample is not None and not of_scan:
+            self._sample(self._topic, points, lambda places: (values[places].astype(np.float64) - offset) * unit)
         timed = points if given else points.replace(_LazyTimes(points, name, offset, unit), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
