@@ -74,6 +74,8 @@ class CloudSample:
         How many points of the whole cloud are at the sensor itself.
     distance
         The median distance of the points, metres; 0 if there are too few.
+    lossy
+        See `pc2scan.core.points.Points`.
     """
 
     frame_id: str
@@ -83,6 +85,7 @@ class CloudSample:
     transform: Rigid | None = None
     zeros: int = 0
     distance: float = 0.0
+    lossy: str = ""
 
     @classmethod
     def of(cls, cloud: Points) -> CloudSample:
@@ -92,7 +95,8 @@ class CloudSample:
             zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
         points = thin_points(x, y, z)
         distance = _median_distance(points) if len(points) >= FEWEST_POINTS else 0.0
-        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, points, zeros=zeros, distance=distance)
+        header = cloud.frame_id, cloud.stamp_ns, cloud.frame_id
+        return cls(*header, points, zeros=zeros, distance=distance, lossy=cloud.lossy)
 
     def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
         """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
