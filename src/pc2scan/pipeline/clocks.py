@@ -5,25 +5,27 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, TypeAlias
 
 from pc2scan.bags.observers import Observer
-from pc2scan.bags.topics import by_topic
+from pc2scan.bags.topics import by_topic, is_static
 from pc2scan.core.percentiles import median_low
-from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU, decode_imu
-from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.tf.reading import tf_connections
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.tf.placing import FrameOptions
 
-    from .items import Span
+    from .options import ScanSpec
+    from .survey import Survey, TopicFacts
 
 #: Delays from stamps in a message to its log time, nanoseconds, with the child frames of transforms.
 Delays: TypeAlias = "list[tuple[str, int]]"
 
 #: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
-_MESSAGES = {True: 3, False: 50}
+CLOCK_HEADERS = 3
+_MOTIONS = 50
 
 #: Clocks may differ if the delays from stamps to log times differ by this. Slow drivers delay messages, too.
 _OTHER_CLOCK_NS = 500_000_000
@@ -53,37 +55,36 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
 
 
-def delay_observers(connections: Iterable[Connection], span: Span) -> dict[str, Observer[Delays]]:
-    """Return the observers of the delays from the stamps of topics to their log times.
+def ask_motion(survey: Survey, frames: FrameOptions, spec: ScanSpec) -> dict[str, Observer[Delays]]:
+    """Ask for the delays of what says where the robot was: moving transforms, and an IMU; return their observers."""
+    connections = survey.reader.connections
+    found: list[Connection] = []
+    if spec.fixed_frame:
+        found += (each for each in tf_connections(connections, frames.tf_topics) if not is_static(each.topic))
+    if spec.imu_request:
+        name = spec.imu_request.topic.strip("/")
+        found += (each for each in connections if each.ros_type == IMU and each.topic.strip("/") == name)
+    start_ns, stop_ns = survey.span.start_ns, survey.span.stop_ns
+    observers = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(found).items()}
+    survey.observers += observers.values()
+    return observers
+
+
+def clock_warnings(topics: Iterable[TopicFacts], motion: Mapping[str, Observer[Delays]]) -> Iterator[str]:
+    """Yield a warning for each topic whose stamps are probably of another clock than those of what says where it was.
 
     Parameters
     ----------
-    connections
-        Those with clouds or scans, with moving transforms, or of an IMU.
-    span
-        The cut.
+    topics
+        Facts of topics with clouds or scans: their headers.
+    motion
+        What was observed of the topics with moving transforms, or of an IMU.
     """
-    return {
-        topic: Observer(own, _delays, _MESSAGES[own[0].ros_type in CLOUDS], span.start_ns, span.stop_ns)
-        for topic, own in by_topic(connections).items()
-    }
-
-
-def clock_warnings(sources: Mapping[str, Observer[Delays]], others: Mapping[str, Observer[Delays]]) -> Iterator[str]:
-    """Yield a warning for each source topic whose stamps are probably of another clock than those of other topics.
-
-    Parameters
-    ----------
-    sources
-        What was observed of the topics with clouds or scans.
-    others
-        ... and of those with moving transforms, or of an IMU.
-    """
-    known = {topic: _medians(observer.found) for topic, observer in others.items()}
-    for topic, observer in sources.items():
-        if not (delays := _medians(observer.found)):
+    known = {topic: _medians(observer.found) for topic, observer in motion.items()}
+    for facts in topics:
+        if not facts.headers:
             continue
-        delay_ns = median_low(list(delays.values()))
+        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
         for other, by_child in known.items():
             if not by_child:
                 continue
@@ -92,7 +93,7 @@ def clock_warnings(sources: Mapping[str, Observer[Delays]], others: Mapping[str,
             behind_ns = delay_ns - nearest_ns
             if are_doubtful(delay_ns, nearest_ns):
                 yield (
-                    f"the stamps of {topic} are {abs(behind_ns) / 1e9:.3g} s "
+                    f"the stamps of {facts.topic} are {abs(behind_ns) / 1e9:.3g} s "
                     f"{'behind' if behind_ns > 0 else 'ahead of'} those of {other}, compared with their log times: if "
                     "their clocks differ, points are placed as if they were measured at another time"
                 )
@@ -115,8 +116,4 @@ def _delays(message: RawMessage) -> Delays:
         stamps = [(child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization)]
     elif kind == IMU:
         stamps = [("", decode_imu(message.data, serialization).stamp_ns)]
-    elif kind == LASERSCAN:
-        stamps = [("", decode_laserscan(message.data, serialization).stamp_ns)]
-    elif kind in CLOUDS:
-        stamps = [("", CLOUDS[kind](serialization)(message.data).stamp_ns)]
     return [(child, message.log_time_ns - stamp_ns) for child, stamp_ns in stamps]

@@ -147,8 +147,9 @@ def run(
                 routes = recording.routes.values()
                 report.messages_declared, difference = compare_counts(reader, routes, options, report)
                 report.damage += difference
-                if not options.repair:
+                if plan.specs:
                     refuse_nothing(report)
+                if not options.repair:
                     refuse_unsatisfied(report, options)
             report.bytes_written = _size_on_disk(unfinished)
             if cut is not None:
@@ -175,7 +176,7 @@ def open_plan(
     if options.repair and damage and not reader.connections:
         raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
     try:
-        return reader, readers, make_plan(reader.connections, options)
+        return reader, readers, make_plan(reader.connections, options, reader)
     except TopicError as err:
         if damage:
             note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
@@ -278,7 +279,7 @@ def _target(
     summaries = [opened.summary for opened in readers]
     is_named = files.destination is not None and not output.like_source
     if files.destination is None:
-        mark = "_repaired" if options.repair else "_scan"
+        mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
         files.destination = default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
     path = files.destination
     if output.to is not None:

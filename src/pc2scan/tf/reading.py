@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from pc2scan.bags.topics import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.model import own_message
+from pc2scan.model import copied_message
 from pc2scan.text import counted, did_you_mean
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class TransformReading:
 
         connections = tf_connections(reader.connections, self._options.tf_topics)
         first: dict[str, TransformRow] = {}
-        return [Observer(connections, own_message, keep=partial(self.add, reader, first))] if connections else []
+        return [Observer(connections, copied_message, keep=partial(self.add, reader, first))] if connections else []
 
     def add(self, reader: Reader, first: dict[str, TransformRow], message: RawMessage) -> None:
         """Add the transforms of a message, or count it if it cannot be decoded.
@@ -200,7 +200,7 @@ class RobotTransforms:
         for static, start_ns, stop_ns in ((True, None, None), (False, time_ns, time_ns + _SOME_NS)):
             group = [connection for connection in connections if is_static(connection.topic) is static]
             if group:
-                self.observers.append(Observer(group, own_message, _SOME_MESSAGES, start_ns, stop_ns))
+                self.observers.append(Observer(group, copied_message, _SOME_MESSAGES, start_ns, stop_ns))
 
     def finish(self) -> TransformBuffer | None:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""
