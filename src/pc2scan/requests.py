@@ -12,6 +12,7 @@ from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
 from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
+from .options.conversion import ConversionFrames
 from .options.table import PARAMETERS
 from .pipeline.options import ConvertOptions, ScanSpec, TopicRequest
 from .pipeline.param_sources import resolve_sources
@@ -26,7 +27,10 @@ if TYPE_CHECKING:
     from .files.urls import PathText
     from .pipeline.run_files import OutputOptions
     from .streams.stream import Selection
+    from .tf.robot_model import RobotModel
+    from .tf.sources import PoseTopic
     from .tf.static import StaticTransform
+    from .tf.trajectory import Trajectory
 
     Warn: TypeAlias = Callable[[str], None]
 
@@ -34,7 +38,10 @@ if TYPE_CHECKING:
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}
 
 #: The options that are attributes of `FrameOptions`.
-_OF_FRAMES = ("static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
+OF_FRAMES = (*(name for name in ConversionFrames.__annotations__ if name != "frames"), "write_static_tf")
+
+#: The options that name files which are read.
+NAMED_FILES = ("params_file", "static_tf_file", "trajectory", "trajectory_times", "urdf", "scans")
 
 
 class ConversionRequest(NamedTuple):
@@ -64,7 +71,7 @@ def frames_of(options: Options) -> FrameOptions:
         If a transform cannot be read, or if there are options besides ``frames``, which has all of them.
     """
     if options.frames is not None:
-        if options.given.keys() & set(_OF_FRAMES):
+        if options.given.keys() & set(OF_FRAMES):
             raise UsageError("give frames, or the arguments about frames one by one, not both")
         if not isinstance(options.frames, FrameOptions):
             raise TypeError(f"frames is {type(options.frames).__name__}, it must be FrameOptions")
@@ -78,9 +85,42 @@ def frames_of(options: Options) -> FrameOptions:
         tf_topics=options.tf_topics,
         tf_from=options.tf_from,
         static=static,
+        odometry=_odometry(options.odom_topic),
+        trajectory=_trajectory(options),
+        model=_model(options.urdf),
         source_frame=options.source_frame,
         write_static=options.write_static_tf,
     )
+
+
+def _odometry(texts: tuple[str, ...]) -> tuple[PoseTopic, ...]:
+    """Return the topics whose poses are used as transforms."""
+    if not texts:
+        return ()
+    from .tf.sources import PoseTopic  # noqa: PLC0415  # few conversions add poses
+
+    return tuple(map(PoseTopic.parse, texts))
+
+
+def _trajectory(options: Options) -> Trajectory | None:
+    """Return the poses of a file that are used as transforms."""
+    if options.trajectory is None:
+        if options.trajectory_frames or options.trajectory_times is not None:
+            raise UsageError("`trajectory_frames` and `trajectory_times` need `trajectory`")
+        return None
+    from .tf.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415  # few conversions add poses
+
+    frames = frames_of_trajectory(options.trajectory_frames)
+    return load_trajectory(options.trajectory, frames, options.trajectory_times)
+
+
+def _model(path: Path | None) -> RobotModel | None:
+    """Return the robot's model in a file."""
+    if path is None:
+        return None
+    from .tf.robot_model import model_in_file  # noqa: PLC0415  # few conversions have one
+
+    return model_in_file(path)
 
 
 def first_output(request: ConversionRequest, verb: str, warn: Warn | None) -> ConversionRequest:
@@ -216,7 +256,7 @@ _IGNORED = "ignored, because it is not a parameter of the projection: "
 
 def named_files(options: Options) -> dict[str, Path]:
     """Return the files that options name and that are read, by option."""
-    named = {name: getattr(options, name) for name in ("params_file", "static_tf_file", "scans")}
+    named = {name: getattr(options, name) for name in NAMED_FILES}
     return {f"`{name}`": path for name, path in named.items() if isinstance(path, Path)}
 
 

@@ -18,6 +18,7 @@ from pc2scan.result import Part, Result
 from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.placing import FrameOptions
 from pc2scan.tf.reading import read_transforms
+from pc2scan.tf.robot_model import NO_MODEL
 
 from .cloud_info import FirstSamples
 from .scan_frames import ScanFrames, mounting_findings
@@ -307,11 +308,19 @@ def check(
         chosen = _scan_connections(reader.connections, tuple(topics))
         others = open_recordings(options.tf_from, stack)
         first = FirstSamples((each for each in reader.connections if each.ros_version is not None), moved=True)
-        buffer, warnings = read_transforms([reader, *others], options, [*first.observers.values()])
+        transforms = read_transforms(
+            [reader, *others],
+            # Consumers know no transforms but those of the recording, and what the user adds.
+            options if options.model else replace(options, model=NO_MODEL),
+            [*first.observers.values()],
+            needed=(odom_frame, base_frame),
+            use=False,
+        )
+        buffer = transforms.buffer
         found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, progress)
         found = _with_mountings(found, first, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
-    return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
+    return Check(tuple(map(str, paths)), asked, tuple(found), (*transforms.warnings, *transforms.notes), damage)
 
 
 def _scan_connections(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[str, list[Connection]]:

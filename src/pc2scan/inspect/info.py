@@ -296,11 +296,18 @@ def info(
         shown = _described(topics, described)
         has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
         imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
-        has_target = bool(target_frame or others)
+        has_target = bool(target_frame or others or asked.adds_poses)
         first = FirstSamples(reader.connections if shown and samples else (), moved=bool(target_frame))
         needs_robot = any(topic.msgtype in CLOUDS for topic in topics)
         buffer, warnings, ups = _transforms_and_imus(
-            [reader, *others], asked, imus, first, start_ns or 0, all_of_them=has_target, needs_robot=needs_robot
+            [reader, *others],
+            asked,
+            imus,
+            first,
+            start_ns or 0,
+            needed=target_frame,
+            all_of_them=has_target,
+            needs_robot=needs_robot,
         )
         tolerance_ns = ProjectionParams().tolerance_ns
         places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
@@ -377,6 +384,7 @@ def _transforms_and_imus(
     first: FirstSamples,
     time_ns: int,
     *,
+    needed: str,
     all_of_them: bool,
     needs_robot: bool,
 ) -> tuple[TransformBuffer | None, list[str], tuple[ImuInfo, ...]]:
@@ -390,6 +398,8 @@ def _transforms_and_imus(
         Observes the first clouds meanwhile.
     time_ns
         The beginning of the recording.
+    needed
+        A frame that is needed; may be empty.
     all_of_them
         Whether all transforms are read.
     needs_robot
@@ -418,8 +428,10 @@ def _transforms_and_imus(
     if transforms is None:
         return None if robot is None else robot.finish(), [], ups
     for other in readers[1:]:
-        observe(other, transforms.observers(other))
-    return *transforms.finish(), ups
+        observe(other, transforms.observers(other, own=False))
+    transforms.supply(readers, [needed])
+    found = transforms.finish()
+    return found.buffer, [*found.warnings, *found.notes], ups
 
 
 def _imu_reading(reader: Reader, topic: str) -> ImuReading | UsageError:

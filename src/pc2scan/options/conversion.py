@@ -189,7 +189,50 @@ class StaticTransforms(TypedDict, total=False):
     ]
 
 
-class TransformSources(TransformTopics, total=False):
+class TransformInputs(TransformTopics, total=False):
+    """What else gives transforms: poses, and a robot's model."""
+
+    odom_topic: Annotated[
+        Names | None,
+        Option(
+            Texts("TOPIC[:FRAME]"),
+            "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
+            "PoseWithCovarianceStamped. FRAME has the poses, if the messages do not name it or name a wrong one: "
+            "/pose:base_link, or with both frames /pose:map:base_link.",
+            offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
+        ),
+    ]
+    trajectory: Annotated[
+        Path | None,
+        Option(
+            PathName(),
+            "Use the poses of this file as transforms: TUM (stamp x y z qx qy qz qw), or KITTI with "
+            "`trajectory_times`. Needs `trajectory_frames`.",
+        ),
+    ]
+    trajectory_frames: Annotated[
+        str,
+        Option(
+            Text("PARENT:CHILD"),
+            "The frames of `trajectory`: the poses are those of CHILD in PARENT (odom:base_link, map:velodyne).",
+            default="",
+        ),
+    ]
+    trajectory_times: Annotated[
+        Path | None,
+        Option(PathName(), "The stamps of a `trajectory` in KITTI's format: one a line, in seconds or nanoseconds."),
+    ]
+    urdf: Annotated[
+        Path | None,
+        Option(
+            PathName(),
+            "The robot's model, whose fixed joints are static transforms; those of the recording have precedence.",
+            default_text="the recording's /robot_description",
+        ),
+    ]
+
+
+class TransformSources(TransformInputs, total=False):
     """Where transforms come from."""
 
     tf_from: Annotated[Paths | None, Option(Recordings(), "Read the transforms of this recording too.")]
@@ -370,7 +413,9 @@ class OtherTopics(TypedDict, total=False):
             scope=ONE_OUTPUT,
         ),
     ]
-    write_static_tf: Annotated[bool, Option(Flag(), "Write the added transforms to DST's /tf_static.", panel=FRAMES)]
+    write_static_tf: Annotated[
+        bool, Option(Flag(), "Write the added static transforms to DST's /tf_static.", panel=FRAMES)
+    ]
 
 
 class FailureConditions(TypedDict, total=False):

@@ -47,8 +47,8 @@ from .conversion import (
     SourceTopics,
     StaticTransforms,
     TimeRange,
+    TransformInputs,
     TransformSources,
-    TransformTopics,
 )
 from .option import (
     BATCH,
@@ -147,7 +147,7 @@ class Info(InfoSamples, StaticTransforms, TransformSources, SourceFrame, total=F
     """``info``."""
 
 
-class Tf(TransformTopics, StaticTransforms, total=False):
+class Tf(TransformInputs, StaticTransforms, total=False):
     """``tf``."""
 
 

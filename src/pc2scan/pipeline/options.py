@@ -381,6 +381,12 @@ class ScanSpec:
         return bool(self.params.target_frame or self.fixed_frame or self.level or in_others)
 
     @property
+    def frames(self) -> tuple[str, ...]:
+        """The frames that transforms must have."""
+        named = (each.frame for each in self.filters if isinstance(each.frame, str))
+        return tuple(filter(None, (self.params.target_frame, self.fixed_frame, *named)))
+
+    @property
     def needs_measuring(self) -> bool:
         """Whether anything must be measured in the first clouds."""
         params = self.params

@@ -15,11 +15,12 @@ from .first_clouds import FirstClouds
 from .items import Span
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.reading import FoundTransforms
 
     from .conversion import Conversion, Measurements
     from .options import ConvertOptions, ScanSpec
@@ -43,7 +44,7 @@ class Preparation(NamedTuple):
         The other recordings that transforms were read from.
     notes, warnings
         Texts for the user.
-    transforms
+    found
         All transforms; None if they were not read.
     """
 
@@ -53,7 +54,12 @@ class Preparation(NamedTuple):
     others: Sequence[Reader] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
-    transforms: TransformBuffer | None = None
+    found: FoundTransforms | None = None
+
+    @property
+    def transforms(self) -> TransformBuffer | None:
+        """All transforms, for lookups; None if they were not read."""
+        return None if self.found is None else self.found.buffer
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -78,7 +84,7 @@ def prepare(
     stack: ExitStack,
     warn: Callable[[str], None] | None = None,
     *,
-    keep_transforms: bool = False,
+    transform_frames: Collection[str] | None = None,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -92,14 +98,14 @@ def prepare(
         Closes the other recordings.
     warn
         Called immediately with warnings about the first clouds.
-    keep_transforms
-        Whether the caller wants all transforms, even if the conversion needs none.
+    transform_frames
+        The frames that the caller needs transforms of, even if the conversion needs none; None: it needs no transforms.
     """
-    reads_transforms = keep_transforms or plan.needs_transforms
     asked = options.frames
+    reads_transforms = transform_frames is not None or plan.needs_transforms or asked.adds_poses or asked.write_static
     read_later = partial(_robot_transforms, sources, options, span)
     firsts = FirstClouds(asked.source_frame, read_later, warn)
-    needs_survey = reads_transforms or asked.static or asked.source_frame or plan.combinations
+    needs_survey = reads_transforms or asked.static or asked.model or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
         placer = Placer()
         unmeasured: dict[ScanSpec | Combination, Conversion] = {
@@ -115,11 +121,14 @@ def prepare(
     if reads_transforms:
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
     survey = Survey(reader, others, plan, asked, span, reads_transforms=reads_transforms)
-    survey.read()
+    survey.read(transform_frames or ())
     transforms: TransformBuffer | None = None
+    found: FoundTransforms | None = None
     if survey.transforms is not None:
-        transforms, found = survey.transforms.finish()
-        warnings += found
+        found = survey.transforms.finish()
+        transforms = found.buffer
+        warnings += found.warnings
+        notes += found.notes
     buffer = transforms if plan.needs_transforms else None
     if buffer is not None:
         firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
@@ -153,7 +162,7 @@ def prepare(
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
         warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, span, firsts, others, notes, warnings, transforms)
+    return Preparation(conversions, span, firsts, others, notes, warnings, found)
 
 
 def _prepare_output(

@@ -134,7 +134,7 @@ def run(
                 )
                 try:
                     with closing(items):
-                        write_items(items, writer, tally, recording.levels)
+                        write_items(items, writer, tally, recording)
                     tally.finish()
                     firsts.finish()
                 finally:

@@ -15,7 +15,7 @@ from pc2scan.tf.placing import FrameOptions, Placer
 from pc2scan.tf.reading import RobotTransforms, TransformReading, tf_connections
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
@@ -121,6 +121,7 @@ class Survey:
     ) -> None:
         self._readers = [reader, *others]
         self._span = span
+        self._specs = plan.specs
         self.transforms = TransformReading(asked) if reads_transforms else None
         self.robot = None if reads_transforms else RobotTransforms(reader, asked, span.first_ns)
         self.given_frames: list[Observer[str]] = []
@@ -165,8 +166,15 @@ class Survey:
             found.deskew[None] = _deskew_observers(spec, converted, span)
         return found
 
-    def read(self) -> None:
+    def read(self, frames: Collection[str] = ()) -> None:
         """Read the recordings: each once, as far as anything of it is needed.
+
+        A topic with poses that was not asked for is read separately, if only it has a frame that is needed.
+
+        Parameters
+        ----------
+        frames
+            Frames that are needed besides those of the outputs.
 
         Raises
         ------
@@ -176,7 +184,7 @@ class Survey:
         for number, reader in enumerate(self._readers):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
-                observers += self.transforms.observers(reader)
+                observers += self.transforms.observers(reader, own=number == 0)
             for imu in self._imus.values():
                 observers += imu.observers(reader)
             if number == 0:
@@ -184,6 +192,9 @@ class Survey:
                 observers += self.given_frames
                 observers += (each for output in self.outputs.values() for each in output.all)
             observe(reader, observers)
+        if self.transforms is not None:
+            needed = (frame for spec in self._specs if spec.needs_transforms for frame in spec.frames)
+            self.transforms.supply(self._readers, {*frames, *needed})
 
     def up(self, request: ImuRequest) -> UpEstimate:
         """Estimate the direction of up by an IMU; see `ImuReading.up`."""

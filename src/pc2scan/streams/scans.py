@@ -22,7 +22,7 @@ from pc2scan.pipeline.routes import open_routes
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
@@ -193,10 +193,10 @@ class Scans(Stream[Scan]):
         selection: Selection,
         conversion: ConvertOptions | None = None,
         *,
-        keep_transforms: bool = False,
+        transform_frames: Collection[str] | None = None,
     ) -> None:
         self._conversion = conversion
-        self._keep_transforms = keep_transforms
+        self._transform_frames = transform_frames
         self.transforms: TransformBuffer | None = None
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
@@ -232,7 +232,7 @@ class Scans(Stream[Scan]):
             span_of(reader, options),
             stack,
             early.append,
-            keep_transforms=self._keep_transforms,
+            transform_frames=self._transform_frames,
         )
         self.transforms = prepared.transforms
         report.add(prepared.warnings, prepared.notes)
