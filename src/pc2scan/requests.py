@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .files.urls import PathText
     from .pipeline.run_files import OutputOptions
     from .streams.stream import Selection
+    from .tf.clocks import StampOptions
     from .tf.robot_model import RobotModel
     from .tf.sources import PoseTopic
     from .tf.static import StaticTransform
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     Warn: TypeAlias = Callable[[str], None]
 
 #: Options that are attributes of a conversion, as they are.
-_OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}
+_OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock"}
 
 #: The options that are attributes of `FrameOptions`.
 OF_FRAMES = (*(name for name in ConversionFrames.__annotations__ if name != "frames"), "write_static_tf")
@@ -76,6 +77,8 @@ def frames_of(options: Options) -> FrameOptions:
         if not isinstance(options.frames, FrameOptions):
             raise TypeError(f"frames is {type(options.frames).__name__}, it must be FrameOptions")
         return options.frames
+    if not options.given.keys() & set(OF_FRAMES):
+        return FrameOptions()
     static: tuple[StaticTransform, ...] = ()
     if options.static_tf_file or options.static_tf:
         from .tf.static import added_transforms  # noqa: PLC0415  # few conversions add any
@@ -111,7 +114,18 @@ def _trajectory(options: Options) -> Trajectory | None:
     from .tf.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415  # few conversions add poses
 
     frames = frames_of_trajectory(options.trajectory_frames)
-    return load_trajectory(options.trajectory, frames, options.trajectory_times)
+    found = load_trajectory(options.trajectory, frames, options.trajectory_times)
+    clock = clock_of(options)
+    return found if clock is None else found.moved(clock.trajectory_ns)
+
+
+def clock_of(options: Options) -> StampOptions | None:
+    """Return how stamps are corrected; None if they are not."""
+    if options.stamps == "header" and not options.time_offset:
+        return None
+    from .tf.clocks import StampOptions  # noqa: PLC0415  # most clocks are the recording's
+
+    return StampOptions.of(options.stamps, options.time_offset)
 
 
 def _model(path: Path | None) -> RobotModel | None:
@@ -191,7 +205,9 @@ def _several_scans(options: Options, settings: list[Setting], warn: Warn | None)
     notes = tuple(_IGNORED + place for place in found.ignored)
     _pass_on(notes, warn)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
-    conversion = ConvertOptions(scans=found.specs, frames=frames_of(options), **options.among(_OF_ALL))
+    conversion = ConvertOptions(
+        scans=found.specs, frames=frames_of(options), clock=clock_of(options), **options.among(_OF_ALL)
+    )
     return ConversionRequest(conversion, named_files(options) | files, notes)
 
 
@@ -247,7 +263,8 @@ def _of_node(
         more["channels"] = _channels(options.channels, options.range_cutoff)
     scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    return ConversionRequest(ConvertOptions(scans=(scan,), frames=frames, **options.among(_OF_ALL)), files, notes)
+    conversion = ConvertOptions(scans=(scan,), frames=frames, clock=clock_of(options), **options.among(_OF_ALL))
+    return ConversionRequest(conversion, files, notes)
 
 
 #: The beginning of the note about an entry of a file.
@@ -337,4 +354,5 @@ def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...]
         on_error=options.on_error,
         verify=options.verify,
         strict=options.strict,
+        clock=clock_of(options),
     )

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 TABLES = Path(__file__).with_name("added_sources.txt")
 
-HEIGHTS = {"min_height": -20.0, "max_height": 20.0}
-WRITERS = {"mcap": write_mcap, "bag": write_rosbag1}
+HEIGHTS: dict[str, Any] = {"min_height": -20.0, "max_height": 20.0}
+WRITERS: dict[str, Any] = {"mcap": write_mcap, "bag": write_rosbag1}
 
 
 def scans_of(path: Path, **options: Any) -> list[tuple[int, str, bytes]]:
@@ -42,9 +42,19 @@ def read(stream: pc2scan.Scans) -> list[tuple[int, str, bytes]]:
         return [(scan.stamp_ns, scan.frame, scan.ranges.tobytes()) for scan in stream]
 
 
+def rigid(pose: Sequence[float]) -> Rigid:
+    return Rigid(np.array(pose[3:]), np.array(pose[:3]))
+
+
 def is_pose(tree: pc2scan.FrameTree, stamp_ns: int) -> bool:
     """Whether the robot is where it drives. At the stamp of a sample, too, tf2 interpolates."""
     return np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-12)
+
+
+def are_near(one: tuple[int, str, bytes], other: tuple[int, str, bytes], rtol: float = 1e-5) -> bool:
+    """Whether nearly all ranges of two scans are the same; a point at the edge of a beam may be in the next one."""
+    a, b = (np.frombuffer(each[2], np.float32) for each in (one, other))
+    return one[:2] == other[:2] and float(np.isclose(a, b, rtol=rtol).mean()) > 0.99
 
 
 def written(folder: Path, made: Recording, name: str = "a", suffix: str = "mcap") -> Path:
@@ -140,20 +150,19 @@ def test_poses_of_a_topic_replace_other_transforms(tmp_path: Path, by_tf: list[t
 
 
 def test_odometry_of_a_mounted_lidar_moves_the_robot(tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
-    mount = Rigid((0, 0, 0, 1), (0.0, 0.0, 0.5))
+    mount = rigid((0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0))
 
     def of_lidar(stamp_ns: int) -> Sequence[float]:
         pose = pose_at(stamp_ns)
-        return Rigid(pose[3:], pose[:3]).compose(mount).pose
+        return rigid(pose).compose(mount).pose
 
     path = written(tmp_path, recording("odometry", frames=("odom", "lidar"), pose=of_lidar))
     tree = pc2scan.tf(path, odom_topic="/odometry")
     for stamp_ns in SAMPLES:
         assert np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-12)
     found = scans_of(path, odom_topic="/odometry")
-    for (_, _, one), (_, _, other) in zip(found, by_tf, strict=True):
-        near = np.isclose(np.frombuffer(one, np.float32), np.frombuffer(other, np.float32), rtol=1e-5)
-        assert near.mean() > 0.99
+    for one, other in zip(found, by_tf, strict=True):
+        assert are_near(one, other)
 
 
 # --- Trajectories ---
@@ -166,7 +175,7 @@ def _tum(path: Path, text: str = "{stamp} {pose}\n") -> Path:
 
 
 def _kitti(folder: Path) -> dict[str, Any]:
-    matrices = [Rigid(pose[3:], pose[:3]) for pose in map(pose_at, SAMPLES)]
+    matrices = [rigid(pose) for pose in map(pose_at, SAMPLES)]
     rows = [np.column_stack([each.matrix, each.translation]).ravel().tolist() for each in matrices]
     poses, times = folder / "poses.txt", folder / "times.txt"
     poses.write_text("\n".join(" ".join(map(repr, row)) for row in rows), encoding="utf-8")
@@ -174,17 +183,16 @@ def _kitti(folder: Path) -> dict[str, Any]:
     return {"trajectory": poses, "trajectory_times": times}
 
 
-FRAMES = {"trajectory_frames": "odom:base_link"}
+FRAMES: dict[str, Any] = {"trajectory_frames": "odom:base_link"}
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
 def test_a_trajectory_is_transforms(suffix: str, tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
     path = written(tmp_path, recording(), suffix=suffix)
-    tum = {"trajectory": _tum(tmp_path / "poses.tum")}
+    tum: dict[str, Any] = {"trajectory": _tum(tmp_path / "poses.tum")}
     assert scans_of(path, **tum, **FRAMES) == by_tf
     for one, other in zip(scans_of(path, **_kitti(tmp_path), **FRAMES), by_tf, strict=True):
-        ranges = [np.frombuffer(each[2], np.float32) for each in (one, other)]
-        assert np.isclose(*ranges, rtol=1e-5).mean() > 0.99
+        assert are_near(one, other, rtol=1e-5)
     out = tmp_path / f"out.{suffix}"
     report = pc2scan.convert(path, out, target_frame="base_link", **tum, **FRAMES, **HEIGHTS)
     (entry,) = (topic for topic in report.topics if topic.action == "added")
@@ -203,10 +211,9 @@ def test_evo_writes_what_is_read(tmp_path: Path, by_tf: list[tuple[int, str, byt
     tools.write_tum_trajectory_file(tmp_path / "evo.tum", read)
     path = written(tmp_path, recording())
     for one, other in zip(scans_of(path, trajectory=tmp_path / "evo.tum", **FRAMES), by_tf, strict=True):
-        ranges = [np.frombuffer(each[2], np.float32) for each in (one, other)]
-        assert np.isclose(*ranges, rtol=1e-4).mean() > 0.99
+        assert are_near(one, other, rtol=1e-4)
     tools.write_kitti_poses_file(tmp_path / "evo.txt", read)
-    how = {"trajectory": tmp_path / "evo.txt", "trajectory_times": _kitti(tmp_path)["trajectory_times"]}
+    how: dict[str, Any] = {"trajectory": tmp_path / "evo.txt", "trajectory_times": _kitti(tmp_path)["trajectory_times"]}
     tree = pc2scan.tf(path, **how, **FRAMES)
     for stamp_ns in SAMPLES:
         assert np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-9)

@@ -185,6 +185,7 @@ def _stream(
         end=options.end,
         verify=options.verify,
         strict=options.strict,
+        clock=options.clock,
     )
     if not converted:
         return Scans(selection)

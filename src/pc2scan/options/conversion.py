@@ -94,6 +94,29 @@ class TimeRange(TypedDict, total=False):
     ]
 
 
+class StampCorrection(TypedDict, total=False):
+    """Lidars whose clock is not the recording's."""
+
+    stamps: Annotated[
+        str,
+        Option(
+            Text(words=("header", "log")),
+            "The stamps of converted messages: those of their headers, or their log times, for a lidar without a sound "
+            "clock. Kept clouds and the points' own times are corrected, too.",
+            default="header",
+        ),
+    ]
+    time_offset: Annotated[
+        Names | None,
+        Option(
+            Texts("[TOPIC=]S|auto"),
+            "Add this to the stamps of converted messages, for a lidar on its own clock: 3.2s, -37s. auto: measure it "
+            "against the transforms, or the log times. Of one topic: /rear=0.12s; of the poses in a file: "
+            "trajectory=0.5s.",
+        ),
+    ]
+
+
 class BadMessages(TypedDict, total=False):
     """What is done with messages that cannot be used."""
 

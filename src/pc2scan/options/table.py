@@ -45,6 +45,7 @@ from .conversion import (
     RobotMotion,
     SourceFrame,
     SourceTopics,
+    StampCorrection,
     StaticTransforms,
     TimeRange,
     TransformInputs,
@@ -90,7 +91,16 @@ from .values import Instance
 # Which command takes which groups; the order is that of the help's sections.
 
 
-class _Clouds(ParameterSources, Projection, TimeRange, PointSelection, ConversionFrames, RobotMotion, total=False):
+class _Clouds(
+    ParameterSources,
+    Projection,
+    TimeRange,
+    StampCorrection,
+    PointSelection,
+    ConversionFrames,
+    RobotMotion,
+    total=False,
+):
     """How a cloud becomes a scan, and what is read."""
 
 
@@ -198,6 +208,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     SeveralOutputs: (TOPICS, CONVERSION),
     SourceTopics: (TOPICS, SINGLE),
     TimeRange: (TOPICS, CONVERSION),
+    StampCorrection: (TOPICS, CONVERSION),
     BadMessages: (RUN, CONVERSION),
     PointSelection: (POINTS, ONE_OUTPUT),
     ConversionFrames: (FRAMES, CONVERSION),

@@ -62,11 +62,6 @@ class OpenRoute:
         return [output.report for output in self.outputs] if self.report is None else [self.report]
 
     @property
-    def is_converted(self) -> bool:
-        """Whether scans or clouds are made of its messages."""
-        return bool(self.steps) and self.outputs[0].report.spec is not None
-
-    @property
     def writes(self) -> bool:
         """Whether something becomes of its messages; otherwise they are only counted."""
         return self.passing_handle >= 0 or bool(self.outputs)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pc2scan.core.unproject import UnprojectParams
     from pc2scan.options.moment import TimeBound
     from pc2scan.options.option import Period
+    from pc2scan.tf.clocks import StampOptions
     from pc2scan.tf.imu import ImuRequest
 
     from .parameters import ResolvedParams
@@ -424,6 +425,8 @@ class ConvertOptions:
         The outputs; usually only one.
     frames
         The source of transforms.
+    clock
+        How the stamps of converted messages are corrected.
     keep_clouds
         Whether the converted messages are written, too.
     only_scans
@@ -455,6 +458,7 @@ class ConvertOptions:
 
     scans: tuple[ScanSpec, ...] = (ScanSpec(),)
     frames: FrameOptions = FrameOptions()
+    clock: StampOptions | None = None
     keep_clouds: bool = False
     only_scans: bool = False
     keep: tuple[str, ...] = ()

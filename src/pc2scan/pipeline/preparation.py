@@ -129,6 +129,11 @@ def prepare(
         transforms = found.buffer
         warnings += found.warnings
         notes += found.notes
+    if asked.trajectory is not None:
+        from pc2scan.tf.clocks import refuse_other_clock  # noqa: PLC0415  # few conversions add poses
+
+        last_ns = reader.summary.end_ns if span.stop_ns is None else span.stop_ns
+        refuse_other_clock(asked.trajectory, survey.stamps, span.first_ns, last_ns or span.first_ns)
     buffer = transforms if plan.needs_transforms else None
     if buffer is not None:
         firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
@@ -173,7 +178,7 @@ def _prepare_output(
     conversions: dict[ScanSpec | Combination, Conversion] = {}
     notes, warnings = list[str](), list[str]()
     if observed.delays is not None:
-        from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
+        from pc2scan.tf.clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
         warnings += clock_warnings(*observed.delays)
     if observed.frame is not None and placer.buffer is not None:

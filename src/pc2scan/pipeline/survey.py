@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
+    from pc2scan.tf.clocks import Delays
     from pc2scan.tf.imu import ImuReading, ImuRequest, UpEstimate
 
-    from .clocks import Delays
     from .combine.measurements import CombinationObservers
     from .items import Span
     from .measurements import FirstCloud
@@ -129,6 +129,13 @@ class Survey:
             from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions add frames
 
             self.given_frames = [frame_observer([route.connection], span) for route in plan.routes if route.tasks]
+        #: The delays from the stamps of the sources to their log times, if a trajectory has to fit to them.
+        self.stamps: dict[str, Observer[Delays]] = {}
+        if asked.trajectory is not None:
+            from pc2scan.tf.clocks import delay_observers  # noqa: PLC0415  # few conversions add poses
+
+            sources = [route.connection for route in plan.routes if route.tasks]
+            self.stamps = delay_observers(sources, span.start_ns, span.stop_ns)
         self._imus: dict[str, ImuReading] = {}
         for spec in plan.specs:
             if spec.imu_request:
@@ -143,10 +150,11 @@ class Survey:
         found = OutputObservers()
         own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
         if spec.fixed_frame or spec.imu:
-            from .clocks import delay_observers  # noqa: PLC0415  # only where times of several topics are compared
+            from pc2scan.tf.clocks import delay_observers  # noqa: PLC0415  # only where times of several topics are compared
 
             motion = _motion_connections(reader, spec, asked)
-            found.delays = delay_observers(own, span), delay_observers(motion, span)
+            cut = span.start_ns, span.stop_ns
+            found.delays = delay_observers(own, *cut), delay_observers(motion, *cut)
         if spec.fixed_frame:
             from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions have one
 
@@ -190,6 +198,7 @@ class Survey:
             if number == 0:
                 observers += [] if self.robot is None else self.robot.observers
                 observers += self.given_frames
+                observers += self.stamps.values()
                 observers += (each for output in self.outputs.values() for each in output.all)
             observe(reader, observers)
         if self.transforms is not None:

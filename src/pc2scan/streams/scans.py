@@ -219,6 +219,11 @@ class Scans(Stream[Scan]):
             self._selection.select_connections(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
         plan = make_plan(reader.connections, options)
+        if options.clock:
+            from pc2scan.pipeline.stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
+
+            reader, notes = corrected_for(reader, plan, options)
+            plan = plan._replace(notes=tuple(notes))
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
@@ -235,12 +240,12 @@ class Scans(Stream[Scan]):
             transform_frames=self._transform_frames,
         )
         self.transforms = prepared.transforms
-        report.add(prepared.warnings, prepared.notes)
+        report.add(prepared.warnings, (*plan.notes, *prepared.notes))
         early[:0] = report.warnings
         self.notes = tuple(report.notes)
         opened = open_routes(plan.routes, prepared.conversions, last=_as_in_message)
         report.topics += opened.entries
-        found = _ScanWarnings(report, prepared.firsts, early)
+        found = _ScanWarnings(report, prepared.firsts, early, reader)
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
         return StreamSource(
             stack,
@@ -353,8 +358,9 @@ def _as_in_message(serialization: str, result: ConvertedMessage) -> ConvertedMes
 class _ScanWarnings:
     """The warnings of a conversion to `Scan`; see `ConversionWarnings`."""
 
-    def __init__(self, report: Report, firsts: FirstClouds, early: list[str]) -> None:
+    def __init__(self, report: Report, firsts: FirstClouds, early: list[str], reader: Reader) -> None:
         self._report = report
+        self._reader = reader
         self._firsts = firsts
         self._early = early
 
@@ -367,6 +373,7 @@ class _ScanWarnings:
         firsts, report = self._firsts, self._report
         firsts.finish()
         report.add(firsts.warnings, firsts.notes, firsts.advice)
+        report.add(self._reader.remarks)
         report.add(*result_findings(report))
         return report.warnings
 

@@ -178,9 +178,11 @@ class TransformReading:
         RecordingError
             If a recording cannot be read.
         """
-        candidates = _pose_connections(readers[0].connections)
-        missing = {frame.removeprefix("/") for frame in needed if frame} if candidates else set()
-        missing -= {frame for pair in self._pairs() for frame in pair} if missing else set()
+        missing = {frame.removeprefix("/") for frame in needed if frame} if readers else set()
+        candidates = _pose_connections(readers[0].connections) if missing else {}
+        if not candidates:
+            return
+        missing -= {frame for pair in self._pairs() for frame in pair}
         if not missing:
             return
         from pc2scan.bags.observers import Observer, observe  # noqa: PLC0415  # only with transforms

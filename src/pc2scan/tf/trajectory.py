@@ -6,15 +6,14 @@ and no stamps, which are in a second file. Files are untrusted: their size is bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pc2scan.core.rigid import are_accepted
-from pc2scan.errors import UsageError, stamp_text
-from pc2scan.text import stamp
+from pc2scan.errors import UsageError
 
 from .text_files import text_of
 
@@ -60,37 +59,18 @@ class Trajectory:
     poses: NDArray[np.float64]
 
     @property
-    def span_text(self) -> str:
-        """The time of the first and of the last pose."""
-        return f"from {stamp(int(self.stamps_ns.min()))} to {stamp(int(self.stamps_ns.max()))}"
+    def first_ns(self) -> int:
+        """The earliest stamp."""
+        return int(self.stamps_ns.min())
 
-    def refuse_other_clock(self, first_ns: int, last_ns: int, what: str) -> None:
-        """Raise if no pose is near a time at which something was recorded.
+    @property
+    def last_ns(self) -> int:
+        """The latest stamp."""
+        return int(self.stamps_ns.max())
 
-        Parameters
-        ----------
-        first_ns, last_ns
-            When this was recorded, in the clock of its stamps.
-        what
-            What was recorded, for the error.
-
-        Raises
-        ------
-        UsageError
-            The error has the times of both.
-        """
-        begin_ns, end_ns = int(self.stamps_ns.min()), int(self.stamps_ns.max())
-        if begin_ns <= last_ns and end_ns >= first_ns:
-            return
-        apart_ns = first_ns - begin_ns
-        is_relative = abs(begin_ns) < 1_000_000_000 <= first_ns
-        raise UsageError(
-            f"`trajectory`: its poses are {self.span_text}, {what} are from {stamp(first_ns)} to {stamp(last_ns)}: no "
-            "pose is at their time",
-            path=self.name,
-            hint=("its times count from its beginning: " if is_relative else "if the clocks differ, ")
-            + f"`time_offset=trajectory={stamp_text(apart_ns)}s` moves its first pose to the first of them",
-        )
+    def moved(self, offset_ns: int) -> Trajectory:
+        """Return the same poses at other times: ``offset_ns`` is added to their stamps."""
+        return replace(self, stamps_ns=self.stamps_ns + offset_ns) if offset_ns else self
 
 
 def frames_of_trajectory(text: str) -> tuple[str, str]:

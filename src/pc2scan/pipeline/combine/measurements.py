@@ -12,8 +12,8 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import ParameterError, UsageError, name_list
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.pipeline.clocks import are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measurements
+from pc2scan.tf.clocks import are_doubtful, logged_early
 
 from .grouping import Grouper
 from .rules import Interval, Nearest, Recent

@@ -10,9 +10,8 @@ import pytest
 
 from pc2scan.bags.observers import observe
 from pc2scan.bags.opening import open_recording
-from pc2scan.pipeline.clocks import are_doubtful, clock_warnings, delay_observers
-from pc2scan.pipeline.items import Span
-from support.worlds.moving import BEGIN_NS, Lidar, write_world
+from pc2scan.tf.clocks import are_doubtful, clock_warnings, delay_observers
+from support.worlds.moving import Lidar, write_world
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,8 +29,7 @@ def test_clouds_whose_clock_is_not_that_of_the_transforms(kind: str, clock: floa
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
         moving = [each for each in reader.connections if each.topic == "/tf"]
-        whole = Span(None, None, BEGIN_NS)
-        sources, others = delay_observers(own, whole), delay_observers(moving, whole)
+        sources, others = delay_observers(own), delay_observers(moving)
         observe(reader, [*sources.values(), *others.values()])
         found = list(clock_warnings(sources, others))
     assert len(found) == bool(what)
