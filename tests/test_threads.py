@@ -62,7 +62,6 @@ def test_an_error_is_that_of_the_task(jobs: int) -> None:
     with Threads(jobs) as pool:
         first, second = pool.submit(fail), pool.submit(lambda: "done")
         assert second.result() == "done"
-        assert isinstance(first.exception(), ValueError)
         with pytest.raises(ValueError, match="packed badly"):
             first.result()
 
@@ -75,7 +74,8 @@ def test_an_interruption_is_raised_at_once() -> None:
         first, second = pool.submit(interrupted), pool.submit(lambda: "done")
         with pytest.raises(KeyboardInterrupt):
             second.result()
-        assert isinstance(first.exception(), KeyboardInterrupt)
+        with pytest.raises(KeyboardInterrupt):
+            first.result()
         assert second.result() == "done"
 
 

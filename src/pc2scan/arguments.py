@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from importlib import import_module
 from types import ModuleType
@@ -66,10 +65,11 @@ def refuse_unknown(
 # them is imported, so a function of that name would be there or not depending on what was imported before.
 
 
-class _CallablePackage(ModuleType):
-    """A package that is called like the function of its name in ``pc2scan.api``."""
+class CallablePackage(ModuleType):
+    """A package that is called like the function of its name in ``pc2scan.api``; its ``__init__`` makes it one."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Call the function."""
         return _function(self)(*args, **kwargs)
 
     @property
@@ -87,8 +87,3 @@ class _CallablePackage(ModuleType):
 def _function(package: ModuleType) -> Any:
     parent, _, name = package.__name__.rpartition(".")
     return getattr(import_module(f"{parent}.api"), name)
-
-
-def make_callable(name: str) -> None:
-    """Make a package callable; to be called in its ``__init__`` with ``__name__``."""
-    sys.modules[name].__class__ = _CallablePackage

@@ -120,6 +120,8 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
     from .look.view import page_of, write_page  # noqa: PLC0415
 
     asked: dict[str, Any] = {"clouds": options.clouds, "at": options.at, "preset": options.preset or ""}
+    # The node's heights are part of its parameters, also where a file of these does not have them.
+    asked["proposed"] = not options.given.keys() & {"params", "params_file", "param", "scans"}
     if destination is None:
         return _with(page_of(sources, conversion.options, **asked), conversion.notes)
     page = write_page(
@@ -189,7 +191,7 @@ def info(sources: Sequence[Path], options: Options) -> Info:
         described=options.topics,
         target_frame=options.target_frame,
         frames=frames_of(options),
-        given={name: options.given[name] for name in OF_FRAMES if name in options.given},
+        given={name: options.given[name] for name in options.given if name in OF_FRAMES},
     )
 
 

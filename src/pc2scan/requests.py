@@ -12,9 +12,9 @@ from .core.params import ProjectionParams
 from .errors import SeveralNodesError, UsageError
 from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
-from .options.conversion import ConversionFrames
+from .options.conversion import ConversionFrames, StampCorrection
 from .options.table import PARAMETERS
-from .pipeline.options import ConvertOptions, ScanSpec, TopicRequest
+from .pipeline.options import ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .pipeline.param_sources import resolve_sources
 from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
 from .tf.placing import FrameOptions
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from .files.urls import PathText
     from .pipeline.run_files import OutputOptions
     from .streams.stream import Selection
-    from .tf.clocks import StampOptions
     from .tf.robot_model import RobotModel
     from .tf.sources import PoseTopic
     from .tf.static import StaticTransform
@@ -39,7 +38,7 @@ if TYPE_CHECKING:
 _OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock"}
 
 #: The options that are attributes of `FrameOptions`.
-OF_FRAMES = (*(name for name in ConversionFrames.__annotations__ if name != "frames"), "write_static_tf")
+OF_FRAMES = {*ConversionFrames.__annotations__, "write_static_tf"} - {"frames"}
 
 #: The options that name files which are read.
 NAMED_FILES = ("params_file", "static_tf_file", "trajectory", "trajectory_times", "urdf", "scans")
@@ -72,12 +71,12 @@ def frames_of(options: Options) -> FrameOptions:
         If a transform cannot be read, or if there are options besides ``frames``, which has all of them.
     """
     if options.frames is not None:
-        if options.given.keys() & set(OF_FRAMES):
+        if options.given.keys() & OF_FRAMES:
             raise UsageError("give frames, or the arguments about frames one by one, not both")
         if not isinstance(options.frames, FrameOptions):
             raise TypeError(f"frames is {type(options.frames).__name__}, it must be FrameOptions")
         return options.frames
-    if not options.given.keys() & set(OF_FRAMES):
+    if not options.given.keys() & OF_FRAMES:
         return FrameOptions()
     static: tuple[StaticTransform, ...] = ()
     if options.static_tf_file or options.static_tf:
@@ -123,8 +122,6 @@ def clock_of(options: Options) -> StampOptions | None:
     """Return how stamps are corrected; None if they are not."""
     if options.stamps == "header" and not options.time_offset:
         return None
-    from .tf.clocks import StampOptions  # noqa: PLC0415  # most clocks are the recording's
-
     return StampOptions.of(options.stamps, options.time_offset)
 
 
@@ -263,7 +260,8 @@ def _of_node(
         more["channels"] = _channels(options.channels, options.range_cutoff)
     scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    conversion = ConvertOptions(scans=(scan,), frames=frames, clock=clock_of(options), **options.among(_OF_ALL))
+    clock = clock_of(options) if options.given.keys() & StampCorrection.__annotations__.keys() else None
+    conversion = ConvertOptions(scans=(scan,), frames=frames, clock=clock, **options.among(_OF_ALL))
     return ConversionRequest(conversion, files, notes)
 
 

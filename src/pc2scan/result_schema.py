@@ -1,6 +1,6 @@
 """The JSON schema of results, made from their classes and docstrings.
 
-``python -m pc2scan.result_schema`` prints it; ``results.schema.json`` is a copy for programs that read results.
+``python -m pc2scan.result_schema`` writes ``results.schema.json``, which is for programs that read results.
 """
 
 from __future__ import annotations
@@ -232,4 +232,4 @@ def results_schema() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(results_schema(), indent=2) + "\n")
+    Path(__file__).with_name("results.schema.json").write_text(json.dumps(results_schema(), indent=2) + "\n", "utf-8")

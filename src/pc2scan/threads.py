@@ -43,9 +43,9 @@ class Task(Generic[_Result]):
     It is not a `concurrent.futures.Future`, because importing that module takes 2 % of a short conversion.
     """
 
-    def __init__(self, work: Callable[[], _Result], threads: Threads) -> None:
+    def __init__(self, work: Callable[[], _Result], queue: SimpleQueue[Task[Any] | None]) -> None:
         self._work: Callable[[], _Result] | None = work
-        self._threads = threads
+        self._queue = queue
         #: Acquired once, by the thread that runs or cancels the task, and never released.
         self._taken = Lock()
         self._done = Event()
@@ -82,7 +82,16 @@ class Task(Generic[_Result]):
 
     def result(self) -> _Result:
         """Return its result, or raise its error."""
-        error = self.exception()
+        # Until it is done, or no work is queued.
+        with suppress(Empty):
+            while not self._done.is_set():
+                other = self._queue.get_nowait()
+                if other is not None:
+                    other.run()
+                # Frees its result now, if nobody waits for it.
+                del other
+        self._done.wait()
+        error = self._error
         if error is None:
             return self._result
         try:
@@ -90,12 +99,6 @@ class Task(Generic[_Result]):
         finally:
             # The error's traceback refers to this frame. Deleting both names breaks the reference cycle.
             del self, error
-
-    def exception(self) -> BaseException | None:
-        """Return its error."""
-        self._threads.help(self)
-        self._done.wait()
-        return self._error
 
 
 class Threads:
@@ -140,7 +143,7 @@ class Threads:
         self, work: Callable[_Arguments, _Result], /, *args: _Arguments.args, **kwargs: _Arguments.kwargs
     ) -> Task[_Result]:
         """Queue a call of ``work`` for one of the threads."""
-        task = Task(partial(work, *args, **kwargs), self)
+        task = Task(partial(work, *args, **kwargs), self._tasks)
         self._tasks.put(task)
         if len(self._threads) < self.jobs - 1:
             # A process may end while a loop over scans is open, which the threads of this loop must not delay.
@@ -150,16 +153,6 @@ class Threads:
                 thread.start()
                 self._threads.append(thread)
         return task
-
-    def help(self, task: Task[_Result]) -> None:
-        """Work until a task is done or no work is queued."""
-        while not task.done():
-            try:
-                other = self._tasks.get_nowait()
-            except Empty:
-                return
-            if other is not None:
-                other.run()
 
     def _serve(self) -> None:
         while (task := self._tasks.get()) is not None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from pc2scan.bags.qos import latches, parse_qos, respell_qos
+from pc2scan.bags.qos import parse_qos, respell_qos
+from pc2scan.bags.topics import latches
 from support.mcap_files import QOS
 from support.rosbag2_files import QOS_NAMES, QOS_NUMBERS
 

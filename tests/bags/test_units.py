@@ -1,14 +1,16 @@
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, segment_units, whole_chunks
 from pc2scan.bags.units import Extent, Unit, merge_by_time, sort_units
 from pc2scan.errors import RecordingError
-from pc2scan.model import Connection, RawMessage, StoredChunk
+from pc2scan.model import ChunkRule, Connection, RawMessage, StoredChunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,7 +28,7 @@ class Load:
 
     def __call__(self, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any] | StoredChunk:
         self.calls.append(whole)
-        if whole and self.times_ns == sorted(self.times_ns):
+        if whole:
             return StoredChunk("zstd", b"", self.number, 0, {1: [(time_ns, 0) for time_ns in self.times_ns]})
         return [callback(RawMessage(TOPIC, time_ns, bytes([self.number]), time_ns)) for time_ns in self.times_ns]
 
@@ -61,12 +63,28 @@ def test_the_order_is_that_of_a_stable_sort(chunks: list[list[int]], room: int) 
     assert found(merge_by_time(units, max_open_bytes=room)) == expected
 
 
-@given(CHUNKS, st.lists(st.booleans(), min_size=8, max_size=8))
-def test_the_order_is_that_without_whole_chunks(chunks: list[list[int]], whole: list[bool]) -> None:
-    """Also where a chunk that may be whole does not stand alone after all."""
-    units = sort_units(unit(n, times, whole=may) for (n, times), may in zip(enumerate(chunks), whole, strict=False))
-    expected = sorted(((time, number) for number, times in enumerate(chunks) for time in times))
-    assert found(merge_by_time(units)) == expected
+@given(CHUNKS, st.lists(st.booleans(), min_size=8, max_size=8), st.integers(1, 9))
+def test_an_index_finds_the_order_of_the_source_in_whole_chunks(
+    chunks: list[list[int]], may: list[bool], room: int
+) -> None:
+    """A stable sort of what is written is one of what is read; outside of chunks it is written sorted."""
+    segments = [
+        Segment(number, 1, "none", MIN_WHOLE_BYTES, 0, min(times), max(times), frozenset({int(copied)}))
+        for number, (times, copied) in enumerate(zip(chunks, may, strict=False))
+    ]
+    whole = whole_chunks(segments, ChunkRule("mcap", frozenset(), frozenset({1})), None, None)
+    file: Any = None
+
+    def load(segment: Segment, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any] | StoredChunk:
+        return Load(segment.offset, chunks[segment.offset])(callback, whole=whole)
+
+    units = [made._replace(extent=None, size=1) for made in segment_units(segments, load, whole, file)]
+    written = found(merge_by_time(units, max_open_bytes=room))
+    read = [(time, number) for number, times in enumerate(chunks) for time in times]
+    assert sorted(written, key=itemgetter(0)) == sorted(read, key=itemgetter(0))
+    copied = {segment.offset for segment in whole}
+    single = [time for time, number in written if number not in copied]
+    assert single == sorted(single)
 
 
 def test_a_chunk_alone_is_handed_on_whole() -> None:

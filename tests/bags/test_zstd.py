@@ -11,7 +11,7 @@ import zstandard
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError, RecordingError
-from pc2scan.files import limits
+from pc2scan.files import compression
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -47,7 +47,7 @@ def test_messages_are_unpacked(told: bool, cut_off: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("told", [True, False])
 def test_a_message_may_not_unpack_to_everything(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: bool) -> None:
-    monkeypatch.setattr(limits, "MAX_UNPACKED", 1_000)
+    monkeypatch.setattr(compression, "MAX_UNPACKED", 1_000)
     compress = zstandard.ZstdCompressor(write_content_size=told).compress
     assert zstd.decompress_message(compress(bytes(1_000)), tmp_path, "/a") == bytes(1_000)
     with pytest.raises(RecordingError, match="unpacks to more than"):

@@ -25,7 +25,7 @@ from support.tables import rows
 
 def test_the_schema_of_dataset_files_is_that_of_the_options() -> None:
     committed = (ROOT / "src" / "pc2scan" / "batch" / "dataset.schema.json").read_text("utf-8")
-    assert committed == schema_text("dataset"), "python -m pc2scan.options.schemas dataset > dataset.schema.json"
+    assert committed == schema_text("dataset"), "python -m pc2scan.options.schemas"
     properties = json.loads(committed)["properties"]["defaults"]["properties"]
     assert properties.keys() == dataset_options().keys()
     assert options_of("batch")["export"].value.words == options_of("export")["format"].value.words == tuple(FORMATS)

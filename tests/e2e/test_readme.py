@@ -117,7 +117,10 @@ def test_every_command_parameter_and_preset_is_named() -> None:
 def test_every_key_of_an_output_is_named() -> None:
     table = after(PAGES["scans-file"], "## Keys of an output")
     rows = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)
-    assert quoted("\n".join(rows)) == {"sources", *output_options()}
+    filters = {name for name, option in output_options().items() if option.makes}
+    assert quoted("\n".join(rows)) == {"sources", *output_options()} - filters
+    listed = set(re.findall(r"^\| `--([a-z-]+) ", PAGES["choosing-points"], re.MULTILINE))
+    assert listed >= {name.replace("_", "-") for name in filters}
 
 
 def test_exit_statuses_are_told_alike() -> None:

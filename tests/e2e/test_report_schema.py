@@ -62,7 +62,7 @@ def test_the_schema_of_a_batch_is_that_of_its_report(folder: Path, tmp_path: Pat
 
 
 def test_the_shipped_schema_is_that_of_the_classes() -> None:
-    assert SCHEMAS["results.schema.json"] == results_schema(), "python -m pc2scan.result_schema > results.schema.json"
+    assert SCHEMAS["results.schema.json"] == results_schema(), "python -m pc2scan.result_schema"
 
 
 @pytest.mark.parametrize("words", sampled(["", "--export npz"], 1))

@@ -187,7 +187,8 @@ def _scan_text(data: bytes) -> None:
 
 
 def _qos(data: bytes) -> None:
-    from pc2scan.bags.qos import latches, respell_qos
+    from pc2scan.bags.qos import respell_qos
+    from pc2scan.bags.topics import latches
 
     text = data.decode("utf-8", "replace")
     latches(text)

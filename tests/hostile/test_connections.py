@@ -110,7 +110,7 @@ KINDS: list[Callable[[Path, int], Path]] = [
 def test_every_reader_keeps_the_limit_of_connections(
     make: Callable[[Path, int], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pc2scan.files.limits.MAX_CONNECTIONS", MOST)
+    monkeypatch.setattr("pc2scan.bags.reader.MAX_CONNECTIONS", MOST)
     for count in (MOST, MOST + 1):
         folder = tmp_path / str(count)
         folder.mkdir()
@@ -124,7 +124,7 @@ def test_every_reader_keeps_the_limit_of_connections(
 
 
 def test_a_directory_of_too_many_topics_is_not_opened_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pc2scan.files.limits.MAX_CONNECTIONS", MOST)
+    monkeypatch.setattr("pc2scan.bags.reader.MAX_CONNECTIONS", MOST)
     for part in range(9):
         write_storage(tmp_path / f"a_{part}.mcap", [("/0", 0)] + [(f"/{part}_{number}", number) for number in range(3)])
     opened = []
@@ -142,7 +142,7 @@ def test_a_directory_of_too_many_topics_is_not_opened_whole(tmp_path: Path, monk
 
 def test_messages_of_more_topics_than_are_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their topics are not described: each would be damage of its own."""
-    monkeypatch.setattr("pc2scan.files.limits.MAX_CONNECTIONS", MOST)
+    monkeypatch.setattr("pc2scan.bags.reader.MAX_CONNECTIONS", MOST)
     monkeypatch.setattr("pc2scan.bags.rosbag2.sqlite3.index.MAX_CONNECTIONS", MOST)
     source = database(tmp_path, MOST)
     with closing(sqlite3.connect(source)) as opened, opened:

@@ -18,7 +18,7 @@ from pc2scan.options.call import Options
 from pc2scan.pipeline import checks
 from pc2scan.pipeline.checks.clouds import CloudFacts, KnownTransforms
 from pc2scan.pipeline.checks.request import OutputRequest
-from pc2scan.pipeline.checks.result import TopicResult
+from pc2scan.pipeline.checks.result import JoinedResult, TopicResult
 from pc2scan.pipeline.combine.counts import Jump, Run, SourceCounts
 from pc2scan.pipeline.options import ScanSpec
 from pc2scan.pipeline.report import Report, TopicReport
@@ -117,7 +117,8 @@ def test_a_check_of_the_counts(attributes: dict[str, Any], name: str, text: str)
     params = ProjectionParams() if "default" in name or "empty_scans" in attributes else ProjectionParams(min_height=0)
     topic = topic_report(**attributes)
     report = Report([], "", (ScanSpec(params=params),), topics=[topic])
-    found = named((*checks.TOPIC, *checks.TOPIC_NOTES), TopicResult(topic, report))
+    moved = (checks.MOVED, checks.MOVED_NOTES) if topic.motions or topic.tilts else ((), ())
+    found = named((*checks.TOPIC, *moved[0], *checks.TOPIC_NOTES, *moved[1]), TopicResult(topic, report))
     assert found[name][0].startswith(text)
     warnings, notes = checks.result_findings(report)
     assert [text for texts in found.values() for text in texts] == warnings + notes
@@ -127,10 +128,13 @@ def test_a_check_of_the_counts(attributes: dict[str, Any], name: str, text: str)
 def test_a_check_of_the_counts_of_several_messages(counts: dict[str, Any], name: str, text: str) -> None:
     counts["jumps"] = [Jump(*jump) for jump in counts.get("jumps", ())]
     counts["left"] = Run(*counts.get("left", (0, 0, 0)))
-    topic = topic_report(action="joined", joined=SourceCounts(**counts))
-    found = named((*checks.TOPIC, *checks.TOPIC_NOTES), TopicResult(topic, Report([], "", (ScanSpec(),))))
+    joined = SourceCounts(**counts)
+    topic = topic_report(action="joined", joined=joined)
+    found = named((*checks.JOINED, *checks.JOINED_NOTES), JoinedResult(topic, joined))
     assert list(found) == [name]
     assert found[name][0].startswith(text)
+    warnings, notes = checks.result_findings(Report([], "", (ScanSpec(),), topics=[topic]))
+    assert warnings + notes == found[name]
 
 
 def test_every_check_has_a_case() -> None:

@@ -244,28 +244,48 @@ def test_only_chunks_inside_the_cut_are_copied(source: Path) -> None:
     assert times == [start + STEP * i for i in range((end - start) // STEP)]
 
 
-@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
-def test_unsorted_and_overlapping_chunks_are_taken_apart(suffix: str, tmp_path: Path) -> None:
-    chunks = [
-        [("/left", 10), ("/right", 30), ("/left", 20)],
-        [("/left", 40), ("/left", 60), ("/right", 80)],
-        [("/left", 70), ("/left", 71), ("/right", 90)],
-        [("/left", 100), ("/left", 110), ("/left", 120)],
-    ]
-    rows = [("/points", T0, cloud(1 if suffix == ".bag" else 2, 1))]
-    for chunk in chunks:
-        rows += [("", 0, b""), *((topic, T0 + time, image(time)) for topic, time in chunk)]
+#: Log times of chunks in the order of a file, and which chunks are copied. Negative times are those of clouds.
+LAYOUTS = {
+    "unsorted inside": ([[-1], [10, 30, 20], [40, 60, 80]], [1, 2]),
+    "overlapping": ([[-1], [40, 60, 80], [70, 71, 90], [72, 73, 75], [100]], [1, 2, 3, 4]),
+    "not in order": ([[40, 41], [10, 20], [-50]], [0, 1]),
+    "neighbours share a time": ([[-10], [10, 20], [20, 30], [30, 30], [30, 40], [-40]], [1, 2, 3, 4]),
+    "a cloud inside": ([[10, 20, 30], [-25, 26], [40, 60]], [0, 2]),
+    "a cloud at the end, before it in the file": ([[-30, 31], [10, 30], [40]], [1, 2]),
+    "a cloud before it in time": ([[20, 30], [40, 50], [-25], [60]], [0, 3]),
+    "chunks of a topic": ([[-10, -15, -20], [10, 15, 20], [-20, -25, -30], [20, 25, 30]], [1, 3]),
+}
+
+
+@pytest.mark.parametrize(
+    ("suffix", "layout"), sampled([*product((".bag", ".mcap"), LAYOUTS)], 9), ids=lambda each: each.replace(" ", "-")
+)
+def test_chunks_are_copied_unless_something_belongs_between_their_messages(
+    suffix: str, layout: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times, copied = LAYOUTS[layout]
+    rows: list[Row] = []
+    for number, chunk in enumerate(times):
+        rows.append(("", 0, b""))
+        for place, time in enumerate(chunk):
+            topic, data = ("/left", "/right")[place % 2], image(100 * number + place)
+            if time < 0:
+                topic, data = "/points", cloud(1 if suffix == ".bag" else 2, number)
+            rows.append((topic, T0 + abs(time), data))
+    monkeypatch.setattr(chunks, "MIN_WHOLE_BYTES", 1)
     source = write(tmp_path / f"drive{suffix}", "none", rows)
-    there = images_only(source)
-    assert len(there) == len(chunks)
-    destination = convert(source)
-    written = [stored for _, _, stored in stored_chunks(destination)]
-    assert [stored in written for stored in there] == [False, False, False, True]
-    expected = sorted(T0 + time for chunk in chunks for _, time in chunk)
-    if suffix == ".mcap":
-        order = [time for topic, time in physical_order(destination) if topic != "/scan"]
-        assert order == expected
-    assert [found.log_time_ns for found in opened(destination).messages if found.topic != "/scan"] == expected
+    there = [stored for _, _, stored in stored_chunks(source)]
+    assert len(there) == len(times)
+    results = [convert(source, jobs=jobs, keep_clouds=True) for jobs in (1, 2)]
+    assert len({path.read_bytes() for path in results}) == 1
+    written = [stored for _, _, stored in stored_chunks(results[0])]
+    assert [number for number, stored in enumerate(there) if stored in written] == copied
+    with_scans = [found for found in opened(results[0]).messages if found.topic != "/scan"]
+    assert [found.data for found in with_scans] == [found.data for found in opened(source).messages]
+    if suffix == ".bag" and not ros1_missing():
+        assert sorted(time for topic, time, *_ in ros1_read(results[0]) if topic != "/scan") == sorted(
+            found.log_time_ns for found in with_scans
+        )
 
 
 def test_small_chunks_are_gathered(source: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -51,7 +51,9 @@ class Way(NamedTuple):
     codes
         How many code objects run: functions, and the bodies of modules, classes, comprehensions and generators.
     files
-        How many files of pc2scan have code that runs.
+        How many files of pc2scan have functions that run.
+    loaded
+        How many files have any code that runs: also those of which only the module's body does.
     decompressions
         How often each chunk is decompressed, by its offset in the recording.
     """
@@ -60,6 +62,7 @@ class Way(NamedTuple):
     functions: int
     codes: int
     files: int
+    loaded: int
     decompressions: dict[int, int]
 
 
@@ -123,6 +126,7 @@ class _Watcher:
             self._deepest,
             sum(map(_is_function, self._codes)),
             len(self._codes),
+            len({code.co_filename for code in self._codes if _is_function(code)}),
             len({code.co_filename for code in self._codes}),
             dict(sorted(self._decompressed.items())),
         )
@@ -168,7 +172,7 @@ def _text(arguments: str, way: Way) -> Iterator[str]:
     yield f"pc2scan convert {arguments}"
     yield f"  {len(way.frames)} frames from the command to the arithmetic:"
     yield from (f"    {number:2} {name:32} {file}" for number, (name, file) in enumerate(way.frames, 1))
-    yield f"  {way.functions:,} functions ({way.codes:,} code objects) in {way.files} files"
+    yield f"  {way.functions:,} functions in {way.files} files ({way.codes:,} code objects in {way.loaded})"
     yield "  decompressions of the chunk at each offset:"
     yield from (f"    {offset:10,} {count}" for offset, count in way.decompressions.items())
 

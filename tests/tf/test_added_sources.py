@@ -58,7 +58,8 @@ def are_near(one: tuple[int, str, bytes], other: tuple[int, str, bytes], rtol: f
 
 
 def written(folder: Path, made: Recording, name: str = "a", suffix: str = "mcap") -> Path:
-    return WRITERS[suffix](folder / f"{name}.{suffix}", made)
+    path: Path = WRITERS[suffix](folder / f"{name}.{suffix}", made)
+    return path
 
 
 @pytest.fixture

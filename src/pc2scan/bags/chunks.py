@@ -6,7 +6,7 @@ from abc import abstractmethod
 from bisect import bisect_left
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import accumulate, pairwise, zip_longest
+from itertools import accumulate, pairwise
 from operator import attrgetter
 from typing import TYPE_CHECKING, Protocol
 
@@ -17,7 +17,7 @@ from .reader import Reader
 from .units import Extent, Unit, sort_units
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.files.source import SourceFile
     from pc2scan.model import ChunkRule, Connection, RawMessage
@@ -77,10 +77,15 @@ class Segment:
         )
 
 
-def isolated_chunks(
+def whole_chunks(
     segments: Collection[Segment], rule: ChunkRule, start_ns: int | None, stop_ns: int | None
-) -> frozenset[Segment]:
+) -> dict[Segment, int]:
     """Find the chunks that can be copied as a whole, by the index alone.
+
+    A chunk that is wanted completely is copied if it can stay behind everything that is before it in the file, and
+    before everything behind it that is read message by message. Messages that are read one by one are written by log
+    time, so these are two conditions on log times. The messages in and around such a chunk may be written unsorted, as
+    they are in the source: readers order them by the index, and equal log times keep their order.
 
     Parameters
     ----------
@@ -93,27 +98,31 @@ def isolated_chunks(
 
     Returns
     -------
-    frozenset[Segment]
-        Chunks that are wanted completely, if no other segment has messages between their first and last.
+    dict[Segment, int]
+        The chunks, and the log time at which each is due: when it has begun, and all before it in the file has ended.
     """
-    ordered = sorted(segments, key=attrgetter("start_ns", "offset"))
-    alone = []
-    latest = (-1, 0)
-    for segment, following in zip_longest(ordered, ordered[1:]):
+    ordered = sorted(segments, key=attrgetter("offset"))
+    # A chunk is due when all messages before it in the file are written.
+    ends = accumulate((segment.end_ns for segment in ordered), max, initial=0)
+    due = [max(segment.start_ns, latest) for segment, latest in zip(ordered, ends, strict=False)]
+    found: dict[Segment, int] = {}
+    # The first message behind it that is read by itself.
+    following: int | None = None
+    for segment, due_ns in zip(reversed(ordered), reversed(due), strict=True):
         if (
-            latest < (segment.start_ns, segment.offset)
-            and (following is None or segment.end_ns < following.start_ns)
+            (following is None or due_ns <= following)
             and segment.connection_ids is not None
             and segment.connection_ids <= rule.connection_ids
             and segment.uncompressed_size >= MIN_WHOLE_BYTES
             and (start_ns is None or start_ns <= segment.start_ns)
             and (stop_ns is None or segment.end_ns < stop_ns)
             and (rule.last_ns is None or segment.end_ns <= rule.last_ns)
-            and not rule.is_cut(segment.start_ns, segment.end_ns)
+            and not rule.is_cut(segment.start_ns, max(segment.end_ns, due_ns))
         ):
-            alone.append(segment)
-        latest = max(latest, (segment.end_ns, segment.offset))
-    return frozenset(alone)
+            found[segment] = due_ns
+        else:
+            following = segment.start_ns if following is None else min(following, segment.start_ns)
+    return found
 
 
 def times_around(segments: Iterable[Segment]) -> Callable[[int, int], dict[str, int | None]]:
@@ -146,17 +155,17 @@ class LoadSegment(Protocol):
 
 
 def segment_units(
-    segments: Iterable[Segment], load: LoadSegment, alone: Collection[Segment], file: SourceFile
+    segments: Iterable[Segment], load: LoadSegment, whole: Mapping[Segment, int], file: SourceFile
 ) -> list[Unit]:
-    """Return the segments of a file as units; those in ``alone`` may be whole."""
+    """Return the segments of a file as units; those that `whole_chunks` found may be whole."""
     return sort_units(
         Unit(
-            start_ns=segment.start_ns,
+            start_ns=whole.get(segment, segment.start_ns),
             place=(segment.offset,),
             size=segment.uncompressed_size,
             load=partial(load, segment),
             is_quick=segment.compression == "none" and segment.uncompressed_size < _WORTH_A_THREAD,
-            may_be_whole=segment in alone,
+            may_be_whole=segment in whole,
             extent=Extent(file, segment.offset, segment.length),
         )
         for segment in segments

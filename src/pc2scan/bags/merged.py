@@ -11,8 +11,8 @@ from dataclasses import replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
+from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import UsageError
-from pc2scan.files.limits import ConnectionLimit
 from pc2scan.model import Summary
 
 from .reader import Reader
@@ -219,7 +219,7 @@ def _units_in_turn(sources: Iterable[_Source]) -> Iterator[Unit]:
 
 
 def _sources_by_start(sources: Iterable[_Source]) -> Iterator[Unit]:
-    return heapq.merge(*(source.units() for source in sources), key=attrgetter("start_ns", "place"))
+    return heapq.merge(*(source.units() for source in sources), key=attrgetter("due"))
 
 
 def unify_connections(sources: Sequence[Sequence[Connection]]) -> tuple[list[Connection], list[dict[int, int]]]:

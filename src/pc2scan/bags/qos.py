@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +12,6 @@ if TYPE_CHECKING:
 
 #: A profile takes some 400 characters, and a topic has one for each publisher. Reading more takes seconds.
 MAX_CHARACTERS = 64_000
-
-_TRANSIENT_LOCAL = r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b"""
 
 # rmw/types.h: the place in the list is the value of the enumeration.
 _NAMES = {
@@ -46,18 +43,6 @@ _DEFAULTS = {
     "liveliness_lease_duration": _INFINITE,
     "avoid_ros_namespace_conventions": False,
 }
-
-
-def latches(qos: str) -> bool:
-    r"""Whether any of rosbag2's ``offered_qos_profiles`` has the durability transient local.
-
-    Only this key is read, because profiles may lack other keys. Its value is rmw's number (1) or, from ROS 2 Jazzy on,
-    its name.
-
-    >>> latches("- history: 1\n  durability: 1"), latches("- durability: volatile")
-    (True, False)
-    """
-    return re.search(_TRANSIENT_LOCAL, qos, re.IGNORECASE) is not None
 
 
 def parse_qos(text: str) -> list[dict[str, Any]] | None:

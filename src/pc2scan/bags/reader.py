@@ -5,6 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, cast
 
+from pc2scan.errors import RecordingError
+from pc2scan.files.compression import allowed_bytes
+
 from .units import merge_by_time
 
 if TYPE_CHECKING:
@@ -15,6 +18,10 @@ if TYPE_CHECKING:
 
     from .damage import Damage, DamageLog
     from .units import Unit
+
+
+#: Connections of a recording: as many as MCAP has numbers for. One takes up to 3 kB of memory in a conversion.
+MAX_CONNECTIONS = 65_536
 
 
 class Reader(ABC):
@@ -132,3 +139,70 @@ class Reader(ABC):
     def metadata(self) -> Iterator[Metadata]:
         """Yield MCAP metadata records; other containers have none."""
         return iter(())
+
+
+class ConnectionLimit:
+    """Counts the connections of a recording and their descriptions as they are found, and refuses too many.
+
+    Everything that collects connections asks it: readers with or without an index, and readers of several files or
+    parts.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    size
+        Its bytes.
+    """
+
+    def __init__(self, path: Path, size: int = 0) -> None:
+        self._path = path
+        self._size = size
+        self._count = self._bytes = 0
+        self._topics: set[str] = set()
+
+    def add(self, described: int = 0, *, count: int = 1, most: int | None = None) -> None:
+        """Count connections that take so many bytes to describe, with their definitions.
+
+        Raises
+        ------
+        RecordingError
+            If there are more than ``most`` (`MAX_CONNECTIONS`), or their descriptions are larger than `allowed_bytes`.
+        """
+        self._count += count
+        self._bytes += described
+        most = MAX_CONNECTIONS if most is None else most
+        if self._count > most:
+            raise self._too_many(most)
+        if self._bytes > (allowed := allowed_bytes(self._size)):
+            raise RecordingError(
+                f"describes its connections in more than {allowed:,} bytes, the largest size for a recording of "
+                f"{self._size:,} bytes",
+                path=self._path,
+            )
+
+    def add_file(self, connections: Sequence[Connection], size: int) -> None:
+        """Count the connections of a file or a part of ``size`` bytes.
+
+        Those that several files share count in each, because each reader keeps its own; so files of any size may repeat
+        them, a kilobyte for each. Definitions that connections share count once. Topics that differ between files
+        count as in one file, before all files are open.
+
+        Raises
+        ------
+        RecordingError
+            If there are more, or their descriptions are larger than `allowed_bytes`.
+        """
+        self._size += size
+        definitions = {id(own.definition.data): own.definition.data for own in connections}
+        described = sum(map(len, definitions.values())) + sum(len(own.qos) for own in connections)
+        self.add(described, count=len(connections), most=MAX_CONNECTIONS + self._size // 1000)
+        self._topics.update(own.topic for own in connections)
+        if len(self._topics) > MAX_CONNECTIONS:
+            raise self._too_many(MAX_CONNECTIONS)
+
+    def _too_many(self, most: int) -> RecordingError:
+        return RecordingError(
+            f"has more than {most:,} connections (one for each publisher of a topic), the largest number that is read",
+            path=self._path,
+        )

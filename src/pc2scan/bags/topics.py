@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 
+_TRANSIENT_LOCAL = r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b"""
+
 
 def find_topic(requested: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
     """Return the topic of a type by its name, with or without the leading slash.
@@ -155,6 +157,18 @@ def is_static(topic: str) -> bool:
 def is_latched(connection: Connection) -> bool:
     """Whether messages of a connection stay valid until the next one, or for ever."""
     return connection.latching or is_static(connection.topic)
+
+
+def latches(qos: str) -> bool:
+    r"""Whether any of rosbag2's ``offered_qos_profiles`` has the durability transient local.
+
+    Only this key is read, because profiles may lack other keys. Its value is rmw's number (1) or, from ROS 2 Jazzy on,
+    its name.
+
+    >>> latches("- history: 1\n  durability: 1"), latches("- durability: volatile")
+    (True, False)
+    """
+    return re.search(_TRANSIENT_LOCAL, qos, re.IGNORECASE) is not None
 
 
 class NewestItems(Generic[Item]):

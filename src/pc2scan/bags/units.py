@@ -184,7 +184,7 @@ class Load(Protocol):
             Called with each wanted message on the thread that read it, while it is still in that core's cache.
             The message's data may be borrowed: a message that is kept must be copied by `pc2scan.model.own_message`.
         whole
-            Whether the chunk may be returned as a whole, which its reader does if its messages are sorted by log time.
+            Whether the chunk may be returned as a whole, which its reader does unless its content is not as declared.
         """
         ...
 
@@ -203,7 +203,7 @@ class Unit(NamedTuple):
     Attributes
     ----------
     start_ns
-        Log time of its first message, or earlier.
+        Log time of its first message, or earlier. Of a chunk that may be whole: when it is due.
     place
         Order among units: messages of one log time are in this order.
     size
@@ -213,8 +213,7 @@ class Unit(NamedTuple):
     is_quick
         Whether loading it takes less time than handing it to another thread.
     may_be_whole
-        Whether a chunk may be copied as a whole: all of it is wanted, and no other unit has messages between its
-        first and its last one.
+        Whether a chunk may be copied as a whole; see `pc2scan.bags.chunks.whole_chunks`.
     extent
         Its place in a file; None if it is not in one piece.
     is_in_memory
@@ -230,6 +229,11 @@ class Unit(NamedTuple):
     extent: Extent | None = None
     is_in_memory: bool = False
 
+    @property
+    def due(self) -> tuple[int, tuple[int, ...]]:
+        """When it is loaded: at its start; units that start together, in the order of their places."""
+        return self.start_ns, self.place
+
 
 class Handle(NamedTuple):
     """A unit, and the function that returns its items or its chunk."""
@@ -240,7 +244,7 @@ class Handle(NamedTuple):
 
 def sort_units(units: Iterable[Unit]) -> list[Unit]:
     """Sort units in the order in which they are due."""
-    return sorted(units, key=attrgetter("start_ns", "place"))
+    return sorted(units, key=attrgetter("due"))
 
 
 def _sort(found: Loaded[Item]) -> Loaded[Item]:
@@ -265,6 +269,7 @@ def merge_by_time(
     *,
     loading: Callable[[Iterable[Unit], Callable[[RawMessage], Item]], Generator[Handle]] = load_when_due,
     max_open_bytes: int = MAX_OPEN_BYTES,
+    holds_units: bool = True,
     path: Path | None = None,
 ) -> Generator[Item | StoredChunk]:
     """Merge the messages of units that overlap in time.
@@ -275,19 +280,22 @@ def merge_by_time(
         By start; see `sort_units`. They may come from a generator.
     callback
         Makes the items of messages; see `Load`. Called once a message, except that a unit is loaded again if more than
-        ``max_open_bytes`` of units overlap at one time, or if one that may be whole overlaps another after all.
+        ``max_open_bytes`` of units overlap at one time.
     loading
         Decides when and where units are loaded. It yields a handle for each unit, in order; each result is used once,
         in order.
     max_open_bytes
         Bound on the units held at one time (one is always held).
+    holds_units
+        Whether items may keep the memory of their unit. Otherwise it counts as much as its items.
     path
         The recording, for the error.
 
     Yields
     ------
     Item | StoredChunk
-        By log time; equal log times in the order of places. Whole chunks only for units that may be whole.
+        By log time; equal log times in the order of places. Whole chunks, only for units that may be whole, when they
+        are due.
 
     Raises
     ------
@@ -300,7 +308,7 @@ def merge_by_time(
         total = again = 0
         most = _MAX_FREE_MESSAGES
         while heap or coming is not None:
-            while coming is not None and (not heap or coming.unit.start_ns <= heap[0].key[0]):
+            while coming is not None and (not heap or coming.unit.due < heap[0].key):
                 unit = coming.unit
                 total += unit.size
                 # Makes room before loading.
@@ -311,23 +319,23 @@ def merge_by_time(
                     if most < 0:
                         raise RecordingError("has more messages than bytes, which no recording does", path=path)
                 if found:
-                    heapq.heappush(heap, _OpenUnit(unit, found, max_open_bytes))
+                    heapq.heappush(heap, _OpenUnit(unit, found, max_open_bytes if holds_units else 0))
                     _evict(heap, max_open_bytes)
                 del found, unit
                 coming = next(handles, None)
             if not heap:
                 continue
             current = heapq.heappop(heap)
+            if current.whole is not None:
+                yield current.whole
+                del current
+                continue
             place = current.unit.place
             # All items up to the next unit's turn are from this one, without a heap operation for each.
             limit = heap[0].key if heap else None
             if coming is not None:
-                arrival: tuple[int, tuple[int, ...]] = (coming.unit.start_ns, ())
+                arrival = coming.unit.due
                 limit = arrival if limit is None or arrival < limit else limit
-            if current.whole is not None and (limit is None or (current.whole.span_ns()[1], place) < limit):
-                yield current.whole
-                del current
-                continue
             if current.items is None:
                 again += current.unit.size
                 if again > _MAX_AGAIN * total + (1 << 30):
@@ -338,7 +346,7 @@ def merge_by_time(
                 _evict(heap, max_open_bytes - current.unit.size)
                 split = _sort(current.unit.load(callback, whole=False))
                 assert not isinstance(split, StoredChunk)
-                current.items, current.whole = split, None
+                current.items = split
                 del split
             items, position = current.items, current.position
             while position < len(items) and (limit is None or (items[position].log_time_ns, place) < limit):
@@ -401,6 +409,7 @@ class _OpenUnit:
         elif not isinstance(found, StoredChunk):
             if unit.size > max_open_bytes:
                 # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
+                # So does what is left of a chunk that is not held.
                 self.size = min(unit.size, sum(item.size for item in found))
             self.size += ITEM_BYTES * len(found)
         self.position = 0
@@ -409,7 +418,7 @@ class _OpenUnit:
         self.whole: StoredChunk | None = None
         if isinstance(found, StoredChunk):
             self.whole = found
-            self.key = (found.span_ns()[0], unit.place)
+            self.key = unit.due
         else:
             self.items = found
             self.key = (found[0].log_time_ns, unit.place)

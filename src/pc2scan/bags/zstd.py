@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files import compression
-from pc2scan.files.compression import ZSTD_MAGIC, CompressionError
-from pc2scan.files.limits import MAX_FILE_RATIO, MAX_UNPACKED, allowed_bytes
+from pc2scan.files.compression import MAX_FILE_RATIO, MAX_UNPACKED, ZSTD_MAGIC, CompressionError, allowed_bytes
 from pc2scan.files.source import open_bytes
 from pc2scan.model import own_message
 

@@ -1,5 +1,7 @@
 """Converts a whole dataset: each recording by itself, in worker processes; a killed run can be continued."""
 
-from pc2scan.arguments import make_callable
+import sys
 
-make_callable(__name__)
+from pc2scan.arguments import CallablePackage
+
+sys.modules[__name__].__class__ = CallablePackage

@@ -47,8 +47,8 @@ def batch(
     If a recording fails, the others are still converted. A second run converts only what is missing, has changed or
     failed. OUT/manifest.jsonl has the result of each recording. After an interruption, run the same command again.
     """
-    from pc2scan import commands
     from pc2scan.batch.run import BatchCallbacks
+    from pc2scan.commands import batch as run
 
     quiet, verbose = options.quiet, options.verbose
     with _progress_bar(enabled=not quiet) as progress:
@@ -61,7 +61,7 @@ def batch(
             inform=lambda text: None if quiet else say(as_typed(text), err=True),
         )
         try:
-            report = commands.batch(sources, destination, options, watch)
+            report = run(sources, destination, options, watch)
         except KeyboardInterrupt:
             say("hint: run the same command again to continue it", err=True)
             raise

@@ -29,14 +29,14 @@ def check(
 
     Exit status: 0 all accepted (without --for: or shifted, and no defect), 1 not all, 2 wrong usage.
     """
-    from pc2scan import commands
+    from pc2scan.commands import check as run
 
     from .junit import junit_output, of_check
     from .render import progress_bar
 
     with junit_output(options, "check", [*sources, *options.tf_from]) as write_junit:
         with progress_bar(enabled=not options.as_json) as progress:
-            result = commands.check(sources, options, progress=progress)
+            result = run(sources, options, progress=progress)
         show(result, as_json=options.as_json)
         write_junit(of_check(result))
     raise typer.Exit(result.exit_status)

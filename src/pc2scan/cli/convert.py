@@ -42,14 +42,14 @@ def convert(
     PointCloud2 becomes LaserScan, with the results of ROS's pointcloud_to_laserscan. All other topics are copied.
     Messages that cannot be converted are counted, listed, and reflected in the exit status.
     """
-    from pc2scan import commands
+    from pc2scan.commands import convert as run
 
     sources, further = _ros_arguments(sources)
     if further:
         options = options.with_further(further)
     warn = LiveWarnings()
     with progress_bar(enabled=not options.quiet) as progress:
-        result = commands.convert(sources, destination, options, warn=warn, progress=progress)
+        result = run(sources, destination, options, warn=warn, progress=progress)
     show(result, quiet=options.quiet, verbose=options.verbose, known=warn)
     if not options.quiet and not result.dry_run:
         say(f"next: {next_command(result)}")

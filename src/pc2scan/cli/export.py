@@ -38,10 +38,10 @@ def export(
     like with `pc2scan convert`. Poses are interpolated like in tf2, and never extrapolated: messages without a pose at
     their stamp are skipped and counted, and the exit status is 3.
     """
-    from pc2scan import commands
+    from pc2scan.commands import export as run
 
     warn = LiveWarnings()
     with progress_bar(enabled=not options.as_json) as progress:
-        report = commands.export(sources, destination, options, warn=warn, progress=progress)
+        report = run(sources, destination, options, warn=warn, progress=progress)
     show(report, as_json=options.as_json, known=warn)
     raise typer.Exit(report.exit_status)

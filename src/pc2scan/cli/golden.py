@@ -45,7 +45,7 @@ def golden(
         return
     if options.given.keys() & {"start", "end", "topics", "params_file"}:
         raise UsageError("--start, --end, --topic and --params-file need --init", hint="a case has its own")
-    from pc2scan import commands
+    from pc2scan.commands import golden as run
     from pc2scan.golden.case import case_folders
     from pc2scan.golden.check import refuse_output_over_cases
 
@@ -59,7 +59,7 @@ def golden(
     if options.junit is not None:
         refuse_output_over_cases(options.junit, "--junit", [case for _, case in case_folders(folder, pattern)])
     with junit_output(options, "golden") as write_junit:
-        report = commands.golden(folder, pattern, options, run_command, each=show_case)
+        report = run(folder, pattern, options, run_command, each=show_case)
         if options.as_json:
             show(report, as_json=True)
         else:
@@ -70,13 +70,13 @@ def golden(
 
 def _init(folder: Path, options: Options) -> None:
     """Make a case, and list its files."""
-    from pc2scan import commands
+    from pc2scan.commands import new_case
 
     from .in_process import run_command
     from .render import progress_bar
 
     with progress_bar(enabled=not options.quiet) as progress:
-        case = commands.new_case(folder, options, run_command, progress=progress)
+        case = new_case(folder, options, run_command, progress=progress)
     show(case, quiet=options.quiet)
     if not options.quiet:
         say(f"next: look at {case.folder}/expected.txt, commit the folder, and: pc2scan golden {folder}")

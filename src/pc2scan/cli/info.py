@@ -27,8 +27,8 @@ def info(
     increment, limits, the share of returns, and the consumers that accept them. Then the heights of floor and ceiling,
     whether the clouds are tilted, upside down or in a camera's optical frame, and a convert command for them.
     """
-    from pc2scan import commands
+    from pc2scan.commands import info as run
 
-    result = commands.info(sources, options)
+    result = run(sources, options)
     show(result, as_json=options.as_json)
     raise typer.Exit(result.exit_status)

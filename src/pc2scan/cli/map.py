@@ -41,10 +41,10 @@ def map(  # noqa: A001  # the function of a command has its name
 
     Exit status: 0 done, 1 failed, 2 wrong usage, 3 written, but with scans skipped or from a damaged source.
     """
-    from pc2scan import commands
+    from pc2scan.commands import map as run
 
     warn = LiveWarnings()
     with progress_bar(enabled=not options.as_json) as progress:
-        result = commands.map(sources, destination, options, warn=warn, progress=progress)
+        result = run(sources, destination, options, warn=warn, progress=progress)
     show(result, as_json=options.as_json, known=warn)
     raise typer.Exit(result.exit_status)

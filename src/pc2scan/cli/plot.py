@@ -35,11 +35,11 @@ def plot(
 
     Needs matplotlib: pip install 'pc2scan[plot]'. To tune parameters, use `pc2scan view`.
     """
-    from pc2scan import commands
+    from pc2scan.commands import plot as run
 
     warn = LiveWarnings()
     with _temporary_fonts():
-        drawn = commands.plot(sources, destination, options, warn=warn)
+        drawn = run(sources, destination, options, warn=warn)
     show(drawn, known=warn)
     raise typer.Exit(drawn.exit_status)
 

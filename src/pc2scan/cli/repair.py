@@ -26,13 +26,13 @@ def repair(
 
     The exit status is 0 if nothing was damaged (DST is then a complete copy), 3 if something was. SRC is never changed.
     """
-    from pc2scan import commands
+    from pc2scan.commands import repair as run
 
     from .render import progress_bar
 
     silent = options.quiet or options.as_json
     with progress_bar(enabled=not silent) as progress:
-        result = commands.repair(source, destination, options, progress=progress)
+        result = run(source, destination, options, progress=progress)
     show(result, as_json=options.as_json, quiet=options.quiet)
     if not silent:
         say(f"next: {next_command(result)}")

@@ -43,12 +43,12 @@ def tf(
     It shows the tree, and the rate, first and last times, and largest gap of each frame. Unconnected parts are shown
     separately.
     """
-    from pc2scan import commands
+    from pc2scan.commands import tf as run
     from pc2scan.inspect.tf import Lookup
 
     if at is not None and lookup is None:
         raise UsageError("--at needs --lookup", hint="--lookup base_link lidar --at 1604515190.25")
-    tree = commands.tf(sources, options)
+    tree = run(sources, options)
     if lookup is not None:
         stamp_ns = 0 if at is None else _stamp(at)
         try:

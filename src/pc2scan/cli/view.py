@@ -38,11 +38,11 @@ def view(
     parameters. It computes the same scans as `pc2scan convert`, to the bit, and shows the command line and parameter
     files for them. Of a recording without clouds, it shows the scans.
     """
-    from pc2scan import commands
+    from pc2scan.commands import view as run
 
     path = destination or _beside(sources)
     warn = LiveWarnings()
-    page = commands.view(sources, path, options, warn=warn)
+    page = run(sources, path, options, warn=warn)
     show(page, known=warn)
     if options.open_page:
         _open(path)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.errors import DecodeError, RecordingError, UsageError, stamp_text
-from pc2scan.files.limits import allowed_bytes
+from pc2scan.files.compression import allowed_bytes
 from pc2scan.files.source import open_bytes, open_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
 from pc2scan.messages.pointcloud2 import DATATYPES, PointField, decode_pointcloud2, encode_pointcloud2

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -106,7 +106,18 @@ def judge(
     """
     if placed is not None and (unplaced := _unplaced(consumer, placed, started=first is not None)):
         return unplaced
-    return CONSUMERS[consumer](scan, first or scan, placed or _ANYWHERE)
+    facts = scan, first or scan, placed or _ANYWHERE
+    rules = CONSUMERS[consumer]
+    return (rules.refuse and rules.refuse(*facts)) or rules.place(*facts)
+
+
+def refusal(consumer: str, scan: ConsumerScan) -> Verdict | None:
+    """Return why a consumer would not use a scan that is the first of its sensor; None if it uses it.
+
+    Where it places the scan's beams, which takes longer to find out, is not considered; see `judge`.
+    """
+    refuse = CONSUMERS[consumer].refuse
+    return refuse and refuse(scan, scan, _ANYWHERE)
 
 
 def last_beam(scan: ConsumerScan) -> float:
@@ -186,7 +197,7 @@ def _tilted(up: float) -> bool:
     return not abs(abs(up) - 1) <= _GMAPPING_TILT
 
 
-def _slam_toolbox(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransforms) -> Verdict:
+def _refused_by_slam_toolbox(scan: ConsumerScan, first: ConsumerScan, _placed: ScanTransforms) -> Verdict | None:
     expected = expected_by_karto(first)
     if expected != scan.beams:
         if scan.beams != first.beams and expected == first.beams:
@@ -206,6 +217,10 @@ def _slam_toolbox(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransform
             f"{expected} ranges" if expected is not None and expected > 0 else "angles for a number of beams",
             f"{_advertise(first)}: pc2scan convert `preset=slam_toolbox`, or `geometry=centered`",
         )
+    return None
+
+
+def _placed_by_slam_toolbox(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransforms) -> Verdict:
     if first.range_max <= _KARTO_RANGE and scan.full > _MISSES * scan.beams:
         return Verdict(
             "slam_toolbox",
@@ -232,7 +247,7 @@ def _slam_toolbox(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransform
     )
 
 
-def _cartographer(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> Verdict:
+def _refused_by_cartographer(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> Verdict | None:
     def aborts(rule: str, observed: str, allowed: str, cure: str) -> Verdict:
         return Verdict("cartographer", "aborts", rule, observed, allowed, cure)
 
@@ -256,7 +271,7 @@ def _cartographer(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransfor
             "angle_max > angle_min" if forward else "angle_min > angle_max",
             "advertise angles in the order of the beams: pc2scan convert `preset=cartographer`",
         )
-    hits = scan.returns + (scan.infinite if scan.range_max == math.inf else 0)
+    hits = _hits(scan)
     # Cartographer checks this when it copies a range within the limits.
     if scan.intensities and scan.intensities != scan.beams and hits:
         return aborts(
@@ -273,7 +288,11 @@ def _cartographer(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransfor
             repr(placed.frame_id.removeprefix("/")),
             "for scans made from clouds: pc2scan convert `source_frame`",
         )
-    if hits > 1 and scan.time_increment < 0:
+    return None
+
+
+def _placed_by_cartographer(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict:
+    if _hits(scan) > 1 and scan.time_increment < 0:
         return Verdict(
             "cartographer",
             "misplaced",
@@ -287,7 +306,12 @@ def _cartographer(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransfor
     return _summed("cartographer", scan)
 
 
-def _gmapping(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransforms) -> Verdict:
+def _hits(scan: ConsumerScan) -> int:
+    """Return how many ranges Cartographer takes for returns."""
+    return scan.returns + (scan.infinite if scan.range_max == math.inf else 0)
+
+
+def _refused_by_gmapping(scan: ConsumerScan, first: ConsumerScan, _placed: ScanTransforms) -> Verdict | None:
     if first.beams >= _GMAPPING_BEAMS:
         return Verdict(
             "gmapping",
@@ -317,6 +341,10 @@ def _gmapping(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransforms) -
             "a finite range_max",
             "give a finite `range_max`: pc2scan convert `preset=gmapping`",
         )
+    return None
+
+
+def _placed_by_gmapping(scan: ConsumerScan, first: ConsumerScan, placed: ScanTransforms) -> Verdict:
     kept = _kept_angles("gmapping", scan, first)
     if kept.outcome != "accepted" or not scan.beams:
         return kept
@@ -356,7 +384,7 @@ def _half_open(angle_min: float, angle_max: float, angle_increment: float, beams
     )
 
 
-def _amcl(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> Verdict:
+def _refused_by_amcl(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict | None:
     if scan.range_max <= 0:
         return Verdict(
             "amcl",
@@ -366,6 +394,10 @@ def _amcl(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> V
             "> 0",
             "give a positive `range_max`: pc2scan convert `preset=amcl`",
         )
+    return None
+
+
+def _placed_by_amcl(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> Verdict:
     # AMCL looks up the directions of the beams anew for each scan, but not the place of the sensor.
     kept = _kept_pose("amcl", placed, angle=False)
     if kept.outcome != "accepted" or not has_angles(scan) or not scan.beams:
@@ -385,7 +417,7 @@ def _amcl(scan: ConsumerScan, _first: ConsumerScan, placed: ScanTransforms) -> V
     )
 
 
-def _nav2(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict:
+def _placed_by_nav2(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict:
     if scan.infinite and scan.range_max == math.inf:
         return _infinite_hits("nav2", scan)
     return _summed("nav2", scan)
@@ -417,7 +449,7 @@ def _added_up(consumer: str, angle_min: float, angle_increment: float, beams: in
     )
 
 
-def _mrpt(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict:
+def _refused_by_mrpt(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict | None:
     if scan.beams < SYMMETRIC_BEAMS[0]:
         return Verdict(
             "mrpt",
@@ -427,6 +459,10 @@ def _mrpt(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> 
             f"at least {SYMMETRIC_BEAMS[0]}",
             "more beams",
         )
+    return None
+
+
+def _placed_by_mrpt(scan: ConsumerScan, _first: ConsumerScan, _placed: ScanTransforms) -> Verdict:
     return _mrpt_sector(scan.angle_min, scan.angle_max, scan.angle_increment, scan.beams)
 
 
@@ -557,12 +593,27 @@ def _kept_pose(consumer: str, placed: ScanTransforms, *, angle: bool) -> Verdict
     )
 
 
+class Rules(NamedTuple):
+    """The rules of a consumer: functions of a scan, the first scan of its sensor, and what the transforms say about it.
+
+    Attributes
+    ----------
+    refuse
+        Returns why it does not use the scan, or aborts; None if it uses the scan. None: it uses every scan.
+    place
+        Returns whether it places the beams of a scan that it uses where they were measured.
+    """
+
+    refuse: Callable[[ConsumerScan, ConsumerScan, ScanTransforms], Verdict | None] | None
+    place: Callable[[ConsumerScan, ConsumerScan, ScanTransforms], Verdict]
+
+
 #: The consumers by name, in the order in which they are shown.
-CONSUMERS: dict[str, Callable[[ConsumerScan, ConsumerScan, ScanTransforms], Verdict]] = {
-    "slam_toolbox": _slam_toolbox,
-    "cartographer": _cartographer,
-    "gmapping": _gmapping,
-    "amcl": _amcl,
-    "nav2": _nav2,
-    "mrpt": _mrpt,
+CONSUMERS: dict[str, Rules] = {
+    "slam_toolbox": Rules(_refused_by_slam_toolbox, _placed_by_slam_toolbox),
+    "cartographer": Rules(_refused_by_cartographer, _placed_by_cartographer),
+    "gmapping": Rules(_refused_by_gmapping, _placed_by_gmapping),
+    "amcl": Rules(_refused_by_amcl, _placed_by_amcl),
+    "nav2": Rules(None, _placed_by_nav2),
+    "mrpt": Rules(_refused_by_mrpt, _placed_by_mrpt),
 }

@@ -1,5 +1,7 @@
 """Scans with poses, trajectories and clouds in the formats that learning and evaluation read."""
 
-from pc2scan.arguments import make_callable
+import sys
 
-make_callable(__name__)
+from pc2scan.arguments import CallablePackage
+
+sys.modules[__name__].__class__ = CallablePackage

@@ -20,6 +20,12 @@ LZ4_MAGIC = b"\x04\x22\x4d\x18"
 #: The first bytes of every zstd frame.
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
+#: Size to which any chunk or message may be decompressed, even if it is stored in few bytes.
+MAX_UNPACKED = 32 << 20
+
+#: Limit of the ratio for a file that is compressed as a whole. zstd compresses zeros 30,000 times.
+MAX_FILE_RATIO = 1000
+
 #: zstandard's default.
 _ZSTD_LEVEL = 3
 
@@ -41,6 +47,11 @@ class DecompressedData(NamedTuple):
 
     data: Buffer
     complete: bool
+
+
+def allowed_bytes(stored: int) -> int:
+    """Return the allowed size of decompressed data, given the size of the file (or message) that holds them."""
+    return MAX_UNPACKED + 2 * stored
 
 
 def decompress(compression: str, data: Buffer, size: int) -> DecompressedData:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, TypeVar
 
 from pc2scan.errors import OutputError
@@ -134,13 +135,8 @@ class WriteAhead:
         if self._queue is None:
             write(prepare())
             return
-
-        def prepared() -> Callable[[], None]:
-            result = prepare()
-            return lambda: write(result)
-
         self._make_room(self._queue, size)
-        self._queue.put(prepared, size)
+        self._queue.put(lambda: partial(write, prepare()), size)
 
     def put_ready(self, write: Callable[[], None], size: int) -> None:
         """Call ``write`` in order: at once if nothing waits."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING
 
+from pc2scan.files.compression import allowed_bytes
+
 from .compression import LZ4_MAGIC, CompressionError, decoder
-from .limits import allowed_bytes
 
 if TYPE_CHECKING:
     from pc2scan.model import Buffer

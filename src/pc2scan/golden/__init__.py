@@ -1,5 +1,7 @@
 """Golden cases: folders with an input, parameters and the expected output, against which conversions are checked."""
 
-from pc2scan.arguments import make_callable
+import sys
 
-make_callable(__name__)
+from pc2scan.arguments import CallablePackage
+
+sys.modules[__name__].__class__ = CallablePackage

@@ -11,7 +11,6 @@ from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
 from pc2scan.text import counted, nearest
 from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
-from pc2scan.tf.mounting import mounting
 from pc2scan.tf.placing import Placer
 from pc2scan.tf.summary import BODIES
 from pc2scan.tf.world_frames import find_body_motion
@@ -19,14 +18,14 @@ from pc2scan.tf.world_frames import find_body_motion
 from .findings import Finding, Tally, few_unplaced, finding
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
 
-    from .cloud_info import FirstSamples
     from .findings import Level
 
 #: A sensor is tilted if the cosine between its z axis and the robot's is below 1 by this much: 2.6 degrees.
@@ -250,13 +249,15 @@ class ScanFrames:
         return found
 
 
-def mounting_findings(first: FirstSamples, buffer: TransformBuffer, frames: Collection[str]) -> dict[str, Finding]:
+def mounting_findings(
+    topics: Iterable[TopicFacts], buffer: TransformBuffer, frames: Collection[str]
+) -> dict[str, Finding]:
     """Look for frames of scans that are tilted, upside down or optical.
 
     Parameters
     ----------
-    first
-        Samples of the first clouds of all topics.
+    topics
+        The facts about all topics with clouds.
     frames
         The frames of the scans.
 
@@ -266,12 +267,11 @@ def mounting_findings(first: FirstSamples, buffer: TransformBuffer, frames: Coll
         A defect for each frame in which the ground of the first clouds is not level.
     """
     findings: dict[str, Finding] = {}
-    for topic in first.observers:
+    for facts in topics:
         for frame in dict.fromkeys(frames):
-            clouds = first.placed(topic, Placer(frame, buffer=buffer))
-            there = mounting(topic, clouds[0].frame_id, clouds, buffer) if clouds else None
+            there = facts.mounting(Placer(frame, buffer=buffer), buffer, moved=True)
             if there is not None and there.fault:
                 hint = f"for scans made from clouds: pc2scan convert with {there.options}" if there.options else ""
-                what = f"the scan's frame {frame!r} is {there.fault}, by the clouds on {topic}"
+                what = f"the scan's frame {frame!r} is {there.fault}, by the clouds on {facts.topic}"
                 findings.setdefault(frame, Finding("not-level", "defect", what, hint))
     return findings

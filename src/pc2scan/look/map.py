@@ -10,7 +10,6 @@ from pc2scan.bags.topics import find_topics, matches
 from pc2scan.core.occupancy import OccupancyGrid
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, name_list
-from pc2scan.files.limits import MAX_MAP_CELLS
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import files_output
 from pc2scan.messages.clouds import CLOUDS
@@ -34,6 +33,10 @@ if TYPE_CHECKING:
 
     from .map_drawing import MapOptions
     from .map_result import Map
+
+
+#: Cells of a map: 410 m by 410 m at 5 cm. Two bytes each while scans are drawn.
+_MAX_CELLS = 64 << 20
 
 
 def write_map(
@@ -123,7 +126,7 @@ def map_of(
         further = recording.damage
     if not converted and _converts(options):
         notes.append("The recording has no clouds: options about clouds have no effect.")
-    drawn = Drawing(OccupancyGrid(asked.resolution, MAX_MAP_CELLS), buffer, asked, options)
+    drawn = Drawing(OccupancyGrid(asked.resolution, _MAX_CELLS), buffer, asked, options)
     stream.listener = notes.append
     with stream, closing(stream.results(progress)) as results:
         for result in results:

@@ -120,7 +120,7 @@ def take_shots(
     reader = recording.reader
     options.scan.refuse_combining("pages and figures make")
     options = options.with_scan(params=_without_times(options.scan.params))
-    plan = make_plan(reader.connections, options)
+    plan = make_plan(reader.connections, options, reader)
     if options.clock:
         from pc2scan.pipeline.stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
 

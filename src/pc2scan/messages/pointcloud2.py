@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pc2scan.core.points import Points
 from pc2scan.errors import DecodeError
 
 from .wire import MAX_CACHED_BYTES, Cursor, Packer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -337,6 +339,44 @@ def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
         If the message ends too early or declares more than `MAX_FIELDS`.
     """
     return CloudDecoder(serialization)(data)
+
+
+@dataclass(slots=True, eq=False)
+class _Fields(Mapping[str, "NDArray[Any]"]):
+    """The fields of a PointCloud2, which become arrays on request."""
+
+    cloud: PointCloud2
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name == "x":
+            self.cloud.check_size()
+        return self.cloud.field(name)
+
+    def __contains__(self, name: object) -> bool:
+        return any(field.name == name for field in self.cloud.fields)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys(field.name for field in self.cloud.fields))
+
+    def __len__(self) -> int:
+        return len({field.name for field in self.cloud.fields})
+
+
+def message_of(points: Points) -> PointCloud2 | None:
+    """Return the PointCloud2 that these points are all the points of; None for other types."""
+    fields = points.fields
+    return fields.cloud if isinstance(fields, _Fields) else None
+
+
+def point_decoder(serialization: str) -> Callable[[Buffer], Points]:
+    """Return the decoder of messages to points; it is fastest for one topic. Threads may share it."""
+    decode = CloudDecoder(serialization)
+
+    def points(data: Buffer) -> Points:
+        cloud = decode(data)
+        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, _Fields(cloud))
+
+    return points
 
 
 def encode_pointcloud2(

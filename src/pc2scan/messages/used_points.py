@@ -9,8 +9,7 @@ import numpy as np
 
 from pc2scan.core.points import Points
 
-from .clouds import message_of
-from .pointcloud2 import PointField, StructuredCloud, encode_pointcloud2, encode_structured
+from .pointcloud2 import PointField, StructuredCloud, encode_pointcloud2, encode_structured, message_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -131,7 +131,11 @@ class BadMessages(TypedDict, total=False):
 
 
 class PointSelection(TypedDict, total=False):
-    """Which points and beams are used."""
+    """Which points and beams are used.
+
+    Filters are applied in this order. Finding the ground comes before the limits of height, because it needs the points
+    that these reject.
+    """
 
     remove: Annotated[
         Names | None,
@@ -148,11 +152,16 @@ class PointSelection(TypedDict, total=False):
             Texts("CONDITION"),
             "Use only points whose fields fulfil this condition: 'ring in (3, 4, 5) and intensity > 10'. Fields, "
             "numbers, < <= > >= == != in, and or not, + - * / %, abs(). Of several, all must be fulfilled.",
+            makes="where:Where",
         ),
     ]
     exclude_box: Annotated[
         Names | None,
-        Option(Texts("BOX"), "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m)."),
+        Option(
+            Texts("BOX"),
+            "Reject points in this box, such as the robot's own body: 'frame x0 x1 y0 y1 z0 z1' (m).",
+            makes="regions:ExcludeBox",
+        ),
     ]
     exclude_polygon: Annotated[
         Names | None,
@@ -160,6 +169,7 @@ class PointSelection(TypedDict, total=False):
             Texts("POLYGON"),
             "Reject points in this polygon, at any height, such as the robot's footprint: "
             "'frame x0 y0 x1 y1 x2 y2 ...' (m).",
+            makes="regions:ExcludePolygon",
         ),
     ]
     ground: Annotated[
@@ -169,6 +179,7 @@ class PointSelection(TypedDict, total=False):
             "remove: reject points on the ground, which is found in each cloud; it may slope by up to 15 degrees and "
             "have kerbs. Needs a frame of the robot whose z axis points up.",
             default="keep",
+            makes="ground:RemoveGround",
         ),
     ]
     min_height_slope: Annotated[
@@ -177,6 +188,7 @@ class PointSelection(TypedDict, total=False):
             Number(metavar="M/M"),
             "Reject points below `min_height` + this * range, a limit that rises with the range, for ramps and rough "
             "ground. 0.05 is about 3 degrees.",
+            makes="ground:MinHeightSlope",
         ),
     ]
     filters: Annotated[

@@ -83,11 +83,14 @@ class Option:
         What the shell completes: ``frames``, ``presets``, or ``topics`` and the ends of their types (none: all topics).
     command_only
         Whether only the command has it.
+    makes
+        The class of the filters that it asks for: ``regions:ExcludeBox`` in `pc2scan.pipeline.stages`; see its
+        `filters.filters_of`.
     """
 
     __slots__ = (
-        *("_default_text", "command_only", "common", "default", "help", "name", "offers", "panel", "scope", "short"),
-        *("spelling", "value"),
+        *("_default_text", "command_only", "common", "default", "help", "makes", "name", "offers", "panel", "scope"),
+        *("short", "spelling", "value"),
     )
 
     def __init__(
@@ -104,6 +107,7 @@ class Option:
         short: str = "",
         offers: tuple[str, ...] = (),
         command_only: bool = False,
+        makes: str = "",
     ) -> None:
         self.name = ""
         self.value = value
@@ -120,6 +124,7 @@ class Option:
         self.short = short
         self.offers = offers
         self.command_only = command_only
+        self.makes = makes
 
     @property
     def default_text(self) -> str:

@@ -184,8 +184,8 @@ class ParameterSources(TypedDict, total=False):
         Path | None,
         Option(
             PathName(),
-            "The file that the robot was run with: a ROS 2 parameter file, a ROS 1 YAML file, or an XML launch file of "
-            "either, whose remappings are used too.",
+            "The file that the robot was run with: a ROS 2 parameter file, a ROS 1 YAML file, or a launch file (XML or "
+            "Python, which is read, not executed), whose remappings are used too.",
             common=True,
         ),
     ]

@@ -1,13 +1,13 @@
 """The JSON schemas of scans files and dataset files, made from the table of options.
 
-``python -m pc2scan.options.schemas scans`` (or ``dataset``) prints one; ``pipeline/scans.schema.json`` and
-``batch/dataset.schema.json`` are copies for editors.
+``python -m pc2scan.options.schemas`` writes ``pipeline/scans.schema.json`` and ``batch/dataset.schema.json``, which are
+for editors.
 """
 
 from __future__ import annotations
 
 import json
-import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .table import PARAMETERS, dataset_options, output_options
@@ -109,4 +109,5 @@ def schema_text(name: str) -> str:
 
 
 if __name__ == "__main__":
-    print(schema_text(sys.argv[1]), end="")  # noqa: T201  # its only purpose
+    for room, schema in (("pipeline", "scans"), ("batch", "dataset")):
+        Path(__file__).parents[1].joinpath(room, f"{schema}.schema.json").write_text(schema_text(schema), "utf-8")

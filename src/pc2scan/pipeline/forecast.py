@@ -10,8 +10,7 @@ from pc2scan.errors import MessageError
 from .checks import result_findings
 from .conversion import ConvertedMessage
 from .engine import items_of
-from .items import Item
-from .tally import Tally
+from .items import Item, Tally
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

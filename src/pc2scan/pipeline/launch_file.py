@@ -1,19 +1,22 @@
-"""Reads the parameters and remappings of pointcloud_to_laserscan nodes from XML launch files of ROS 1 and ROS 2.
+"""Reads the parameters and remappings of pointcloud_to_laserscan nodes from launch files of ROS 1 and ROS 2.
 
-Nothing is launched, and nothing in a file is executed. Files are untrusted: their size and depth are bounded, and
-document types are refused, because they can declare entities.
+A file is a tree of elements, with the names of XML; `pc2scan.pipeline.launch_python` makes this tree of a Python file.
+
+Nothing is launched, and nothing in a file is executed.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 from pc2scan.errors import ParameterError, SeveralNodesError, name_list
 from pc2scan.text import did_you_mean
+
+from .launch_tree import Element, NotLiteral, xml_tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -21,9 +24,6 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from .parameters import Direction
-
-#: Maximum number of levels of nested elements.
-_MAX_DEPTH = 50
 
 #: Maximum number of substitutions in one text, including nested ones.
 _MAX_SUBSTITUTIONS = 100
@@ -37,15 +37,6 @@ _TOPICS: dict[Direction, frozenset[str]] = {
 }
 
 _TRUE, _FALSE = frozenset({"1", "true", "True", "yes"}), frozenset({"0", "false", "False", "no", ""})
-
-
-@dataclass(slots=True)
-class _Element:
-    tag: str
-    attributes: dict[str, str]
-    line: int
-    children: list[_Element] = field(default_factory=list)
-    text: str = ""
 
 
 class LaunchText(str):
@@ -87,7 +78,8 @@ class LaunchParam:
     value
         The text.
     kind
-        ``value``; ``yaml``, a block of YAML; or ``file``, the path of one.
+        ``value``; ``yaml``, a block of YAML; ``file``, the path of one; or ``unread``, a value that cannot be computed
+        here, and is the reason.
     line
         The line of the element.
     type
@@ -137,7 +129,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     Parameters
     ----------
     text, path
-        The file.
+        The file: Python if its name ends in ``.py``, otherwise XML.
     arguments
         Values of its arguments; the others have the defaults in the file.
     node
@@ -146,16 +138,22 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     Raises
     ------
     ParameterError
-        If the text is not a launch file, an argument has no value, or there is no node of pointcloud_to_laserscan, or
-        more than one.
+        If the text is not a launch file, an argument has no value, a text cannot be computed, or there is no node of
+        pointcloud_to_laserscan, or more than one.
     """
     reader = _LaunchReader(path, dict(arguments))
-    nodes = list(reader.nodes(_parse(text, path)))
+    if path.suffix == ".py":
+        from .launch_python import python_tree  # noqa: PLC0415  # only for Python files
+
+        root = python_tree(text, path)
+    else:
+        root = xml_tree(text, path)
+    nodes = list(reader.nodes(root))
     if not nodes:
-        raise ParameterError(
-            f"{path}: no node of pointcloud_to_laserscan in it",
-            hint="includes are not followed: name the file that has the node" if reader.ignored else None,
-        )
+        hint = "includes are not followed: name the file that has the node" if reader.ignored else None
+        if reader.unread:
+            hint = f"not followed: {name_list(reader.unread)}; name the file that has the node"
+        raise ParameterError(f"{path}: no node of pointcloud_to_laserscan in it", hint=hint)
     names = [name.shown for name, *_ in nodes]
     if node is not None:
         chosen = [entry for entry in nodes if entry[0] == "/" + node.strip("/") or entry[0].endswith(f"/{node}")]
@@ -185,47 +183,6 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
     return found
 
 
-def _parse(text: str, path: Path) -> _Element:
-    """Return the root element. ElementTree is not used: it has no line numbers, and always expands entities."""
-    from xml.parsers import expat  # noqa: PLC0415  # only for launch files
-
-    root = _Element("", {}, 0)
-    stack = [root]
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        if len(stack) > _MAX_DEPTH:
-            raise ParameterError(f"{path}, line {parser.CurrentLineNumber}: nested more than {_MAX_DEPTH} levels deep")
-        element = _Element(tag, attributes, parser.CurrentLineNumber)
-        stack[-1].children.append(element)
-        stack.append(element)
-
-    def end(_tag: str) -> None:
-        stack.pop()
-
-    def characters(data: str) -> None:
-        stack[-1].text += data
-
-    def refuse(*_declared: object) -> None:
-        raise ParameterError(
-            f"{path}, line {parser.CurrentLineNumber}: it declares a document type, which is not supported",
-            hint="remove the <!DOCTYPE ...>; launch files need none",
-        )
-
-    parser.buffer_text = True
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.CharacterDataHandler = characters
-    parser.StartDoctypeDeclHandler = refuse
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as err:
-        raise ParameterError(f"{path}, line {err.lineno}: not valid XML: {expat.ErrorString(err.code)}") from err
-    if root.children[0].tag != "launch":
-        raise ParameterError(f"{path}: is not a launch file: its root is <{root.children[0].tag}>, not <launch>")
-    return root.children[0]
-
-
 @dataclass(frozen=True, slots=True)
 class _Scope:
     """The namespace, parameters and remappings that apply to an element."""
@@ -234,7 +191,7 @@ class _Scope:
     remaps: tuple[str, ...] = ()
 
 
-_Found = tuple[LaunchText, _Element, _Scope]
+_Found = tuple[LaunchText, Element, _Scope]
 
 
 class _LaunchReader:
@@ -246,8 +203,11 @@ class _LaunchReader:
         #: Arguments of the file, with a value or None.
         self.arguments: dict[LaunchText, LaunchText | None] = {}
         self.ignored: list[str] = []
+        self.seen: set[int] = set()
+        #: What a Python file does besides, which may launch nodes.
+        self.unread: list[str] = []
 
-    def nodes(self, parent: _Element, scope: _Scope | None = None) -> Iterator[_Found]:
+    def nodes(self, parent: Element, scope: _Scope | None = None) -> Iterator[_Found]:
         """Yield the nodes of pointcloud_to_laserscan below an element."""
         scope = scope or _Scope()
         for element in parent.children:
@@ -257,21 +217,29 @@ class _LaunchReader:
                     self._declare(element)
             elif tag == "include":
                 self.ignored.append(f"{self._place(element)}, <include file={element.attributes.get('file', '')!r}>")
+            elif tag == "unread":
+                what = element.attributes["what"]
+                self.unread.append(f"{getattr(what, 'shown', what)} (line {element.line})")
             elif tag in {"remap", "set_remap"} and self._applies(element):
                 scope = _Scope(scope.namespace, (*scope.remaps, self._remap(element)))
             elif tag in {"push-ros-namespace", "push_ros_namespace"} and self._applies(element):
                 scope = _Scope(_qualified_name(scope.namespace, self._read(element, "namespace")), scope.remaps)
             elif tag in {"group", "node_container", "load_composable_node"}:
-                if self._applies(element):
+                if _has_effect(element) and self._applies(element):
                     space = self._read(element, "ns" if tag == "group" else "")
                     yield from self.nodes(element, _Scope(_qualified_name(scope.namespace, space), scope.remaps))
             elif tag in {"node", "composable_node"} and _is_upstream_node(element) and self._applies(element):
+                if id(element) in self.seen:  # a Python file may name an action several times
+                    continue
+                self.seen.add(id(element))
+                for said in ("exec", "plugin"):
+                    self._read(element, said)
                 space = self._read(element, "ns") or self._read(element, "namespace")
                 inner = _Scope(_qualified_name(scope.namespace, space), scope.remaps)
                 own = self._read(element, "name") or LaunchText(_direction_of(element))
                 yield _qualified_name(inner.namespace, own), element, inner
 
-    def node(self, full: LaunchText, element: _Element, scope: _Scope) -> LaunchNode:
+    def node(self, full: LaunchText, element: Element, scope: _Scope) -> LaunchNode:
         """Read a node."""
         remaps = list(scope.remaps)
         params: list[LaunchParam] = []
@@ -302,10 +270,12 @@ class _LaunchReader:
         )
         return LaunchNode(full, _direction_of(element), tuple(params), resolved, tuple(self.ignored))
 
-    def _params(self, element: _Element, above: LaunchText = _NOTHING) -> Iterator[LaunchParam]:
-        source = self._read(element, "from")
-        if source:
-            yield LaunchParam(_NOTHING, self._file(source), "file", element.line)
+    def _params(self, element: Element, above: LaunchText = _NOTHING) -> Iterator[LaunchParam]:
+        if "from" in element.attributes:
+            if isinstance(file := element.attributes["from"], NotLiteral):
+                yield LaunchParam(_NOTHING, LaunchText(f"`{file.shown}` is computed"), "unread", file.line)
+            elif source := self._read(element, "from"):
+                yield LaunchParam(_NOTHING, self._file(source), "file", element.line)
             return
         own = self._read(element, "name")
         name = LaunchText(above + own, above.shown + own.shown)
@@ -314,17 +284,17 @@ class _LaunchReader:
                 yield from self._params(child, LaunchText(f"{name}.", f"{name.shown}."))
             return
         if "value" not in element.attributes:
-            raise ParameterError(
-                f"{name.shown}: <param> has no value here (from {self._place(element)})",
-                name=name.shown,
-                hint=f"textfile, binfile and command are not supported; give its value: `{name}=...`"
-                if name.shown.isidentifier()
-                else None,
-            )
+            why = LaunchText("<param> has no value here")
+            yield LaunchParam(name, why, "unread", element.line)
+            return
+        written = element.attributes["value"]
+        if isinstance(written, NotLiteral):
+            yield LaunchParam(name, LaunchText(f"`{written.shown}` is computed"), "unread", element.line)
+            return
         value = self._read(element, "value")
         yield LaunchParam(name, value, "value", element.line, self._read(element, "type"))
 
-    def _rosparam(self, element: _Element) -> LaunchParam:
+    def _rosparam(self, element: Element) -> LaunchParam:
         command = element.attributes.get("command", "load")
         if command != "load":
             raise ParameterError(f"<rosparam command={command!r}> is not supported (from {self._place(element)})")
@@ -340,18 +310,22 @@ class _LaunchReader:
             return text
         return LaunchText(str(self.path.parent / text), str(self.path.parent / text.shown))
 
-    def _declare(self, element: _Element) -> None:
+    def _declare(self, element: Element) -> None:
         name = self._read(element, "name")
         if element.tag == "let" or "value" in element.attributes:
             self.arguments[name] = self._read(element, "value")
         elif name in self.given:
             self.arguments[name] = LaunchText(self.given[name])
         elif "default" in element.attributes:
-            self.arguments[name] = self._read(element, "default")
+            try:
+                self.arguments[name] = self._read(element, "default")
+            except ParameterError:
+                # Only an argument that is used needs a value: others have, say, files of packages that are not here.
+                self.arguments.setdefault(name, None)
         else:
             self.arguments.setdefault(name, None)
 
-    def _applies(self, element: _Element) -> bool:
+    def _applies(self, element: Element) -> bool:
         for attribute, wanted in (("if", True), ("unless", False)):
             if attribute in element.attributes:
                 text = self._read(element, attribute)
@@ -363,17 +337,21 @@ class _LaunchReader:
                     return False
         return True
 
-    def _remap(self, element: _Element) -> str:
+    def _remap(self, element: Element) -> str:
         return f"{self._read(element, 'from')}:={self._read(element, 'to')}"
 
-    def _place(self, element: _Element) -> str:
+    def _place(self, element: Element) -> str:
         return f"{self.path}, line {element.line}"
 
-    def _read(self, element: _Element, attribute: str) -> LaunchText:
+    def _read(self, element: Element, attribute: str) -> LaunchText:
         return self._substituted(element.attributes.get(attribute, ""), element)
 
-    def _substituted(self, written: str, element: _Element) -> LaunchText:
+    def _substituted(self, written: str, element: Element) -> LaunchText:
         """Replace substitutions such as ``$(arg ...)``, the innermost first."""
+        if isinstance(written, NotLiteral):
+            self._refuse(written.shown, element, written.line)
+        if written.startswith("$(python ") and written.endswith(")"):
+            return self._evaluated(written, element)
         text = LaunchText(written)
         for _ in range(_MAX_SUBSTITUTIONS):
             found = _SUBSTITUTION.search(text)
@@ -390,16 +368,29 @@ class _LaunchReader:
                 break
         raise ParameterError(f"too many substitutions (from {self._place(element)})")
 
-    def _value(self, kind: str, rest: str, element: _Element, shown: str) -> LaunchText:
+    def _evaluated(self, written: str, element: Element) -> LaunchText:
+        """Return the value of an expression of literals, after substitution."""
+        from .launch_python import literal_expression  # noqa: PLC0415  # few launch files have expressions
+
+        inner = self._substituted(written.removeprefix("$(python ")[:-1].strip(), element)
+        found = literal_expression(inner)
+        if isinstance(found, NotLiteral) or not isinstance(found, str | int | float):
+            self._refuse(written, element)
+        return LaunchText(str(found), written if inner.is_hidden else None)
+
+    def _value(self, kind: str, rest: str, element: Element, shown: str) -> LaunchText:
         """Return the value of a substitution; errors have ``shown``, or its name if that is empty."""
-        name, *more = rest.split()[:2] or [""]
-        name, default = name.strip("'\""), " ".join(more).strip("'\"")
+        name, space, default = rest.partition(" ")
+        name, default = name.strip("'\""), default.strip().strip("'\"")
         match kind:
             case "arg" | "var":
                 key = LaunchText(name, shown or None)
                 value = self.arguments.get(key)
                 if value is None and name in self.given:
                     value = LaunchText(self.given[name])
+                    self.arguments.setdefault(key, value)
+                if value is None and space:
+                    value = LaunchText(default)
                 if value is None:
                     self.arguments.setdefault(key, None)
                     raise ParameterError(
@@ -408,7 +399,7 @@ class _LaunchReader:
                     )
                 return value
             case "env" | "optenv":
-                found = os.environ.get(name, default if more or kind == "optenv" else None)
+                found = os.environ.get(name, default if space or kind == "optenv" else None)
                 if found is None:
                     raise ParameterError(
                         f"{self.path}: needs the environment variable {shown or name} (from {self._place(element)})",
@@ -423,29 +414,60 @@ class _LaunchReader:
                 return LaunchText(name)
         return self._refuse(shown or f"$({kind} {rest})", element)
 
-    def _package(self, name: str, element: _Element, shown: str) -> Path:
+    def _package(self, name: str, element: Element, shown: str) -> Path:
         """Return the folder of the package that the file is in. Other packages would need a ROS installation."""
         for folder in self.path.resolve().parents:
-            if folder.name == name or (folder / "package.xml").exists():
+            if folder.name == name:
                 return folder
+            if (folder / "package.xml").exists():
+                if _package_name(folder / "package.xml") in {name, ""}:
+                    return folder
+                break
         raise ParameterError(
             f"{self.path}: the package {shown or name!r} was not found (from {self._place(element)})",
             hint="give the parameter file in it: `params_file=FILE`",
         )
 
-    def _refuse(self, text: str, element: _Element) -> NoReturn:
+    def _refuse(self, text: str, element: Element, line: int = 0) -> NoReturn:
         raise ParameterError(
-            f"{text[:80]!r} cannot be computed without ROS (from {self._place(element)})",
+            f"{text[:80]!r} cannot be computed without ROS (from {self.path}, line {line or element.line})",
             hint="write its value into a copy of the file",
         )
 
 
-def _is_upstream_node(element: _Element) -> bool:
-    said = [element.attributes.get(name, "") for name in ("pkg", "type", "exec", "plugin", "args")]
-    return any("pointcloud_to_laserscan" in text or "laserscan_to_pointcloud" in text for text in said)
+def _package_name(file: Path) -> str:
+    """Return the name in a ``package.xml``; empty if it cannot be read."""
+    try:
+        with file.open("rb") as opened:
+            text = opened.read(100_000)
+    except OSError:
+        return ""
+    found = re.search(rb"<name>\s*([\w-]+)\s*</name>", text)
+    return found[1].decode("ascii", "replace") if found else ""
 
 
-def _direction_of(element: _Element) -> Direction:
+def _is_upstream_node(element: Element) -> bool:
+    programs = [element.attributes.get(name, "") for name in ("type", "exec", "plugin")]
+    said = "".join(programs)
+    if "nodelet" in said:
+        said += element.attributes.get("args", "")
+    if not said or "$(" in said:
+        said += element.attributes.get("pkg", "")
+    return "pointcloud_to_laserscan" in said or "laserscan_to_pointcloud" in said
+
+
+def _has_effect(group: Element) -> bool:
+    """Whether a group sets arguments, or has a node that is read. The condition of another one does not matter."""
+    below = list(group.children)
+    while below:
+        element = below.pop()
+        if element.tag in {"arg", "let", "include", "unread"} or _is_upstream_node(element):
+            return True
+        below += element.children
+    return False
+
+
+def _direction_of(element: Element) -> Direction:
     said = "".join(element.attributes.get(name, "") for name in ("type", "exec", "plugin", "args"))
     said = said.lower().replace("_", "").replace("pointcloudtolaserscan/", "").replace("pointcloudtolaserscan::", "")
     return "laserscan_to_pointcloud" if "laserscantopointcloud" in said else "pointcloud_to_laserscan"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError, UsageError
 
-from .parameters import preset_settings, resolve
+from .parameters import ALIASES, preset_settings, resolve
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,7 +68,8 @@ def resolve_sources(
     if file is not None:
         from .params_file import load_params_file  # noqa: PLC0415
 
-        loaded = load_params_file(file, node=node, arguments=_launch_arguments(launch_args))
+        given = {ALIASES.get(setting.name, setting.name) for setting in found}
+        loaded = load_params_file(file, node=node, arguments=_launch_arguments(launch_args), overridden=given)
         found += loaded.settings
         ignored, remaps, files, hidden = loaded.ignored, loaded.remaps, loaded.files, loaded.hidden
         if reverse and loaded.direction == "pointcloud_to_laserscan":

@@ -11,7 +11,7 @@ from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.files.places import missing_hint
 from pc2scan.files.source import open_bytes, refuse_pointer
 from pc2scan.options.table import PARAMETERS
-from pc2scan.text import did_you_mean
+from pc2scan.text import did_you_mean, nearest
 
 from .launch_file import is_launch_xml, launch_node
 from .parameters import (
@@ -97,8 +97,14 @@ class ParamsFile:
     hidden: tuple[HiddenPlace, ...] = ()
 
 
-def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[str, str] | None = None) -> ParamsFile:
-    """Read a ROS 2 parameter file, a ROS 1 YAML, or an XML launch file of either.
+def load_params_file(
+    path: Path,
+    *,
+    node: str | None = None,
+    arguments: Mapping[str, str] | None = None,
+    overridden: Collection[str] = (),
+) -> ParamsFile:
+    """Read a ROS 2 parameter file, a ROS 1 YAML, an XML launch file of either, or a Python launch file.
 
     A file with ``ros__parameters`` is one of ROS 2. It has nodes by their names, with namespaces in the name or as keys
     above it, and the wildcards ``/**`` and ``/*``. Any other file is one of ROS 1. It has parameters, flat or below the
@@ -118,6 +124,8 @@ def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[
         Name of the node whose section to read, with or without its namespace.
     arguments
         Arguments of a launch file; see `pc2scan.pipeline.launch_file`.
+    overridden
+        Parameters that have values elsewhere, and need none from a launch file.
 
     Returns
     -------
@@ -130,16 +138,11 @@ def load_params_file(path: Path, *, node: str | None = None, arguments: Mapping[
         If the file cannot be read or is not YAML (with line and column), a key appears twice, no section or several
         match, the node has no such parameter, or a value is not a scalar.
     """
-    if path.suffix == ".py":
-        raise ParameterError(
-            f"{path}: is a Python program, which is not executed",
-            hint="give the parameter file that it names; `ros2 param dump` writes that of a running node",
-        )
     text = read_text(path)
-    if is_launch_xml(text):
-        return _from_launch(text, path, node, arguments or {})
+    if path.suffix == ".py" or is_launch_xml(text):
+        return _from_launch(text, path, node, arguments or {}, overridden)
     if arguments:
-        raise ParameterError(f"{path}: only XML launch files have arguments", hint="remove `launch_args`")
+        raise ParameterError(f"{path}: only launch files have arguments", hint="remove `launch_args`")
     return _from_yaml(text, path, node)
 
 
@@ -163,7 +166,9 @@ def _from_yaml(text: str, path: Path, node: str | None) -> ParamsFile:
     return _merge_sections(sections, target, ros1=ros1)
 
 
-def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str, str]) -> ParamsFile:
+def _from_launch(
+    text: str, path: Path, node: str | None, arguments: Mapping[str, str], overridden: Collection[str]
+) -> ParamsFile:
     """Read a node's parameters from a launch file; a later value replaces an earlier one."""
     found = launch_node(text, path, arguments, node)
     settings: dict[str, Setting] = {}
@@ -172,6 +177,10 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
     hidden: list[HiddenPlace] = []
     for param in found.params:
         place = f"{path}, line {param.line}"
+        if param.kind == "unread":
+            if ALIASES.get(param.name, param.name) not in overridden:
+                raise _unread(param, place)
+            continue
         if param.kind == "file":
             loaded = _named_file(param, place, found)
             files.append(Path(param.value))
@@ -193,8 +202,11 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
                 settings[name] = Setting(name, _as_bool(name, value), origin, "file")
             elif written in TOPICS:
                 ignored.append(origin)
-            else:
+            elif param.value.is_hidden or param.name.is_hidden or nearest(written, PARAMETERS):
                 raise unknown_parameter(called, origin, found.direction)
+            else:
+                # The node ignores a parameter that it does not declare.
+                ignored.append(origin)
     return ParamsFile(
         found.direction,
         tuple(settings.values()),
@@ -204,6 +216,17 @@ def _from_launch(text: str, path: Path, node: str | None, arguments: Mapping[str
         tuple(files),
         tuple(hidden),
     )
+
+
+def _unread(param: LaunchParam, place: str) -> ParameterError:
+    """Return the error about a value that only the execution of a launch file would give."""
+    name = param.name.shown
+    if not name:
+        return ParameterError(
+            f"the path of a parameter file: {param.value} (from {place})", hint="give the file: `params_file=FILE`"
+        )
+    hint = f"give its value: `{name}=...`" if name in PARAMETERS else None
+    return ParameterError(f"{name}: {param.value} (from {place})", name=name, hint=hint)
 
 
 def _named_file(param: LaunchParam, place: str, node: LaunchNode) -> ParamsFile:
@@ -254,7 +277,7 @@ def _launch_value(param: LaunchParam) -> object:
         return quoted[1] if quoted[1] is not None else quoted[2]
     parameter = PARAMETERS.get(ALIASES.get(param.name, param.name))
     if param.type in {"str", "string"} or (parameter and parameter.value.kind == "str"):
-        return param.value
+        return str(param.value)
     return plain_scalar(text)
 
 

@@ -8,14 +8,13 @@ from pc2scan.bags.formats import chunk_format
 from pc2scan.errors import MessageError, UnwritableError, UsageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.tfmessage import encode_transforms
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
 
 from .conversion import ConvertedMessage
 from .declarations import RecordingTopics
+from .items import NOTHING_REFUSED
 from .report import TopicReport
 from .routes import count_skipped, open_routes
-from .tally import NOTHING_REFUSED
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Mapping, Sequence
@@ -28,12 +27,11 @@ if TYPE_CHECKING:
 
     from .added_transforms import TrajectoryWriter
     from .combine.combiner import Combiner
-    from .items import Item, OpenRoute, Output
+    from .items import Item, OpenRoute, Output, Tally
     from .levelling import LevelFrames
     from .options import ConvertOptions
     from .plan import Plan
     from .preparation import Preparation
-    from .tally import Tally
 
 
 class OpenRecording(NamedTuple):
@@ -242,6 +240,8 @@ def _write_static(
     static: Sequence[StaticTransform], log_time_ns: int, handle: int, target: Destination, writer: Writer
 ) -> TopicReport:
     """Write the added transforms, and return what was written; ``handle`` is that of `_static_connection`."""
+    from pc2scan.messages.tfmessage import encode_transforms  # noqa: PLC0415  # few conversions add transforms
+
     if not static:
         raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
     rows = [transform.row(log_time_ns) for transform in static]

@@ -34,13 +34,13 @@ from pc2scan.threads import Threads, cores
 
 from .checks import request_warnings, result_findings
 from .engine import items_of
+from .items import Tally
 from .plan import make_plan
 from .preparation import prepare, span_of
 from .recording import open_recording, write_items
 from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse_unsatisfied, refuse_unusable
 from .report import Report
 from .run_files import OutputOptions, RunFiles
-from .tally import Tally
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Mapping, Sequence
@@ -114,7 +114,8 @@ def run(
             report.add(prepared.warnings, prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
             with _writing(target, unfinished, cut) as writer:
-                threads = _threads(options, stack)
+                jobs = options.jobs or cores()
+                threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
                 recording = open_recording(reader, plan, prepared, target, options, cut, writer)
                 report.topics, firsts = recording.entries, prepared.firsts
                 report.add(recording.warnings)
@@ -175,7 +176,7 @@ def open_plan(
     if options.repair and damage and not reader.connections:
         raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
     try:
-        plan = make_plan(reader.connections, options)
+        plan = make_plan(reader.connections, options, reader)
     except TopicError as err:
         if damage:
             note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
@@ -310,12 +311,6 @@ def _target(
     if options.repair and ros_version is None and target.format.profiles and output.profile is None:
         return target._replace(profile=summaries[0].profile)
     return target
-
-
-def _threads(options: ConvertOptions, stack: ExitStack) -> Threads | None:
-    """Return the threads of the conversion, closed with the stack; None for one job."""
-    jobs = options.jobs or cores()
-    return stack.enter_context(Threads(jobs)) if jobs > 1 else None
 
 
 def _size_on_disk(path: Path) -> int:

@@ -101,11 +101,27 @@ class RunFiles:
         self._write_report: Callable[[str], None] | None = None
 
     def open_report(self, stack: ExitStack) -> None:
-        """Open the report's file; raise if that cannot be done, or if an input would be overwritten."""
-        report = [] if self._output.report is None else [OutputPath(self._output.report, "`report`")]
+        """Open the report's file; raise if that cannot be done, or if an input would be overwritten.
+
+        In a dry run, it is only checked that the file can be written.
+        """
+        output, path = self._output, self._output.report
+        report = [] if path is None else [OutputPath(path, "`report`")]
         destination = [] if self.destination is None else [OutputPath(self.destination, numbered=self.numbered)]
         refuse_overlap(self._inputs, [*destination, *report])
-        self._write_report = report_file(self._output, stack)
+        if path is None:
+            return
+        from pc2scan.files.text_output import check_text_output, text_output  # noqa: PLC0415  # only reports need it
+
+        try:
+            if output.dry_run:
+                check_text_output(path, beginning=BEGINNING, overwrite=output.overwrite)
+            else:
+                written = text_output(path, beginning=BEGINNING, overwrite=output.overwrite)
+                self._write_report = stack.enter_context(written)
+        except (DestinationError, OutputError) as err:
+            err.message = f"the report cannot be written there: {err.message}"
+            raise
 
     def deliver(self, report: Report) -> None:
         """Write the report. If that fails, the recording stays, and the exit status and a warning say so."""
@@ -149,22 +165,3 @@ class RunFiles:
         for source, state in zip(self.read, self._states, strict=True):
             if state_of(source) != state:
                 raise changed_while_read(source)
-
-
-def report_file(output: OutputOptions, stack: ExitStack) -> Callable[[str], None] | None:
-    """Check that the report can be written, before anything else is; return the function that writes it.
-
-    None if no report is requested, and in a dry run.
-    """
-    if output.report is None:
-        return None
-    from pc2scan.files.text_output import check_text_output, text_output  # noqa: PLC0415  # only reports need it
-
-    try:
-        if output.dry_run:
-            check_text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite)
-            return None
-        return stack.enter_context(text_output(output.report, beginning=BEGINNING, overwrite=output.overwrite))
-    except (DestinationError, OutputError) as err:
-        err.message = f"the report cannot be written there: {err.message}"
-        raise

@@ -15,16 +15,17 @@ from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.messages.stamps import STAMPED, move_point_times, set_stamp, stamp_in
-from pc2scan.tf.clocks import TRAJECTORY, measure_offsets
+
+from .clocks import measure_offsets
+from .options import TRAJECTORY
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
-    from pc2scan.tf.clocks import StampOptions
 
-    from .options import ConvertOptions
+    from .options import ConvertOptions, StampOptions
     from .plan import Plan
 
 #: If a constant offset leaves stamps that differ from their log times by more than this, it is not constant.

@@ -218,7 +218,7 @@ class Scans(Stream[Scan]):
             # Returns the only topic, or raises.
             self._selection.select_connections(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
-        plan = make_plan(reader.connections, options)
+        plan = make_plan(reader.connections, options, reader)
         if options.clock:
             from pc2scan.pipeline.stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
 

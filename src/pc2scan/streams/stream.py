@@ -20,12 +20,11 @@ from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, 
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import items_of
-from pc2scan.pipeline.items import OpenRoute, Output
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.items import OpenRoute, Output, Tally
+from pc2scan.pipeline.options import ConvertOptions, StampOptions
 from pc2scan.pipeline.preparation import span_of
 from pc2scan.pipeline.refusals import refuse_no_messages
 from pc2scan.pipeline.report import TopicReport
-from pc2scan.pipeline.tally import Tally
 from pc2scan.threads import Threads, cores
 
 if TYPE_CHECKING:
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.engine import Progress
     from pc2scan.pipeline.items import Span
     from pc2scan.result import Skipped
-    from pc2scan.tf.clocks import StampOptions
     from pc2scan.tf.placing import LevelTransform
 
 
@@ -169,11 +167,10 @@ class Selection:
             if connection.ros_type in kinds and connection.ros_version is not None:
                 found.setdefault(connection.topic, []).append(connection)
         if not found:
-            topics = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
-            others = f"its topics are: {name_list(topics)}" if topics else "it has no topics"
-            raise TopicError(
-                f"the recording has no {short_types(kinds)} topic; {others}", path=reader.path, hint=hint(reader)
-            )
+            from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
+
+            message, other = without(short_types(kinds), reader.connections, reader)
+            raise TopicError(message, path=reader.path, hint=hint(reader) or other or None)
         if not self.topics and len(found) > 1:
             raise TopicError(
                 f"the recording has {len(found)} {short_types(kinds)} topics: {name_list(sorted(found))}",

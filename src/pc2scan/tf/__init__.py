@@ -1,5 +1,7 @@
 """Reads the transforms of whole recordings, and looks them up by tf2's rules."""
 
-from pc2scan.arguments import make_callable
+import sys
 
-make_callable(__name__)
+from pc2scan.arguments import CallablePackage
+
+sys.modules[__name__].__class__ = CallablePackage

@@ -12,7 +12,7 @@ from pc2scan.bags.topics import find_topic
 from pc2scan.core.gravity import up_by_gravity, up_in
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.imu import IMU, decode_imu
-from pc2scan.model import own_message
+from pc2scan.model import copied_message
 from pc2scan.text import counted
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class ImuReading:
         from pc2scan.bags.observers import Observer  # noqa: PLC0415  # few recordings have one
 
         connections = [c for c in reader.connections if c.topic == self._topic and c.ros_type == IMU and c.ros_version]
-        return [Observer(connections, own_message, self._most, keep=self._samples.add)] if connections else []
+        return [Observer(connections, copied_message, self._most, keep=self._samples.add)] if connections else []
 
     def up(self, frame: str = "") -> UpEstimate:
         """Estimate the direction of up.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pc2scan.bags.topics import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.model import own_message
+from pc2scan.model import copied_message
 from pc2scan.text import counted, did_you_mean
 
 if TYPE_CHECKING:
@@ -144,11 +144,11 @@ class TransformReading:
         first: dict[str, TransformRow] = {}
         found: list[Observer[Any]] = []
         if connections:
-            found.append(Observer(connections, own_message, keep=partial(self.add, reader, first)))
+            found.append(Observer(connections, copied_message, keep=partial(self.add, reader, first)))
         if own:
             found += (self._pose_observer(asked, reader) for asked in self._options.odometry)
         if models := _model_connections(reader.connections, self._options):
-            found.append(Observer(models, own_message, 1, keep=self.add_model))
+            found.append(Observer(models, copied_message, 1, keep=self.add_model))
         return found
 
     def _pose_observer(self, asked: PoseTopic, reader: Reader) -> Observer[Any]:
@@ -159,15 +159,15 @@ class TransformReading:
         connections = asked.connections(reader.connections)
         reading = PoseReading(asked, connections)
         self._poses.append(reading)
-        return Observer(connections, own_message, keep=reading.add)
+        return Observer(connections, copied_message, keep=reading.add)
 
-    def supply(self, readers: Sequence[Reader], needed: Collection[str], *, use: bool = True) -> None:
+    def supply(self, reader: Reader, needed: Collection[str], *, use: bool = True) -> None:
         """Use topics with poses that have a needed frame which no transform has; they were not asked for.
 
         Parameters
         ----------
-        readers
-            The source first.
+        reader
+            The source.
         needed
             Names of frames; empty ones are ignored.
         use
@@ -178,8 +178,8 @@ class TransformReading:
         RecordingError
             If a recording cannot be read.
         """
-        missing = {frame.removeprefix("/") for frame in needed if frame} if readers else set()
-        candidates = _pose_connections(readers[0].connections) if missing else {}
+        missing = {frame.removeprefix("/") for frame in needed if frame}
+        candidates = _pose_connections(reader.connections) if missing else {}
         if not candidates:
             return
         missing -= {frame for pair in self._pairs() for frame in pair}
@@ -190,7 +190,7 @@ class TransformReading:
         from .sources import PoseReading, PoseTopic  # noqa: PLC0415
 
         trials = {topic: PoseReading(PoseTopic(topic), own) for topic, own in candidates.items()}
-        observe(readers[0], [Observer(each.connections, own_message, 1, keep=each.add) for each in trials.values()])
+        observe(reader, [Observer(each.connections, copied_message, 1, keep=each.add) for each in trials.values()])
         fitting = []
         for topic, trial in trials.items():
             pairs = [(each.parent, each.child) for each in trial.finish()[0]]
@@ -203,7 +203,7 @@ class TransformReading:
             )
             return
         for topic, (parent, child) in fitting:
-            observe(readers[0], [self._pose_observer(PoseTopic(topic), readers[0])])
+            observe(reader, [self._pose_observer(PoseTopic(topic), reader)])
             self._notes.append(
                 f"no transform has the frame {parent if parent in missing else child}: the poses of {topic} are used "
                 f"({child} in {parent}), as with `odom_topic={topic}`"
@@ -370,7 +370,8 @@ def read_transforms(
     for reader in readers:
         own = reader is readers[0]
         observe(reader, [*reading.observers(reader, own=own), *(others if own else ())])
-    reading.supply(readers, needed, use=use)
+    if needed:
+        reading.supply(readers[0], needed, use=use)
     return reading.finish()
 
 
@@ -414,9 +415,9 @@ class RobotTransforms:
         for static, start_ns, stop_ns in ((True, None, None), (False, time_ns, time_ns + _SOME_NS)):
             group = [connection for connection in connections if is_static(connection.topic) is static]
             if group:
-                self.observers.append(Observer(group, own_message, _SOME_MESSAGES, start_ns, stop_ns))
+                self.observers.append(Observer(group, copied_message, _SOME_MESSAGES, start_ns, stop_ns))
         if models := _model_connections(reader.connections, options):
-            self.observers.append(Observer(models, own_message, 1))
+            self.observers.append(Observer(models, copied_message, 1))
 
     def finish(self) -> TransformBuffer | None:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""

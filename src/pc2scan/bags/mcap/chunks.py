@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
 from pc2scan.bags.units import MAX_LISTED_ITEMS
-from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, crc32, decompress
-from pc2scan.files.limits import allowed_bytes
+from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
 from pc2scan.model import StoredChunk, own_data
 
 from .records import CHUNK, COMPRESSIONS, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64
@@ -190,8 +189,8 @@ def copy_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> S
     Returns
     -------
     StoredChunk | None
-        None if it cannot keep its compression, its messages are not sorted by log time, the indexes do not have all
-        of them, or there may be other declarations before the first one.
+        None if it cannot keep its compression, the indexes do not have all of its messages or contradict its times, or
+        there may be other declarations before the first one.
 
     Raises
     ------
@@ -216,9 +215,9 @@ def copy_by_index(file: RecordFile, segment: ChunkSegment, rule: ChunkRule) -> S
     entries = sorted((entry for found in index.values() for entry in found), key=_place)
     if not entries or entries[0][1] != 0 or entries[-1][1] >= segment.uncompressed_size:
         return None
-    if index.keys() != segment.connection_ids or not _is_sorted([time_ns for time_ns, _ in entries], segment):
-        return None
-    return StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
+    found = StoredChunk(segment.compression, stored, segment.uncompressed_size, chunk.crc, index)
+    is_sound = index.keys() == segment.connection_ids and found.span_ns() == (segment.start_ns, segment.end_ns)
+    return found if is_sound else None
 
 
 def copy_by_content(
@@ -233,7 +232,7 @@ def copy_by_content(
     Returns
     -------
     StoredChunk | memoryview
-        Its decompressed records, if ``rule`` does not allow to copy it or its messages are not sorted by log time.
+        Its decompressed records, if ``rule`` does not allow to copy it.
 
     Raises
     ------
@@ -252,7 +251,7 @@ def copy_by_content(
 
 
 def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collection[bytes]) -> Index | None:
-    """Index a chunk's messages; None if they are not in order, or it has any other record than these declarations."""
+    """Index a chunk's messages; None if one is outside of its times, or it has a record of another kind."""
     index: Index = {}
     times = []
     position, size = 0, len(records)
@@ -274,12 +273,12 @@ def _index_of(records: memoryview, segment: ChunkSegment, declarations: Collecti
             if len(times) > MAX_LISTED_ITEMS:
                 return None
         position = following
-    return index if position == size and times and _is_sorted(times, segment) else None
+    return index if position == size and times and _are_within(times, segment) else None
 
 
-def _is_sorted(times: list[int], segment: ChunkSegment) -> bool:
-    """Whether log times are sorted, and within the declared ones."""
-    return segment.start_ns <= times[0] and times[-1] <= segment.end_ns and times == sorted(times)
+def _are_within(times: list[int], segment: ChunkSegment) -> bool:
+    """Whether log times are within the declared ones."""
+    return segment.start_ns <= min(times) and max(times) <= segment.end_ns
 
 
 def _place(entry: tuple[int, int]) -> int:

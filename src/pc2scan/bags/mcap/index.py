@@ -9,12 +9,13 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.chunks import Segment
+from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
-from pc2scan.files.limits import ConnectionLimit
 
 from . import records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
@@ -508,7 +509,7 @@ def find_declarations(
     needed. Without a summary, a channel that has no messages may stay unknown.
     """
     chunks = [segment for segment in index.segments if isinstance(segment, ChunkSegment)]
-    chunks.sort(key=lambda chunk: chunk.offset)
+    chunks.sort(key=attrgetter("offset"))
     used = frozenset[int]().union(*(s.connection_ids for s in index.segments if s.connection_ids))
     all_used_known = index.channels_listed or all(segment.connection_ids is not None for segment in index.segments)
     rest = []

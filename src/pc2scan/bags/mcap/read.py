@@ -9,14 +9,14 @@ from operator import attrgetter
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import ChunkedReader, isolated_chunks, segment_units
+from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
-from pc2scan.bags.qos import latches
+from pc2scan.bags.reader import MAX_CONNECTIONS
+from pc2scan.bags.topics import latches
 from pc2scan.bags.units import LazyItems, map_items
 from pc2scan.bags.zstd import decompress_messages, is_frame
 from pc2scan.errors import DamageError, stamp_text
 from pc2scan.files.compression import combine_crc32, crc32
-from pc2scan.files.limits import MAX_CONNECTIONS
 from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
@@ -164,13 +164,13 @@ class McapReader(ChunkedReader):
             return []
         rule = rule if rule and rule.container == "mcap" else None
         segments = self._segments_with(ids, start_ns, stop_ns)
-        alone = isolated_chunks(segments, rule, start_ns, stop_ns) if rule else frozenset()
+        whole = whole_chunks(segments, rule, start_ns, stop_ns) if rule else {}
         blindly: frozenset[int] = frozenset()
-        if rule and alone and not self._verify and not self._packs(segments[0]):
+        if rule and whole and not self._verify and not self._packs(segments[0]):
             blindly = shared_channels(self._index, rule)
         times = (0 if start_ns is None else start_ns, 1 << 64 if stop_ns is None else stop_ns)
         selection = _Selection(wanted, *times, rule, blindly)
-        return segment_units(segments, partial(self._load, selection), alone, self._file)
+        return segment_units(segments, partial(self._load, selection), whole, self._file)
 
     def _load(
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
@@ -444,46 +444,42 @@ _SERIALIZATION_OF_PROFILE = {"ros1": "ros1", "ros2": "cdr"}
 
 def connections_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Iterator[Connection]:
     """Yield a connection for each channel; a schema that is missing is noted as damage."""
+    statistics = index.statistics
     for channel in index.channels.values():
         schema = index.schemas.get(channel.schema_id)
         if schema is None and channel.schema_id:
             missing = f"channel {channel.id} has schema {channel.schema_id}, which is not in the file"
             log.note(file.damage(missing), key=channel.id)
-        yield _connection(channel, schema, index)
-
-
-def _connection(channel: records.Channel, schema: records.Schema | None, index: McapIndex) -> Connection:
-    metadata = channel.metadata
-    encoding = schema.encoding if schema else ""
-    serialization = (
-        channel.message_encoding
-        or _SERIALIZATION_OF_SCHEMA.get(encoding)
-        or _SERIALIZATION_OF_PROFILE.get(index.profile, "")
-    )
-    qos = metadata.get("offered_qos_profiles", "")
-    ros1 = serialization == "ros1"
-    statistics = index.statistics
-    if statistics is None:
-        count = index.counts[channel.id] if index.all_counted else None
-    elif statistics.message_count and not statistics.channel_message_counts:
-        # Writers may omit the counts by channel.
-        count = None
-    else:
-        count = statistics.channel_message_counts.get(channel.id, 0)
-    return Connection(
-        id=channel.id,
-        topic=channel.topic,
-        msgtype=schema.name if schema else "",
-        serialization=serialization,
-        definition=Definition(encoding, schema.data) if schema else Definition(),
-        digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
-        callerid=metadata.get("callerid"),
-        latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
-        qos=qos,
-        metadata=metadata,
-        message_count=count,
-        schema_id=channel.schema_id,
-    )
+        metadata = channel.metadata
+        encoding = schema.encoding if schema else ""
+        serialization = (
+            channel.message_encoding
+            or _SERIALIZATION_OF_SCHEMA.get(encoding)
+            or _SERIALIZATION_OF_PROFILE.get(index.profile, "")
+        )
+        qos = metadata.get("offered_qos_profiles", "")
+        ros1 = serialization == "ros1"
+        if statistics is None:
+            count = index.counts[channel.id] if index.all_counted else None
+        elif statistics.message_count and not statistics.channel_message_counts:
+            # Writers may omit the counts by channel.
+            count = None
+        else:
+            count = statistics.channel_message_counts.get(channel.id, 0)
+        yield Connection(
+            id=channel.id,
+            topic=channel.topic,
+            msgtype=schema.name if schema else "",
+            serialization=serialization,
+            definition=Definition(encoding, schema.data) if schema else Definition(),
+            digest=metadata.get("topic_type_hash") or metadata.get("md5sum", ""),
+            callerid=metadata.get("callerid"),
+            latching=metadata.get("latching") in ("1", "true", "True") if ros1 else latches(qos),
+            qos=qos,
+            metadata=metadata,
+            message_count=count,
+            schema_id=channel.schema_id,
+        )
 
 
 def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:

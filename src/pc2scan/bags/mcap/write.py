@@ -163,7 +163,9 @@ class McapWriter:
 
     def _schema_id(self, connection: Connection) -> int:
         """Write the connection's schema unless it is written already; returns its id, 0 for none."""
-        name = _schema_name(connection)
+        name = connection.msgtype
+        if connection.serialization in ("ros1", "cdr"):
+            name = ros1_type(name) if connection.serialization == "ros1" else normalized_type(name)
         definition = connection.definition
         # A name without a definition is kept: rosbag2 writes it for types that it cannot find.
         if not name and not definition.encoding:
@@ -264,7 +266,7 @@ class McapWriter:
         for channel_id, entries in chunk.index.items():
             places[channel_id] = self._file.put(
                 struct.pack("<BQHI", OP_MESSAGE_INDEX, 6 + 16 * len(entries), channel_id, 16 * len(entries)),
-                struct.pack(f"<{2 * len(entries)}Q", *chain.from_iterable(entries)),
+                struct.pack(f"<{2 * len(entries)}Q", *chain.from_iterable(sorted(entries))),
             )
         index = records.ChunkIndex(
             chunk_length=length,
@@ -374,12 +376,6 @@ class _OpenChunk:
         self.buffer = buffer
         self.size = 0
         self.index: dict[int, list[tuple[int, int]]] = {}
-
-
-def _schema_name(connection: Connection) -> str:
-    if connection.serialization == "ros1":
-        return ros1_type(connection.msgtype)
-    return normalized_type(connection.msgtype) if connection.serialization == "cdr" else connection.msgtype
 
 
 def _channel_metadata(connection: Connection) -> dict[str, str]:

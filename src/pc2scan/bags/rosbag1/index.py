@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.chunks import Segment
+from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import RecordingError
-from pc2scan.files.limits import ConnectionLimit
 
 from .records import (
     BAG_HEADER,

@@ -9,10 +9,9 @@ from __future__ import annotations
 from array import array
 from dataclasses import replace
 from functools import partial
-from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import ChunkedReader, isolated_chunks, segment_units
+from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems, map_items
 from pc2scan.errors import stamp_text
@@ -166,10 +165,10 @@ class Rosbag1Reader(ChunkedReader):
         wanted = {key: item if ids is None or key in ids else None for key, item in self._index.connections.items()}
         self._bytes_read = 0
         due = self._segments_with(ids, start_ns, stop_ns)
-        alone = isolated_chunks(due, rule, start_ns, stop_ns) if rule else frozenset()
-        needed = first_uses(due, start_ns) if alone else {}
+        whole = whole_chunks(due, rule, start_ns, stop_ns) if rule else {}
+        needed = first_uses(due, whole, start_ns) if whole else {}
         selection = _Selection(wanted, start_ns, stop_ns, rule, needed)
-        return segment_units(due, partial(self._load, selection), alone, self._file)
+        return segment_units(due, partial(self._load, selection), whole, self._file)
 
     def _load(
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
@@ -305,7 +304,9 @@ def summary_of(index: BagIndex, size: int) -> Summary:
     )
 
 
-def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segment, frozenset[int]]:
+def first_uses(
+    segments: Collection[Segment], whole: Mapping[Segment, int], start_ns: int | None
+) -> dict[Segment, frozenset[int]]:
     """Find the connections that each chunk has to describe, because no earlier chunk does.
 
     ROS 1's ``rosbag reindex`` needs a connection's description in the chunk of its first message.
@@ -314,12 +315,14 @@ def first_uses(segments: Collection[Segment], start_ns: int | None) -> dict[Segm
     ----------
     segments
         All segments to read.
+    whole
+        When chunks are due that may be copied; see `whole_chunks`.
     start_ns
         The start of the cut: a chunk across it may be written without its first messages.
     """
     uses = {}
     seen: frozenset[int] = frozenset()
-    for segment in sorted(segments, key=attrgetter("start_ns", "offset")):
+    for segment in sorted(segments, key=lambda each: (whole.get(each, each.start_ns), each.offset)):
         ids = segment.connection_ids or frozenset()
         uses[segment] = ids - seen
         if start_ns is None or start_ns <= segment.start_ns:
@@ -347,13 +350,13 @@ def whole_chunk(
     Returns
     -------
     StoredChunk | None
-        None if ``rule`` does not allow to copy it, or its messages are not sorted by log time or outside of the times
-        in the index. LZ4 frames that ROS 1's own reader refuses are compressed again.
+        None if ``rule`` does not allow to copy it, or its messages are outside of the times in the index. LZ4 frames
+        that ROS 1's own reader refuses are compressed again.
     """
     times = [message.log_time_ns for message in messages]
-    if not times or len(times) != len(places) or times != sorted(times):
+    if not times or len(times) != len(places):
         return None
-    if times[0] < segment.start_ns or segment.end_ns < times[-1]:
+    if min(times) < segment.start_ns or segment.end_ns < max(times):
         return None
     index: dict[int, list[tuple[int, int]]] = {}
     for message, place in zip(messages, places, strict=True):

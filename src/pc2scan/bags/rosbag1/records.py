@@ -26,8 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
-from pc2scan.files.compression import CompressionError, decompress
-from pc2scan.files.limits import allowed_bytes
+from pc2scan.files.compression import CompressionError, allowed_bytes, decompress
 from pc2scan.files.source import SourceFile
 from pc2scan.model import Connection, Definition, RawMessage
 

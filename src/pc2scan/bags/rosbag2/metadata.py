@@ -30,7 +30,7 @@ from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.folders import are_named_as_parts, natural_order, recordings_in
 from pc2scan.bags.formats import and_list, storages
-from pc2scan.bags.qos import latches
+from pc2scan.bags.topics import latches
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.records import Record
 from pc2scan.files.source import open_text

@@ -13,8 +13,8 @@ from pc2scan.bags.damage import RECOVER, DamageLog, count_details
 from pc2scan.bags.folders import refuse_unrelated
 from pc2scan.bags.formats import ReadOptions, storages
 from pc2scan.bags.merged import MergedReader
+from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError, RecordingError, stamp_text
-from pc2scan.files.limits import ConnectionLimit
 from pc2scan.files.places import private_folder
 from pc2scan.files.source import open_bytes
 

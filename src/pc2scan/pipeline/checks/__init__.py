@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from . import clouds, request, result
 from .request import Cut, OutputRequest
-from .result import Result, TopicResult
+from .result import JoinedResult, Result, TopicResult
 
 if TYPE_CHECKING:
     from pc2scan.model import Buffer, Summary
@@ -74,19 +74,16 @@ TOPIC: Checks[TopicResult] = (
     result.points_rejected_by_default,
     result.filters_without_effect,
     result.faults_without_number,
-    result.jumping_stamps,
-    result.source_in_no_scan,
-    result.messages_in_no_scan,
-    result.missing_transforms,
-    result.implausible_tilt,
 )
-TOPIC_NOTES: Checks[TopicResult] = (
-    result.unmatched_messages,
-    result.removed_beams,
-    result.rebinned_beams,
-    result.motion_of_sensor,
-    result.tilt_of_frame,
-)
+TOPIC_NOTES: Checks[TopicResult] = (result.removed_beams, result.rebinned_beams)
+
+#: What the counts of a topic show whose scans are made of several messages.
+JOINED: Checks[JoinedResult] = (result.jumping_stamps, result.source_in_no_scan, result.messages_in_no_scan)
+JOINED_NOTES: Checks[JoinedResult] = (result.unmatched_messages,)
+
+#: What the motions and the tilts of a topic's sensor show.
+MOVED: Checks[TopicResult] = (result.missing_transforms, result.implausible_tilt)
+MOVED_NOTES: Checks[TopicResult] = (result.motion_of_sensor, result.tilt_of_frame)
 
 
 def found_by(checks: Checks[Facts], facts: Facts, label: str = "") -> list[str]:
@@ -104,8 +101,18 @@ def result_findings(
     report: Report, first_scans: Sequence[tuple[TopicReport, Buffer]] = (), serialization: str = ""
 ) -> tuple[list[str], list[str]]:
     """Return the warnings and the notes about a result; see `Result`."""
-    topics = [TopicResult(topic, report) for topic in report.topics]
     warnings = found_by(RESULT, Result(report, first_scans, serialization))
-    warnings += (text for topic in topics for text in found_by(TOPIC, topic))
     notes = dict.fromkeys(text for spec in report.scans for text in found_by(RESULT_NOTES, spec))
-    return warnings, [*notes, *(text for topic in topics for text in found_by(TOPIC_NOTES, topic))]
+    further: list[str] = []
+    for topic in report.topics:
+        counted = TopicResult(topic, report)
+        warnings += found_by(TOPIC, counted)
+        if topic.joined is not None:
+            joined = JoinedResult(topic, topic.joined)
+            warnings += found_by(JOINED, joined)
+            further += found_by(JOINED_NOTES, joined)
+        further += found_by(TOPIC_NOTES, counted)
+        if topic.motions or topic.tilts:
+            warnings += found_by(MOVED, counted)
+            further += found_by(MOVED_NOTES, counted)
+    return warnings, [*notes, *further]

@@ -116,7 +116,9 @@ class CloudFacts:
     @property
     def are_fine(self) -> bool:
         """Whether scans have points, heights need no advice, and the first cloud is level or too small to be judged."""
-        if self.are_nearly_empty or self._need_heights or any(heights_in_millimetres(self)):
+        cut = self.total.height >= _NOTABLE_SHARE * max(self.total.total, 1)
+        needs_heights = (cut and self.is_default("min_height")) or self.lack_heights
+        if self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
             return False
         first = self.samples[0]
         if len(first.points) < FEWEST_POINTS:
@@ -138,12 +140,6 @@ class CloudFacts:
         """Whether a preset leaves the heights to the user, who gives none."""
         presets = any(map(preset_of, self.spec.origins.values()))
         return presets and self.is_default("min_height") and self.is_default("max_height")
-
-    @property
-    def _need_heights(self) -> bool:
-        """Whether the default min_height rejects many points, or a preset leaves the heights to the user."""
-        cut = self.total.height >= _NOTABLE_SHARE * max(self.total.total, 1)
-        return (self.is_default("min_height") and cut) or self.lack_heights
 
     def is_default(self, name: str) -> bool:
         """Return whether a parameter is not given."""
@@ -186,14 +182,11 @@ class CloudFacts:
 
     @cached_property
     def mounting(self) -> Mounting:
-        """How the sensor is mounted; the robot's transforms are only read if it is not level."""
+        """How the sensor is mounted, as `info` sees it: with the robot's transforms, which are read for it."""
         from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
 
         known = self.transforms
-        found = mounting(self.topic, self.source, self.samples, known.buffer)
-        if known.buffer is None and found.fault:
-            return mounting(self.topic, self.source, self.samples, known.read())
-        return found
+        return mounting(self.topic, self.source, self.samples, known.read() if known.buffer is None else known.buffer)
 
     @cached_property
     def advice(self) -> str:

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.core.consumers import CONSUMERS, judge
+from pc2scan.core.consumers import CONSUMERS, judge, refusal
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
@@ -109,6 +109,21 @@ class TopicResult(NamedTuple):
         return (spec.imu or spec.fixed_frame) if spec else "", frame
 
 
+class JoinedResult(NamedTuple):
+    """The result of one topic whose messages are in scans of several messages.
+
+    Attributes
+    ----------
+    topic
+        What happened to the topic.
+    counts
+        Which of its messages are in scans.
+    """
+
+    topic: TopicReport
+    counts: SourceCounts
+
+
 def refused_scans(result: Result) -> Iterator[str]:
     """Yield a warning for each reason why consumers would ignore the scans, or abort, with the topics."""
     topics: dict[str, dict[str, None]] = {}
@@ -141,7 +156,7 @@ def _refusal(data: Buffer, serialization: str, consumer: str = "") -> str:
         verdict = judge(consumer, scan)
         return "" if verdict.outcome == "accepted" else f"{consumer} {_DOES[verdict.outcome]}: {_explanation(verdict)}"
     scan = replace(scan, infinite=0, short=0)
-    verdicts = [verdict for consumer in CONSUMERS if (verdict := judge(consumer, scan)).refused]
+    verdicts = list(filter(None, (refusal(consumer, scan) for consumer in CONSUMERS)))
     if not verdicts:
         return ""
     first = verdicts[0]
@@ -257,10 +272,10 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
     return "all of their beams were removed" if points.used else "the clouds have no points"
 
 
-def jumping_stamps(result: TopicResult) -> Iterator[str]:
+def jumping_stamps(result: JoinedResult) -> Iterator[str]:
     """Yield a warning about stamps that jump, which no scan may combine."""
-    topic, counts = result.topic, result.topic.joined
-    if counts is None or not counts.jumped:
+    topic, counts = result
+    if not counts.jumped:
         return
     listed = [
         f"{'back' if jump.by_ns < 0 else 'ahead'} by {f'{abs(jump.by_ns) / 1e9:,.3f}'.rstrip('0').rstrip('.')} s "
@@ -274,10 +289,11 @@ def jumping_stamps(result: TopicResult) -> Iterator[str]:
     )
 
 
-def source_in_no_scan(result: TopicResult) -> Iterator[str]:
+def source_in_no_scan(result: JoinedResult) -> Iterator[str]:
     """Yield a warning about a topic whose messages are in no scan, or not in some."""
-    topic, counts, scans = result.topic, result.topic.joined, result.topic.target
-    if counts is None or topic.action != "joined":
+    topic, counts = result
+    scans = topic.target
+    if topic.action != "joined":
         return
     if counts.messages and not counts.used:
         yield (
@@ -293,17 +309,16 @@ def source_in_no_scan(result: TopicResult) -> Iterator[str]:
         )
 
 
-def messages_in_no_scan(result: TopicResult) -> Iterator[str]:
+def messages_in_no_scan(result: JoinedResult) -> Iterator[str]:
     """Yield a warning about many messages in a row that are in no scan."""
-    topic, counts = result.topic, result.topic.joined
-    if counts is not None and topic.action == "joined" and _are_left_long(topic, counts):
-        yield (
-            f"{_unmatched(topic, counts)}. Scans are made for messages of the leading topic; `lead` chooses another one"
-        )
+    if _are_left_long(*result):
+        yield (f"{_unmatched(*result)}. Scans are made for messages of the leading topic; `lead` chooses another one")
 
 
 def _are_left_long(topic: TopicReport, counts: SourceCounts) -> bool:
     """Whether messages in a row are in no scan for so long that the leading topic is silent, or far from them."""
+    if topic.action != "joined":
+        return False
     every_ns = topic.spec.combining.every_ns if topic.spec else 0
     return counts.left.last_stamp_ns - counts.left.first_stamp_ns > _NOTABLE_SILENCE_NS + every_ns
 
@@ -367,11 +382,10 @@ def range_of_preset(spec: ScanSpec) -> Iterator[str]:
         )
 
 
-def unmatched_messages(result: TopicResult) -> Iterator[str]:
+def unmatched_messages(result: JoinedResult) -> Iterator[str]:
     """Yield a note about messages that are in no scan, if there is no warning about them."""
-    topic, counts = result.topic, result.topic.joined
-    if counts is not None and counts.unmatched and not (topic.action == "joined" and _are_left_long(topic, counts)):
-        yield _unmatched(topic, counts)
+    if result.counts.unmatched and not _are_left_long(*result):
+        yield _unmatched(*result)
 
 
 def removed_beams(result: TopicResult) -> Iterator[str]:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import fields
 from enum import Enum
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from pc2scan.core.rule import Rejection
+from pc2scan.options.table import options_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
     import numpy as np
     from numpy.typing import NDArray
 
@@ -27,7 +31,8 @@ class Filter(Protocol):
 
     The result of a filter depends only on the cloud; threads share the filter. Two more attributes are optional:
     ``absent``, a warning for the case that nothing is rejected, and ``text``, the value of the option that makes the
-    same filter, which pages show in their command.
+    same filter, which pages show in their command. The filter of an option has a class method ``parse``; see
+    `filters_of`.
     """
 
     @property
@@ -69,3 +74,30 @@ def as_dict(chosen: Filter) -> dict[str, Any]:
     """Return the name and the parameters of a filter, for reports."""
     parameters = {each.name: getattr(chosen, each.name) for each in fields(chosen) if each.repr}  # type: ignore[arg-type]
     return {"name": chosen.name, **parameters}
+
+
+def filters_of(values: Mapping[str, Any], min_height: float) -> Iterator[Filter]:
+    """Yield the filters that options ask for, in the order of the table of options.
+
+    Its class makes a filter by ``parse(value, min_height)`` of each value of the option, or returns None: no filter is
+    needed. The module is imported when it is asked for, because few conversions need it.
+
+    Parameters
+    ----------
+    values
+        Values of options by name; others than those with a filter are ignored.
+    min_height
+        The parameter of the projection.
+
+    Raises
+    ------
+    UsageError
+        If a value cannot be read.
+    """
+    for name, option in options_of("convert").items():
+        if option.makes and name in values:
+            module, _, kind = option.makes.partition(":")
+            parse = getattr(import_module(f".{module}", __package__), kind).parse
+            for value in values[name] if option.value.repeats else (values[name],):
+                if (made := parse(value, min_height)) is not None:
+                    yield made

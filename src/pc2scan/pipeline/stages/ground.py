@@ -42,19 +42,19 @@ class RemoveGround:
     text = "remove"
 
     @classmethod
-    def parse(cls, text: str) -> RemoveGround:
-        """Read ``remove``.
+    def parse(cls, text: str, _: float = 0.0) -> RemoveGround | None:
+        """Read ``remove``, or ``keep``: no filter.
 
         Raises
         ------
         UsageError
             If it is anything else.
         """
-        if text != "remove":
+        if text not in GROUND:
             raise UsageError(
                 f"`ground` is {text!r}, it must be one of {', '.join(GROUND)}", hint=did_you_mean(text, GROUND) or None
             )
-        return cls()
+        return cls() if text == "remove" else None
 
     def __call__(self, points: Points) -> NDArray[np.bool_]:
         """Return which points are not on the ground; see `pc2scan.pipeline.stages.filters.Filter`."""
@@ -94,6 +94,11 @@ class MinHeightSlope:
             )
         if not math.isfinite(self.min_height):
             raise UsageError(f"`min_height_slope` needs a finite min_height, which is {self.min_height}")
+
+    @classmethod
+    def parse(cls, slope: float, min_height: float) -> MinHeightSlope:
+        """Return the filter of a value of the option."""
+        return cls(min_height, slope)
 
     @property
     def text(self) -> str:

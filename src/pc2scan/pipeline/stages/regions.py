@@ -59,7 +59,7 @@ class ExcludeBox:
                 )
 
     @classmethod
-    def parse(cls, text: str) -> ExcludeBox:
+    def parse(cls, text: str, _: float = 0.0) -> ExcludeBox:
         """Read ``frame x0 x1 y0 y1 z0 z1``: metres, or with a unit (``20cm``).
 
         Raises
@@ -124,7 +124,7 @@ class ExcludePolygon:
             raise UsageError(f"`exclude_polygon`: the polygon in {self.frame} has no area", hint=_POLYGON)
 
     @classmethod
-    def parse(cls, text: str) -> ExcludePolygon:
+    def parse(cls, text: str, _: float = 0.0) -> ExcludePolygon:
         """Read ``frame x0 y0 x1 y1 x2 y2 ...``; brackets, as in a footprint of Nav2, make no difference.
 
         Raises

@@ -86,6 +86,11 @@ class Where:
     explanation = "rejected by `where`"
     frame = Frame.SOURCE
 
+    @classmethod
+    def parse(cls, text: str, _: float = 0.0) -> Where:
+        """Return the filter of a condition."""
+        return cls(text)
+
     @property
     def text(self) -> str:
         """The condition."""

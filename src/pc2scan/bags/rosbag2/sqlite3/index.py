@@ -26,10 +26,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.damage import MAX_PLACES
-from pc2scan.bags.qos import latches
+from pc2scan.bags.reader import MAX_CONNECTIONS, ConnectionLimit
+from pc2scan.bags.topics import latches
 from pc2scan.errors import RecordingError
 from pc2scan.files.compression import ZSTD_MAGIC
-from pc2scan.files.limits import MAX_CONNECTIONS, ConnectionLimit
 from pc2scan.model import Connection, Definition
 from pc2scan.text import counted
 

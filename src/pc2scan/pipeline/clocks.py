@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -15,41 +13,33 @@ from pc2scan.core.percentiles import median_low
 from pc2scan.core.timing import TIME_FIELDS, point_times
 from pc2scan.errors import UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.imu import IMU
 from pc2scan.messages.poses import POSES
 from pc2scan.messages.stamps import STAMPED, stamp_in
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
 from pc2scan.text import counted, stamp
+from pc2scan.tf.reading import tf_connections
 
-from .reading import tf_connections
+from .options import TRAJECTORY
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.tf.placing import FrameOptions
+    from pc2scan.tf.trajectory import Trajectory
 
-    from .trajectory import Trajectory
+    from .items import Span
+    from .options import ScanSpec
+    from .survey import Survey, TopicFacts
 
 #: Delays from stamps in a message to its log time, nanoseconds, with the child frames of transforms.
 Delays: TypeAlias = "list[tuple[str, int]]"
 
 #: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
-_MESSAGES = {True: 3, False: 50}
-
-#: The name of a trajectory among topics, in options.
-TRAJECTORY = "trajectory"
-
-#: Earlier times do not count from 1970, nanoseconds.
-_LONG_AGO_NS = 1_000_000_000_000_000
-
-#: The largest offset: three centuries, as stamps of 64 bits have.
-_MOST_NS = 2**63 - 1
-
-_SIGNED = re.compile(r"([+-]?)(.*)")
-
-#: In how many messages of each topic an offset is measured, and the longest time that a cloud takes, seconds.
-_MEASURED = 50
-_LONGEST_S = 1.0
+CLOCK_HEADERS = 3
+_MOTIONS = 50
 
 #: Clocks may differ if the delays from stamps to log times differ by this. Slow drivers delay messages, too.
 _OTHER_CLOCK_NS = 500_000_000
@@ -60,77 +50,12 @@ _BEFORE_NS = -20_000_000
 _SMALL_NS = 100_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class StampOptions:
-    """How stamps are corrected.
+#: Earlier times do not count from 1970, nanoseconds.
+_LONG_AGO_NS = 1_000_000_000_000_000
 
-    Attributes
-    ----------
-    by_log
-        Whether the stamps of converted messages become their log times.
-    offset_ns
-        What is added to the stamps of converted messages, nanoseconds; None: it is measured.
-    by_topic
-        The same for single topics, which may be any that are read; ``trajectory`` stands for the poses of a file.
-    """
-
-    by_log: bool = False
-    offset_ns: int | None = 0
-    by_topic: Mapping[str, int | None] = field(default_factory=dict)
-
-    def __bool__(self) -> bool:
-        return self.by_log or self.offset_ns != 0 or bool(self.by_topic.keys() - {TRAJECTORY})
-
-    def __hash__(self) -> int:
-        return hash((self.by_log, self.offset_ns, tuple(self.by_topic.items())))
-
-    @property
-    def trajectory_ns(self) -> int:
-        """What is added to the stamps of a trajectory, nanoseconds."""
-        return self.by_topic.get(TRAJECTORY) or 0
-
-    @classmethod
-    def of(cls, stamps: str, time_offset: Iterable[str]) -> StampOptions:
-        """Read the options ``stamps`` and ``time_offset``.
-
-        Raises
-        ------
-        UsageError
-            If an offset is not one, or they contradict each other.
-        """
-        general: int | None = 0
-        by_topic: dict[str, int | None] = {}
-        for text in time_offset:
-            name, _, value = text.rpartition("=")
-            if name in by_topic or (not name and general != 0):
-                raise UsageError(f"`time_offset` is given twice for {name or 'all topics'}")
-            offset_ns = _offset_of(text, value)
-            if name:
-                by_topic[name] = offset_ns
-            else:
-                general = offset_ns
-        if TRAJECTORY in by_topic and by_topic[TRAJECTORY] is None:
-            raise UsageError("`time_offset`: the offset of a trajectory is not measured; give it in seconds")
-        by_log = stamps == "log"
-        if by_log and general != 0:
-            raise UsageError("`stamps=log` takes log times, which `time_offset` would change; give only one of them")
-        return cls(by_log, general, by_topic)
-
-
-def _offset_of(text: str, value: str) -> int | None:
-    """Return an offset in nanoseconds, exact to the last digit; None for ``auto``."""
-    from pc2scan.core.quantities import duration_ns  # noqa: PLC0415  # few clocks are corrected
-
-    if value == "auto":
-        return None
-    sign, number = _SIGNED.fullmatch(value.strip()).groups()  # type: ignore[union-attr]
-    found = duration_ns(number if re.search("[a-z]", number) else f"{number}s")
-    if found is None or found > _MOST_NS:
-        raise UsageError(
-            f"`time_offset`: {text!r} is not an offset",
-            hint="write seconds (3.2, -37s), milliseconds (120ms), auto, or with a topic /rear=0.12s",
-        )
-    return -found if sign == "-" else found
+#: In how many messages of each topic an offset is measured, and the longest time that a cloud takes, seconds.
+_MEASURED = 50
+_LONGEST_S = 1.0
 
 
 def logged_early(one_ns: int, other_ns: int) -> bool:
@@ -152,39 +77,36 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
 
 
-def delay_observers(
-    connections: Iterable[Connection], start_ns: int | None = None, stop_ns: int | None = None
-) -> dict[str, Observer[Delays]]:
-    """Return the observers of the delays from the stamps of topics to their log times.
+def ask_motion(survey: Survey, frames: FrameOptions, spec: ScanSpec) -> dict[str, Observer[Delays]]:
+    """Ask for the delays of what says where the robot was: moving transforms, and an IMU; return their observers."""
+    connections = survey.reader.connections
+    found: list[Connection] = []
+    if spec.fixed_frame:
+        found += (each for each in tf_connections(connections, frames.tf_topics) if not is_static(each.topic))
+    if spec.imu_request:
+        name = spec.imu_request.topic.strip("/")
+        found += (each for each in connections if each.ros_type == IMU and each.topic.strip("/") == name)
+    start_ns, stop_ns = survey.span.start_ns, survey.span.stop_ns
+    observers = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(found).items()}
+    survey.observers += observers.values()
+    return observers
+
+
+def clock_warnings(topics: Iterable[TopicFacts], motion: Mapping[str, Observer[Delays]]) -> Iterator[str]:
+    """Yield a warning for each topic whose stamps are probably of another clock than those of what says where it was.
 
     Parameters
     ----------
-    connections
-        Those with clouds or scans, with moving transforms, or of an IMU.
-    start_ns, stop_ns
-        The cut.
+    topics
+        Facts of topics with clouds or scans: their headers.
+    motion
+        What was observed of the topics with moving transforms, or of an IMU.
     """
-    return {
-        topic: Observer(own, _delays, _MESSAGES[own[0].ros_type in CLOUDS], start_ns, stop_ns)
-        for topic, own in by_topic(connections).items()
-    }
-
-
-def clock_warnings(sources: Mapping[str, Observer[Delays]], others: Mapping[str, Observer[Delays]]) -> Iterator[str]:
-    """Yield a warning for each source topic whose stamps are probably of another clock than those of other topics.
-
-    Parameters
-    ----------
-    sources
-        What was observed of the topics with clouds or scans.
-    others
-        ... and of those with moving transforms, or of an IMU.
-    """
-    known = {topic: _medians(observer.found) for topic, observer in others.items()}
-    for topic, observer in sources.items():
-        if not (delays := _medians(observer.found)):
+    known = {topic: _medians(observer.found) for topic, observer in motion.items()}
+    for facts in topics:
+        if not facts.headers:
             continue
-        delay_ns = median_low(list(delays.values()))
+        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
         for other, by_child in known.items():
             if not by_child:
                 continue
@@ -193,7 +115,7 @@ def clock_warnings(sources: Mapping[str, Observer[Delays]], others: Mapping[str,
             behind_ns = delay_ns - nearest_ns
             if are_doubtful(delay_ns, nearest_ns):
                 yield (
-                    f"the stamps of {topic} are {abs(behind_ns) / 1e9:.3g} s "
+                    f"the stamps of {facts.topic} are {abs(behind_ns) / 1e9:.3g} s "
                     f"{'behind' if behind_ns > 0 else 'ahead of'} those of {other}, compared with their log times: if "
                     "their clocks differ, points are placed as if they were measured at another time"
                 )
@@ -214,40 +136,41 @@ def _delays(message: RawMessage) -> Delays:
     stamps: list[tuple[str, int]] = []
     if kind in TF_TYPES:
         stamps = [(child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization)]
-    elif kind in STAMPED or kind in CLOUDS:
+    elif kind in STAMPED:
         stamps = [("", stamp_in(message.data, serialization))]
     return [(child, message.log_time_ns - stamp_ns) for child, stamp_ns in stamps]
 
 
-def refuse_other_clock(
-    trajectory: Trajectory, sources: Mapping[str, Observer[Delays]], first_ns: int, last_ns: int
-) -> None:
-    """Raise if the poses of a trajectory are of another time than all messages that need them.
+def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], span: Span, end_ns: int | None) -> None:
+    """Raise if the poses of a trajectory are of another time than the messages that need them.
 
     Parameters
     ----------
-    sources
-        What was observed of the topics that need them.
-    first_ns, last_ns
-        The log times of the first and the last message, nanoseconds.
+    topics
+        Facts of these messages: their headers.
+    span
+        The cut.
+    end_ns
+        The log time of the last message; None if it is not known.
 
     Raises
     ------
     UsageError
         The error has the times of both.
     """
-    for topic, observer in sources.items():
-        if not (delays := _medians(observer.found)):
+    last_ns = min((each for each in (span.stop_ns, end_ns) if each is not None), default=span.first_ns)
+    for facts in topics:
+        if not facts.headers:
             continue
-        delay_ns = median_low(list(delays.values()))
-        begin_ns, end_ns = first_ns - delay_ns, last_ns - delay_ns
+        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+        begin_ns, end_ns = span.first_ns - delay_ns, last_ns - delay_ns
         if trajectory.first_ns <= end_ns and trajectory.last_ns >= begin_ns:
             return
         offset = f"`time_offset={TRAJECTORY}={stamp_text(begin_ns - trajectory.first_ns)}s`"
         is_relative = trajectory.first_ns < _LONG_AGO_NS <= begin_ns
         why = "its times count from its beginning" if is_relative else "the clocks differ"
         raise UsageError(
-            f"its poses are from {stamp(trajectory.first_ns)} to {stamp(trajectory.last_ns)}, {topic} is from "
+            f"its poses are from {stamp(trajectory.first_ns)} to {stamp(trajectory.last_ns)}, {facts.topic} is from "
             f"{stamp(begin_ns)} to {stamp(end_ns)}: no pose is of the time of a message",
             path=trajectory.name,
             hint=f"if {why}, {offset} moves the first pose to the first message",
@@ -290,7 +213,7 @@ def measure_offsets(
         moving = [each for each in reader.connections if each.ros_type in POSES and each.ros_version is not None]
         moving = [each for each in moving if each.topic not in topics]
     ends = {topic: Observer(own, _delay_of_end, _MEASURED, start_ns, stop_ns) for topic, own in topics.items()}
-    references = delay_observers(moving, start_ns, stop_ns)
+    references = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(moving).items()}
     observe(reader, [*ends.values(), *references.values()])
     known = {topic: _nearest(observer.found) for topic, observer in references.items()}
     fitting = {topic: delays for topic, delays in known.items() if delays}
