@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from .arguments import refuse_unknown
 from .core.params import ProjectionParams
-from .errors import SeveralNodesError, UsageError
+from .errors import SeveralNodesError, UsageError, name_list
 from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
 from .options.conversion import ConversionFrames, StampCorrection
-from .options.table import PARAMETERS
+from .options.table import PARAMETERS, options_about_scans
 from .pipeline.options import ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .pipeline.param_sources import resolve_sources
 from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
@@ -159,6 +159,8 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConversionReque
     UsageError
         If an option has a wrong value, or contradicts another one.
     """
+    if options.no_scans:
+        _refuse_scans(options)
     given = options.among(PARAMETERS)
     settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in given.items()]
     if options.scans is not None:
@@ -169,6 +171,16 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConversionReque
         if options.reverse or options.params_file is None:
             raise
         return _of_nodes(options, settings, err.nodes, options.params_file, warn)
+
+
+def _refuse_scans(options: Options) -> None:
+    """Raise if there are options about scans, of which none are made."""
+    about_scans = options_about_scans()
+    if idle := [name for name in options.given if name in about_scans]:
+        raise UsageError(
+            f"{name_list([f'`{name}`' for name in idle])} would have no effect: `no_scans` makes no scans",
+            hint="`keep` and `drop` choose among topics" if "topics" in idle else None,
+        )
 
 
 def _of_nodes(
@@ -234,6 +246,7 @@ def _of_node(
             launch_args=options.launch_args,
             preset=options.preset,
             reverse=options.reverse,
+            remapped=_remapped(options) if options.params_file is not None else (),
         )
     known = {note for other in beside or () for note in other.notes}
     notes = tuple(dict.fromkeys(_IGNORED + place for place in resolved.ignored if _IGNORED + place not in known))
@@ -263,6 +276,13 @@ def _of_node(
     clock = clock_of(options) if options.given.keys() & StampCorrection.__annotations__.keys() else None
     conversion = ConvertOptions(scans=(scan,), frames=frames, clock=clock, **options.among(_OF_ALL))
     return ConversionRequest(conversion, files, notes)
+
+
+def _remapped(options: Options) -> set[str]:
+    """Return the topics that are given, in the nodes' names for them."""
+    if options.topics:
+        return {"cloud_in", "scan", "scan_in", "cloud"}
+    return {text.partition(":=")[0].rpartition(":")[2].strip("~/ ") for text in options.remap}
 
 
 #: The beginning of the note about an entry of a file.

@@ -20,8 +20,8 @@ from pc2scan.errors import (
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.records import read_record, write_record
 from pc2scan.files.staging import staged_output
+from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.options import TopicRequest
 from pc2scan.result import Skipped
 from pc2scan.streams.clouds import Clouds
@@ -247,8 +247,11 @@ def _topics(
                 hint=f"`topics={renamed[0].source}`",
             )
         return [topic.source for topic in requested]
-    kinds = options.scan.source_types if form.converting else (POINTCLOUD2,) if file_format.clouds else (LASERSCAN,)
-    return sorted({each.topic for each in connections if each.ros_type in kinds})
+    kinds = options.scan.source_types if form.converting else CLOUDS if file_format.clouds else (LASERSCAN,)
+    types: dict[str, set[str]] = {}
+    for each in connections:
+        types.setdefault(each.topic, set()).add(each.ros_type)
+    return sorted(usual_topics(types, kinds))
 
 
 def _stream(

@@ -12,7 +12,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, name_list
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import files_output
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
 from pc2scan.streams.scans import Scans
@@ -167,7 +167,7 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
     else:
         converted = bool(clouds) and (_converts(options) or not scans)
     if converted:
-        return options.scan.topics or tuple(map(TopicRequest, sorted(clouds))), True
+        return options.scan.topics or tuple(map(TopicRequest, sorted(usual_topics(types, CLOUDS)))), True
     # Without scans the stream raises an error that lists the topics.
     found = [topic for name in names for topic in find_topics(name, types, scans, LASERSCAN)] or sorted(scans)
     return tuple(map(TopicRequest, dict.fromkeys(found))), False

@@ -38,7 +38,7 @@ _DEPTH = _Kind(
 
 #: In the order in which errors name them. Types that can be converted are left out, so a row may stay when one can.
 _KINDS = (
-    _Kind("velodyne_msgs/Velodyne(Scan|Packet)", "Velodyne packets", _with("velodyne_pointcloud")),
+    _Kind("velodyne_msgs/VelodynePacket", "Velodyne packets", _with("velodyne_pointcloud")),
     _Kind(
         r"ouster\w*/PacketMsg",
         "Ouster packets",
@@ -57,8 +57,6 @@ _KINDS = (
     _Kind(r"nebula\w*/\w*Packets?", "packets of Nebula's drivers", _with("Nebula")),
     _Kind(r"lslidar\w*/Ls\w+", "LSLIDAR packets", _with("lslidar_driver")),
     _Kind(r"livox\w*/CustomMsg", "Livox messages", _with("livox_to_pointcloud2")),
-    _Kind("sensor_msgs/PointCloud", "clouds of the old type PointCloud", _with("point_cloud_converter")),
-    _Kind(r"point_cloud_interfaces/\w+", "compressed clouds", _with("point_cloud_transport's republish")),
     _Kind(
         r"foxglove(_msgs)?[/.]PointCloud",
         "clouds in Foxglove's schema",

@@ -373,7 +373,7 @@ class ComparisonRules(TypedDict, total=False):
         Names | None,
         Option(
             Texts("A[:=B]"),
-            "Topic to compare, and its name in B if that differs. Default: every LaserScan and PointCloud2 topic.",
+            "Topic to compare, and its name in B if that differs. Default: every topic with scans or clouds.",
             typed="--topic",
             short="-t",
             panel="",

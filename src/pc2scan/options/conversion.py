@@ -49,8 +49,8 @@ class SourceTopics(TypedDict, total=False):
         Names | None,
         Option(
             Texts("IN[:=OUT]"),
-            "PointCloud2 topic to convert, and the topic of its scans. Default: every PointCloud2 topic; the scans of "
-            "a single topic are on /scan, of several on <topic>/scan.",
+            "Cloud topic to convert, and the topic of its scans. Default: every topic with PointCloud2 or Livox's "
+            "messages; the scans of a single topic are on /scan, of several on <topic>/scan.",
             typed="--topic",
             short="-t",
             common=True,
@@ -436,7 +436,20 @@ class OtherTopics(TypedDict, total=False):
         Names | None, Option(Texts("TOPIC"), "Do not write these topics (names or globs).", offers=("topics",))
     ]
     keep_clouds: Annotated[bool, Option(Flag(), "Write the converted clouds too.")]
+    clouds_as: Annotated[
+        str,
+        Option(
+            Text(words=("recorded", "pointcloud2")),
+            "How clouds are written, with `keep_clouds` or `no_scans`. pointcloud2: those of all types as PointCloud2, "
+            "Livox's with the fields of its driver (x y z intensity tag line timestamp).",
+            default="recorded",
+        ),
+    ]
     only_scans: Annotated[bool, Option(Flag(), "Write only the scans.")]
+    no_scans: Annotated[
+        bool,
+        Option(Flag(), "Make no scans: write all topics, with `clouds_as=pointcloud2` the clouds as PointCloud2."),
+    ]
     keep_used: Annotated[
         str,
         Option(

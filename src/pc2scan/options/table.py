@@ -312,6 +312,13 @@ def instead_of(command: str, name: str) -> str:
 _OF_RECORDINGS: tuple[Any, ...] = (OtherTopics, FailureConditions, Container, CloudContent, DryRun, RunReport)
 
 
+def options_about_scans() -> set[str]:
+    """Return the options of a conversion that say which scans are made, and how."""
+    groups = (SourceTopics, ParameterSources, SeveralOutputs, Projection, PointSelection, RobotMotion, CloudCombination)
+    names = {name for group in (*groups, CloudContent) for name in group.__annotations__}
+    return names | {"keep_used", "min_used", "only_scans"}
+
+
 def conversion_options() -> Mapping[str, Option]:
     """Return the options of a conversion as a batch has it: all that may stand in a dataset file, and ``overwrite``."""
     return {

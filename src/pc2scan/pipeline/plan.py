@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import TopicError, name_list
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, usual_topics, written_as_pointcloud2
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.text import did_you_mean
 
@@ -115,7 +115,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader
         If there is nothing to convert, a requested topic is missing or of another type, or an output topic
         already exists in the source.
     """
-    specs = () if options.repair else options.scans
+    specs = () if options.repair or options.no_scans else options.scans
     kinds = [connection.kind for connection in connections]
     types: dict[str, set[str]] = {}
     for connection, kind in zip(connections, kinds, strict=True):
@@ -141,6 +141,10 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader
     converted = {topic for found in targets.values() for topic in found}
     everything = tuple(each for found in combined.values() for each in found)
     idle = _pattern_warnings(types.keys(), options, converted) if options.keep or options.drop else ()
+    if options.clouds_as == "pointcloud2" and not any(
+        each.passes and written_as_pointcloud2(each.connection) for each in routes
+    ):
+        idle = (*idle, "`clouds_as=pointcloud2` has no effect: there are no clouds of other types to write")
     return Plan(tuple(routes), specs, everything, tuple(idle))
 
 
@@ -203,7 +207,10 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
                 target = request.target and fill_glob(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
-        requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}
+        kept = [topic for topic in candidates if not matches(topic, options.drop)]
+        if len(kept) > 1:
+            kept = usual_topics({topic: types[topic] for topic in kept}, convertible)
+        requests = {topic: [None] for topic in kept}
         if not requests:
             raise TopicError(
                 f"every {short_types(convertible)} topic is dropped: {name_list(candidates)}",
@@ -221,11 +228,11 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
     name = "cloud" if spec.reverse else "scan"
     found = {}
     for topic, asked in requests.items():
-        usual = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
+        own = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
         if spec.combining.rebin:
-            usual = f"{topic}_rebinned" if options.keep_clouds else topic
+            own = f"{topic}_rebinned" if options.keep_clouds else topic
         # A topic that is requested twice is converted once.
-        found[topic] = tuple(dict.fromkeys(target or usual for target in asked))
+        found[topic] = tuple(dict.fromkeys(target or own for target in asked))
     return found
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .clocks import Delays
     from .combine.measurements import SourceFacts
     from .conversion import Conversion, Measurements
+    from .odometry import Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
     from .stages.deskew import Deskew, PointTime
@@ -196,7 +197,7 @@ class _OutputFacts:
     """The facts that one output to scans needs: asked for before the survey reads, and then made into conversions."""
 
     def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey, frames: FrameOptions) -> None:
-        self._spec, self._reader = spec, survey.reader
+        self._spec, self._reader, self._span = spec, survey.reader, survey.span
         self._is_alone = bool(plan.sources_of(spec, None))
         self._topics: Mapping[str, TopicFacts] = {}
         self._alone: Mapping[str, TopicFacts] = {}
@@ -251,14 +252,19 @@ class _OutputFacts:
             from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
             warnings += clock_warnings(self._topics.values(), self._motion)
+        source = ""
         if spec.fixed_frame and placer.buffer is not None:
             from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
+            from .odometry import odometry_warnings, tilt_warnings  # noqa: PLC0415
 
             # By log time.
             first = min((facts.headers[0] for facts in self._topics.values() if facts.headers), default=None)
             source = placer.source_frame or ("" if first is None else first.frame_id)
             with spec.naming_errors():
                 doubts = check_fixed_frame(source, spec, placer.buffer)
+            doubts += odometry_warnings(spec, source, placer.buffer)
+            if placer.up is not None:
+                doubts += tilt_warnings(spec, source, placer.buffer, placer.up)
             warnings += (spec.label + doubt for doubt in doubts)
         for sources in self._sources:
             from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
@@ -268,12 +274,13 @@ class _OutputFacts:
                 timing, grouper, new_notes, doubts = measure_sources(self._reader, sources, placer)
             notes += (spec.label + note for note in new_notes)
             warnings += (spec.label + doubt for doubt in doubts)
-            deskew, new_notes, doubts = self._deskew(placer, sources.facts.values())
+            combination = sources.combination
+            seen = self._surroundings(placer, firsts, source, combination.sources)
+            deskew, new_notes, doubts = self._deskew(placer, sources.facts.values(), seen)
             notes += new_notes
             warnings += doubts
-            combination = sources.combination
             conversions[combination] = MessagesToScan(
-                spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec)
+                spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec), seen
             )
         if self._is_alone or not self._sources:
             measurements = None
@@ -283,13 +290,30 @@ class _OutputFacts:
                 with spec.naming_errors():
                     measurements, new_notes = measure(self._alone.values(), spec, placer)
                 notes += (spec.label + note for note in new_notes)
-            deskew, new_notes, doubts = self._deskew(placer, self._alone.values())
+            seen = self._surroundings(placer, firsts, source)
+            deskew, new_notes, doubts = self._deskew(placer, self._alone.values(), seen)
             notes += new_notes
             warnings += doubts
             conversions[spec] = _to_scans(spec, placer, measurements, deskew, firsts)
         return conversions, notes, warnings
 
-    def _deskew(self, placer: Placer, topics: Collection[TopicFacts]) -> tuple[Deskew | None, list[str], list[str]]:
+    def _surroundings(
+        self, placer: Placer, firsts: FirstClouds, source: str, topics: Sequence[str] = ()
+    ) -> Surroundings | None:
+        """Return what samples the clouds of some topics, to compare them with the odometry; None where nothing does."""
+        if not source or placer.buffer is None or not (self._spec.deskew or len(topics) > 1):
+            return None
+        from .odometry import Surroundings  # noqa: PLC0415  # few conversions have a fixed frame
+
+        first_ns, last_ns = self._span.first_ns, self._span.stop_ns or self._reader.summary.end_ns
+        span = (first_ns, first_ns if last_ns is None else last_ns)
+        seen = Surroundings(self._spec, placer.buffer, source, placer.source_frame, span, topics)
+        firsts.surroundings.append((self._spec.label, seen))
+        return seen
+
+    def _deskew(
+        self, placer: Placer, topics: Collection[TopicFacts], surroundings: Surroundings | None
+    ) -> tuple[Deskew | None, list[str], list[str]]:
         """Return what places points at their own times (None: nothing does), notes and warnings."""
         spec, where = self._spec, self._where
         if where is None:
@@ -300,7 +324,8 @@ class _OutputFacts:
         doubts = [spec.label + each for facts in topics for each in time_warnings(facts, where)]
         with spec.naming_errors():
             turns, notes = measure_turns(topics, where)
-        deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns)
+        sample = None if surroundings is None else surroundings.add
+        deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns, sample)
         return deskew, [spec.label + note for note in notes], doubts
 
 

@@ -148,8 +148,9 @@ def run(
                 routes = recording.routes.values()
                 report.messages_declared, difference = compare_counts(reader, routes, options, report)
                 report.damage += difference
-                if not options.repair:
+                if plan.specs:
                     refuse_nothing(report)
+                if not options.repair:
                     refuse_unsatisfied(report, options)
             report.bytes_written = _size_on_disk(unfinished)
             if cut is not None:
@@ -285,7 +286,7 @@ def _target(
     summaries = [opened.summary for opened in readers]
     is_named = files.destination is not None and not output.like_source
     if files.destination is None:
-        mark = "_repaired" if options.repair else "_scan"
+        mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
         files.destination = default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
     path = files.destination
     if output.to is not None:

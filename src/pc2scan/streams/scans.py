@@ -207,7 +207,9 @@ class Scans(Stream[Scan]):
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
         if self._conversion is not None:
             return self._converting(stack, reader, self._conversion)
-        return self._source_of_type(stack, reader, LASERSCAN, _hint_clouds, lambda form: partial(_decode, form))
+        return self._source_of_type(
+            stack, reader, (LASERSCAN,), _hint_clouds, lambda connection: partial(_decode, connection.serialization)
+        )
 
     def _object(self, topic: str, log_time_ns: int, message: Any) -> Scan:
         return Scan(topic, log_time_ns, *map(message.__getattribute__, _DECODED))

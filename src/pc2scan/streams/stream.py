@@ -17,6 +17,7 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, visible
+from pc2scan.messages.clouds import usual_topics
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import items_of
@@ -171,6 +172,8 @@ class Selection:
 
             message, other = without(short_types(kinds), reader.connections, reader)
             raise TopicError(message, path=reader.path, hint=hint(reader) or other or None)
+        if not self.topics:
+            found = {topic: found[topic] for topic in usual_topics({topic: types[topic] for topic in found}, kinds)}
         if not self.topics and len(found) > 1:
             raise TopicError(
                 f"the recording has {len(found)} {short_types(kinds)} topics: {name_list(sorted(found))}",
@@ -299,16 +302,16 @@ class Stream(ABC, Generic[Item]):
         self,
         stack: ExitStack,
         reader: Reader,
-        msgtype: str,
+        kinds: Collection[str],
         hint: Callable[[Reader], str | None],
-        decoder: Callable[[str], Callable[[Buffer], Any]],
+        decoder: Callable[[Connection], Callable[[Buffer], Any]],
     ) -> StreamSource:
-        """Return the messages of a type, each of which becomes one object; see `Selection.select_connections`.
+        """Return the messages of some types, each of which becomes one object; see `Selection.select_connections`.
 
-        ``decoder`` returns the decoder of messages in a serialisation.
+        ``decoder`` returns the decoder of a connection's messages.
         """
         selection = self._selection
-        chosen = selection.select_connections(reader, (msgtype,), hint)
+        chosen = selection.select_connections(reader, kinds, hint)
         span = span_of(reader, ConvertOptions(start=selection.start, end=selection.end))
         if selection.clock:
             from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
@@ -318,9 +321,9 @@ class Stream(ABC, Generic[Item]):
             self.notes = tuple(notes)
         routes = {}
         for topic, connections in chosen.items():
-            output = Output(TopicReport(topic, msgtype, topic, "converted"), 0)
+            output = Output(TopicReport(topic, connections[0].ros_type, topic, "converted"), 0)
             for each in connections:
-                step = partial(_as_recorded, decoder(each.serialization))
+                step = partial(_as_recorded, decoder(each))
                 # A message is decoded at once: its object takes no more memory.
                 routes[each.id] = OpenRoute(each, steps=[step], outputs=[output], shrinks_from=0)
         # Objects are as large as their messages: other threads would hold many of them ahead of the loop.
