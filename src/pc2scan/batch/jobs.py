@@ -126,7 +126,7 @@ def digest_of(request: Request) -> str:
 def _check_export(options: Options) -> None:
     """Raise if an option of exports is given without ``export``, or one of recordings besides it."""
     name, given = options.export, options.given
-    poses = given.keys() & {"pose_frame", "base_frame", "odom_topic"}
+    poses = given.keys() & {"pose_frame", "base_frame"}
     if name is None:
         if poses:
             raise UsageError(f"`{min(poses)}` goes with `export`", hint="such as `export=npz`")
@@ -135,7 +135,7 @@ def _check_export(options: Options) -> None:
         raise UsageError(f"{', '.join(idle)} would have no effect: `export` writes no recordings")
     from pc2scan.export.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
 
-    if FORMATS[name].needs_poses and not poses & {"pose_frame", "odom_topic"}:
+    if FORMATS[name].needs_poses and not given.keys() & {"pose_frame", "odom_topic"}:
         raise UsageError(f"`export={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
 
 

@@ -74,12 +74,13 @@ class Route(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """The routes in the order of the source's connections, the outputs, and warnings."""
+    """The routes in the order of the source's connections, the outputs, warnings and notes."""
 
     routes: tuple[Route, ...]
     specs: tuple[ScanSpec, ...] = ()
     combinations: tuple[Combination, ...] = ()
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def needs_transforms(self) -> bool:
