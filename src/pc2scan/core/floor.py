@@ -39,7 +39,8 @@ _LEVEL_BESIDE = 0.3
 #: Points with a larger median distance, metres, are probably in millimetres: lidars do not see as far.
 FARTHEST_MEDIAN = 400.0
 
-_GOLDEN = 0.6180339887498949
+#: The golden ratio's inverse.
+GOLDEN = 0.6180339887498949
 
 #: The conditions of a floor: the least share of the cells on it, the largest share below it, and metres below the
 #: sensor.
@@ -164,7 +165,7 @@ def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = M
     """
     count = x.size
     # Multiples of the golden ratio never coincide with rings or columns.
-    order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
+    order = np.arange(count) if count <= most else (np.arange(most) * GOLDEN % 1.0 * count).astype(np.intp)
     with np.errstate(all="ignore"):
         # Without a copy of an organised cloud, whose rows may be padded.
         places = np.unravel_index(order, x.shape)
