@@ -13,8 +13,7 @@ from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.files.urls import path_or_url
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.scans import SCANS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Part, Result

@@ -11,9 +11,8 @@ from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, leading
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.imu import IMU
-from pc2scan.messages.scans import SCANS
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result

@@ -11,8 +11,8 @@ import numpy as np
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, leading
+from pc2scan.messages.clouds import SCANS
 from pc2scan.messages.laserscan import scan_for_consumers
-from pc2scan.messages.scans import SCANS
 from pc2scan.text import agreeing, counted
 
 from .spread import Spread, count_range, spread_of, spread_table

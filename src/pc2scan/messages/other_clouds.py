@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pc2scan.errors import Pc2ScanError, name_list
 
-from .clouds import CLOUDS
-from .scans import SCANS
+from .clouds import CLOUDS, SCANS
 from .wire import Cursor
 
 if TYPE_CHECKING:

@@ -11,10 +11,9 @@ from pc2scan.bags.topics import is_glob, new_topic
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.messages.scans import SCANS
 from pc2scan.options.conversion import CloudCombination, PointSelection
 from pc2scan.options.values import nanoseconds_of
 from pc2scan.tf.placing import FrameOptions

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import NothingToConvertError, TopicError, name_list
-from pc2scan.messages.clouds import CLOUDS, usual_topics, written_as_pointcloud2
-from pc2scan.messages.scans import SCANS
+from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics, written_as_pointcloud2
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:

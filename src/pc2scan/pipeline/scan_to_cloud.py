@@ -10,9 +10,9 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan
+from pc2scan.messages.clouds import SCANS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud, encode_structured
-from pc2scan.messages.scans import SCANS
 
 from .conversion import Conversion, ConvertedMessage
 

@@ -13,8 +13,7 @@ from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.floor import MOST_CLOUDS, CloudSample
 from pc2scan.errors import TransformError
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.scans import SCANS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.tf.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:

@@ -21,10 +21,9 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.files.source import ReadBuffer, retain
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.messages.scans import SCANS
 from pc2scan.pipeline.cloud_to_scan import Beams
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Motion
 from pc2scan.tf.placing import Placement

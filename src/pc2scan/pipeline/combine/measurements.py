@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import ParameterError, UsageError, name_list
-from pc2scan.messages.scans import SCANS
+from pc2scan.messages.clouds import SCANS
 from pc2scan.pipeline.clocks import are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measurements
 
