@@ -260,13 +260,13 @@ SITUATIONS = (
     Situation(
         "a range that ends before the first wall",
         hall(),
-        ((f"{_HALL} {_HEIGHTS} --range-max 0.3", "range_max 0.3 m, but the range is"),),
+        ((f"{_HALL} {_HEIGHTS} --range-max 0.3", "are used; range_min is 0 m and range_max 0.3 m"),),
         (f"{_HALL} {_HEIGHTS} --range-max 12",),
     ),
     Situation(
         "a range that begins behind the walls",
         hall(),
-        ((f"{_HALL} {_HEIGHTS} --range-min 30", "range_min is 30 m"),),
+        ((f"{_HALL} {_HEIGHTS} --range-min 30", "are used; range_min is 30 m"),),
         (f"{_HALL} {_HEIGHTS} --range-min 0.3",),
     ),
     Situation(
