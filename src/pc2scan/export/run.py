@@ -169,7 +169,12 @@ def run(
         poses = None
         if form.poses.is_requested:
             others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
-            poses, texts = open_poses([reader, *others], options.frames, form.poses)
+            posing = reader
+            if options.clock:
+                from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
+
+                posing, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
+            poses, texts = open_poses([posing, *others], options.frames, form.poses)
             report.warnings += texts
         # Scans that are made of clouds have the right frame in their headers.
         frame = "" if form.converting else options.frames.source_frame
@@ -264,6 +269,7 @@ def _stream(
         on_error=options.on_error,
         verify=options.verify,
         strict=options.strict,
+        clock=options.clock,
     )
     if file_format.clouds:
         return Clouds(selection)

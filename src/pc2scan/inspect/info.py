@@ -304,20 +304,21 @@ def info(
         buffer: TransformBuffer | None = None
         ups: tuple[ImuInfo, ...] = ()
         warnings: list[str] = []
-        has_target = bool(target_frame or others)
+        has_target = bool(target_frame or others or asked.adds_poses)
         if has_target or any(topic.msgtype in CLOUDS for topic in topics):
             facts = survey.topics(c for c in reader.connections if shown and samples and c.ros_type in CLOUDS)
             for each in facts.values():
                 each.ask_samples(moved=bool(target_frame))
             readings = {topic: _imu_reading(survey, topic) for topic in imus}
             if has_target:
-                survey.ask_transforms()
+                survey.ask_transforms((target_frame,))
             else:
                 survey.ask_robot()
             survey.read()
             ups = tuple(_imu(topic, reading) for topic, reading in readings.items())
             if survey.transforms is not None:
-                buffer, warnings = survey.transforms.finish()
+                found = survey.transforms.finish()
+                buffer, warnings = found.buffer, [*found.warnings, *found.notes]
             elif survey.robot is not None:
                 buffer = survey.robot.finish()
             places = places._replace(buffer=buffer if target_frame else None)

@@ -117,11 +117,12 @@ def map_of(
     notes: list[str] = []
     with open_recording(sources, options) as recording:
         topics, converted = _topics(recording.reader, options)
-        stream = _stream(sources, options, topics, converted=converted)
+        stream = _stream(sources, options, topics, (asked.odom_frame, asked.base_frame), converted=converted)
         buffer = stream.transforms
         if buffer is None:
             # Recorded scans are read as they are.
-            buffer, notes = recording.transforms()
+            found = recording.transforms((asked.odom_frame, asked.base_frame))
+            buffer, notes = found.buffer, [*found.warnings, *found.notes]
         further = recording.damage
     if not converted and _converts(options):
         notes.append("The recording has no clouds: options about clouds have no effect.")
@@ -173,7 +174,12 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
 
 
 def _stream(
-    sources: Sequence[Path], options: ConvertOptions, topics: tuple[TopicRequest, ...], *, converted: bool
+    sources: Sequence[Path],
+    options: ConvertOptions,
+    topics: tuple[TopicRequest, ...],
+    frames: tuple[str, ...],
+    *,
+    converted: bool,
 ) -> Scans:
     selection = Selection(
         paths=tuple(sources),
@@ -182,8 +188,9 @@ def _stream(
         end=options.end,
         verify=options.verify,
         strict=options.strict,
+        clock=options.clock,
     )
     if not converted:
         return Scans(selection)
     scans_alone = replace(options, only_scans=True, keep=(), keep_clouds=False)
-    return Scans(selection, scans_alone.with_scan(topics=topics), keep_transforms=True)
+    return Scans(selection, scans_alone.with_scan(topics=topics), transform_frames=frames)

@@ -94,6 +94,29 @@ class TimeRange(TypedDict, total=False):
     ]
 
 
+class StampCorrection(TypedDict, total=False):
+    """Lidars whose clock is not the recording's."""
+
+    stamps: Annotated[
+        str,
+        Option(
+            Text(words=("header", "log")),
+            "The stamps of converted messages: those of their headers, or their log times, for a lidar without a sound "
+            "clock. Kept clouds and the points' own times are corrected, too.",
+            default="header",
+        ),
+    ]
+    time_offset: Annotated[
+        Names | None,
+        Option(
+            Texts("[TOPIC=]S|auto"),
+            "Add this to the stamps of converted messages, for a lidar on its own clock: 3.2s, -37s. auto: measure it "
+            "against the transforms, or the log times. Of one topic: /rear=0.12s; of the poses in a file: "
+            "trajectory=0.5s.",
+        ),
+    ]
+
+
 class BadMessages(TypedDict, total=False):
     """What is done with messages that cannot be used."""
 
@@ -201,7 +224,50 @@ class StaticTransforms(TypedDict, total=False):
     ]
 
 
-class TransformSources(TransformTopics, total=False):
+class TransformInputs(TransformTopics, total=False):
+    """What else gives transforms: poses, and a robot's model."""
+
+    odom_topic: Annotated[
+        Names | None,
+        Option(
+            Texts("TOPIC[:FRAME]"),
+            "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
+            "PoseWithCovarianceStamped. FRAME has the poses, if the messages do not name it or name a wrong one: "
+            "/pose:base_link, or with both frames /pose:map:base_link.",
+            offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
+        ),
+    ]
+    trajectory: Annotated[
+        Path | None,
+        Option(
+            PathName(),
+            "Use the poses of this file as transforms: TUM (stamp x y z qx qy qz qw), or KITTI with "
+            "`trajectory_times`. Needs `trajectory_frames`.",
+        ),
+    ]
+    trajectory_frames: Annotated[
+        str,
+        Option(
+            Text("PARENT:CHILD"),
+            "The frames of `trajectory`: the poses are those of CHILD in PARENT (odom:base_link, map:velodyne).",
+            default="",
+        ),
+    ]
+    trajectory_times: Annotated[
+        Path | None,
+        Option(PathName(), "The stamps of a `trajectory` in KITTI's format: one a line, in seconds or nanoseconds."),
+    ]
+    urdf: Annotated[
+        Path | None,
+        Option(
+            PathName(),
+            "The robot's model, whose fixed joints are static transforms; those of the recording have precedence.",
+            default_text="the recording's /robot_description",
+        ),
+    ]
+
+
+class TransformSources(TransformInputs, total=False):
     """Where transforms come from."""
 
     tf_from: Annotated[Paths | None, Option(Recordings(), "Read the transforms of this recording too.")]
@@ -395,7 +461,9 @@ class OtherTopics(TypedDict, total=False):
             scope=ONE_OUTPUT,
         ),
     ]
-    write_static_tf: Annotated[bool, Option(Flag(), "Write the added transforms to DST's /tf_static.", panel=FRAMES)]
+    write_static_tf: Annotated[
+        bool, Option(Flag(), "Write the added static transforms to DST's /tf_static.", panel=FRAMES)
+    ]
 
 
 class FailureConditions(TypedDict, total=False):

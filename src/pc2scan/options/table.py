@@ -45,10 +45,11 @@ from .conversion import (
     RobotMotion,
     SourceFrame,
     SourceTopics,
+    StampCorrection,
     StaticTransforms,
     TimeRange,
+    TransformInputs,
     TransformSources,
-    TransformTopics,
 )
 from .option import (
     BATCH,
@@ -90,7 +91,16 @@ from .values import Instance
 # Which command takes which groups; the order is that of the help's sections.
 
 
-class _Clouds(ParameterSources, Projection, TimeRange, PointSelection, ConversionFrames, RobotMotion, total=False):
+class _Clouds(
+    ParameterSources,
+    Projection,
+    TimeRange,
+    StampCorrection,
+    PointSelection,
+    ConversionFrames,
+    RobotMotion,
+    total=False,
+):
     """How a cloud becomes a scan, and what is read."""
 
 
@@ -147,7 +157,7 @@ class Info(InfoSamples, StaticTransforms, TransformSources, SourceFrame, total=F
     """``info``."""
 
 
-class Tf(TransformTopics, StaticTransforms, total=False):
+class Tf(TransformInputs, StaticTransforms, total=False):
     """``tf``."""
 
 
@@ -198,6 +208,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     SeveralOutputs: (TOPICS, CONVERSION),
     SourceTopics: (TOPICS, SINGLE),
     TimeRange: (TOPICS, CONVERSION),
+    StampCorrection: (TOPICS, CONVERSION),
     BadMessages: (RUN, CONVERSION),
     PointSelection: (POINTS, ONE_OUTPUT),
     ConversionFrames: (FRAMES, CONVERSION),

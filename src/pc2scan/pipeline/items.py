@@ -227,7 +227,8 @@ class Tally:
                 failed.append((result if isinstance(result, MessageError) else refused[number], entry))
         if failed:
             self._skip(item, failed)
-        if not self.is_connected and route.steps and not item.is_group:
+        is_converted = route.steps and route.outputs[0].report.spec is not None
+        if not self.is_connected and is_converted and not item.is_group:
             error = item.failure
             self.is_connected = not isinstance(error, UnconnectedError)
             if isinstance(error, UnconnectedError):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import FrameOptions
+    from pc2scan.tf.reading import FoundTransforms
 
     from .clocks import Delays
     from .combine.measurements import SourceFacts
@@ -48,7 +49,7 @@ class Preparation(NamedTuple):
         The other recordings that transforms were read from.
     notes, warnings
         Texts for the user.
-    transforms
+    found
         All transforms; None if they were not read.
     """
 
@@ -58,7 +59,12 @@ class Preparation(NamedTuple):
     others: Sequence[Reader] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
-    transforms: TransformBuffer | None = None
+    found: FoundTransforms | None = None
+
+    @property
+    def transforms(self) -> TransformBuffer | None:
+        """All transforms, for lookups; None if they were not read."""
+        return None if self.found is None else self.found.buffer
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -83,7 +89,7 @@ def prepare(
     stack: ExitStack,
     warn: Callable[[str], None] | None = None,
     *,
-    keep_transforms: bool = False,
+    transform_frames: Collection[str] | None = None,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -97,14 +103,16 @@ def prepare(
         Closes the other recordings.
     warn
         Called immediately with warnings about the first clouds.
-    keep_transforms
-        Whether the caller wants all transforms, even if the conversion needs none.
+    transform_frames
+        The frames that the caller needs transforms of, even if the conversion needs none; None: it needs no transforms.
     """
-    reads_transforms = keep_transforms or plan.needs_transforms
     asked = options.frames
+    # Added transforms are written to the output, even if it needs none.
+    adds_transforms = asked.write_static or asked.odometry or asked.trajectory
+    reads_transforms = transform_frames is not None or plan.needs_transforms or adds_transforms
     read_later = cache(partial(_robot_transforms, reader, sources, options, span))
     firsts = FirstClouds(asked.source_frame, read_later, warn)
-    needs_survey = reads_transforms or asked.static or asked.source_frame or plan.combinations
+    needs_survey = reads_transforms or asked.static or asked.model or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
         placer = Placer()
         unmeasured: dict[ScanSpec | Combination, Conversion] = {
@@ -121,19 +129,34 @@ def prepare(
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
     survey = Survey(reader, others, asked, span)
     if reads_transforms:
-        survey.ask_transforms()
+        needed = (frame for spec in plan.specs if spec.needs_transforms for frame in spec.frames)
+        survey.ask_transforms((*(transform_frames or ()), *needed))
     else:
         survey.ask_robot()
     gives_frames = bool(asked.static or asked.source_frame)
     given = [survey.facts([route.connection]) for route in plan.routes if gives_frames and route.tasks]
     for facts in given:
         facts.ask_headers(1)
+    placed: Collection[TopicFacts] = ()
+    if asked.trajectory is not None:
+        from .clocks import CLOCK_HEADERS  # noqa: PLC0415  # few conversions add poses
+
+        placed = survey.topics(route.connection for route in plan.routes if route.tasks).values()
+        for facts in placed:
+            facts.ask_headers(CLOCK_HEADERS)
     outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
     survey.read()
     transforms: TransformBuffer | None = None
+    found: FoundTransforms | None = None
     if survey.transforms is not None:
-        transforms, found = survey.transforms.finish()
-        warnings += found
+        found = survey.transforms.finish()
+        transforms = found.buffer
+        warnings += found.warnings
+        notes += found.notes
+    if asked.trajectory is not None:
+        from .clocks import refuse_other_clock  # noqa: PLC0415  # few conversions add poses
+
+        refuse_other_clock(asked.trajectory, placed, span, reader.summary.end_ns)
     buffer = transforms if plan.needs_transforms else None
     if buffer is not None:
         firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
@@ -167,7 +190,7 @@ def prepare(
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
         warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, span, firsts, others, notes, warnings, transforms)
+    return Preparation(conversions, span, firsts, others, notes, warnings, found)
 
 
 class _OutputFacts:
@@ -312,7 +335,8 @@ def _robot_transforms(
     """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
     from pc2scan.tf.reading import read_robot_transforms  # noqa: PLC0415  # only where the first clouds leave a doubt
 
-    if not options.frames.static and all(each.ros_type not in TF_TYPES for each in opened.connections):
+    given = options.frames.static or options.frames.model
+    if not given and all(each.ros_type not in TF_TYPES for each in opened.connections):
         return None
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))

@@ -460,7 +460,8 @@ def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -
         buffer.lookup(fixed, source, time_ns)
     except TransformError as err:
         err.hint = (
-            "no point of the cloud was measured while there were transforms; exclude such clouds by `start` and `end`"
+            "no point of the cloud was measured while there were transforms; if the clocks differ, `time_offset=auto` "
+            "measures by how much"
         )
         raise
 
