@@ -141,7 +141,15 @@ def _typed(pitch: float) -> str:
 
 SITUATIONS = (
     # Mounts and frames.
-    Situation("a mount typed 1.5 degrees off", hall(), ((_typed(0.026), "is tilted by 1."),), (_typed(0),)),
+    Situation(
+        "a mount typed 1.5 degrees off",
+        hall(),
+        (
+            (_typed(0.026), "is tilted by 1."),
+            (f"{_typed(0.026).replace('convert', 'view').replace('{out}', 'p.html')}", "is tilted by 1."),
+        ),
+        (_typed(0),),
+    ),
     Situation(
         "a mount recorded 5 degrees off",
         hall(mount=(0.2, 0, 0.6), turned=0.087),
@@ -165,7 +173,11 @@ SITUATIONS = (
     Situation(
         "a lidar tilted by 65 degrees",
         hall(65, 0),
-        ((f"{_HALL} {_HEIGHTS}", "is slanted: "), ("info {src}", "is slanted: ")),
+        (
+            (f"{_HALL} {_HEIGHTS}", "is slanted: "),
+            ("info {src}", "is slanted: "),
+            ("view {src} -o p.html", "is slanted: "),
+        ),
         (f"{_HALL} {_HEIGHTS}",),
         hall(),
     ),
