@@ -292,7 +292,8 @@ def info(
         shown = _described(topics, described)
         has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
         imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
-        connections = [each for each in reader.connections if shown and samples]
+        names = {each.topic for each in shown}
+        connections = [each for each in reader.connections if each.topic in names and samples]
         found = _survey(
             Survey(reader, others, asked, Span(None, None, start_ns or 0)),
             connections,
@@ -303,12 +304,20 @@ def info(
             reads_all=bool(target_frame or others),
         )
         topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
-        shown = [topic for topic in topics if topic.topic in {each.topic for each in shown}]
+        shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, LASERSCAN)]
         clouds, scans, parts = _samples(reader, shown, samples, start_ns, end_ns, found.places, found.mountings())
         warnings = [*found.warnings]
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
+        seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
         lidars = [
-            Lidar(found.facts[each.topic], each.mounting, found.buffer, parts[each.topic], bool(each.zero_share))
+            Lidar(
+                found.facts[each.topic],
+                each.mounting,
+                found.buffer,
+                parts[each.topic],
+                bool(each.zero_share),
+                seconds[each.topic],
+            )
             for each in clouds
             if each.mounting is not None
         ]

@@ -77,11 +77,11 @@ _REACH = 3.0
 _FEWEST_CLOUDS = 5
 _PERSIST = 0.9
 #: The robot moves if at most this share of larger cells beyond, up to this distance, have returns in as many clouds,
-#: in this time at least, nanoseconds.
+#: in this time at least, seconds.
 _STAYS = 0.05
 _LARGE = 0.5
 _BEYOND = 15.0
-_LONG_NS = 5_000_000_000
+_LONG = 5.0
 
 
 def ask_facts(facts: TopicFacts) -> None:
@@ -136,6 +136,8 @@ class Lidar:
         Points of clouds that are spread over the recording, each (3, N), in the frame in which they were judged.
     has_zeros
         Whether points at (0, 0, 0) stand for no return.
+    seconds
+        How long it measured.
     """
 
     facts: TopicFacts
@@ -143,6 +145,7 @@ class Lidar:
     buffer: TransformBuffer | None
     clouds: Sequence[NDArray[np.floating[Any]]]
     has_zeros: bool
+    seconds: float
 
     @property
     def topic(self) -> str:
@@ -535,7 +538,9 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     reasons: list[str] = []
     heights = lidar.mounting.heights
     for each in group:
-        body = None if heights is None else body_of(each.near, heights.low, heights.high)
+        body = None
+        if heights is not None and each.seconds >= _LONG:
+            body = body_of(each.near, heights.low, heights.high)
         if body is not None:
             boxes.append(body.text(lidar.target or lidar.mounting.frame))
             reasons = ["returns of the robot's own body"]
