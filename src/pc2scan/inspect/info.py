@@ -301,12 +301,17 @@ def info(
             end_ns,
             places=Placer(target_frame, asked.source_frame, None, ProjectionParams().tolerance_ns),
             has_clouds=any(topic.msgtype in CLOUDS for topic in topics),
-            reads_all=bool(target_frame or others),
+            reads_all=bool(target_frame or others or asked.adds_poses),
         )
         topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
         shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, LASERSCAN)]
         clouds, scans, parts = _samples(reader, shown, samples, start_ns, end_ns, found.places, found.mountings())
         warnings = [*found.warnings]
+        if not any(topic.msgtype in {*CLOUDS, LASERSCAN} for topic in topics):
+            from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
+
+            if instead := instead_of_clouds(reader.connections, reader):
+                warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
         lidars = [
@@ -413,13 +418,14 @@ def _survey(
         each.ask_headers(HEADERS)
     readings = {topic: _imu_reading(survey, topic) for topic in imus}
     if reads_all:
-        survey.ask_transforms()
+        survey.ask_transforms((places.target_frame,))
     elif has_clouds:
         survey.ask_robot(_moments(survey.span.first_ns, end_ns) if facts else ())
     survey.read()
     buffer, warnings = None, list[str]()
     if survey.transforms is not None:
-        buffer, warnings = survey.transforms.finish()
+        found = survey.transforms.finish()
+        buffer, warnings = found.buffer, [*found.warnings, *found.notes]
     elif survey.robot is not None:
         buffer = survey.robot.finish()
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))

@@ -13,7 +13,6 @@ from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Part, Result
 from pc2scan.text import size
-from pc2scan.tf.placing import FrameOptions
 
 from .clouds import clouds_page
 from .html import BEGINNING, check_page_name, html
@@ -191,7 +190,7 @@ def page_of(
             asked = [request.source for request in options.scan.topics]
             topics, buffer = scan_connections(reader, asked), _transforms(recording)
             described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)
-            frames = FrameOptions(tf_topics=options.frames.tf_topics, tf_from=options.frames.tf_from)
+            frames = replace(options.frames, static=(), source_frame="", write_static=False)
             described["findings"] = findings(check(sources, topics=asked, frames=frames))
         notes, warnings = described["notes"], described.pop("warnings")
         # The page shows both.
@@ -203,7 +202,7 @@ def page_of(
 def _transforms(recording: ShownRecording) -> TransformBuffer | None:
     """Return all transforms; None if it is not clear which to use, and none are needed."""
     try:
-        buffer, _ = recording.transforms()
+        buffer = recording.transforms().buffer
     except UsageError:
         if recording.options.scan.needs_transforms:
             raise

@@ -229,12 +229,21 @@ class Survey:
         self.transforms: TransformReading | None = None
         self.robot: RobotTransforms | None = None
         self.observers: list[Observer[Any]] = []
+        self._needed: tuple[str, ...] = ()
+        self._use = True
         self._facts: dict[tuple[int, ...], TopicFacts] = {}
         self._imus: dict[str, ImuReading] = {}
 
-    def ask_transforms(self) -> TransformReading:
-        """Ask for all transforms."""
+    def ask_transforms(self, needed: Iterable[str] = (), *, use: bool = True) -> TransformReading:
+        """Ask for all transforms.
+
+        Parameters
+        ----------
+        needed, use
+            Frames that are needed; see `TransformReading.supply`.
+        """
         self.transforms = TransformReading(self._frames)
+        self._needed, self._use = tuple(needed), use
         return self.transforms
 
     def ask_robot(self, moments: Sequence[int] = ()) -> RobotTransforms:
@@ -270,6 +279,8 @@ class Survey:
     def read(self) -> None:
         """Read the recordings: each once, as far as anything of it is needed.
 
+        A topic with poses that was not asked for is read separately, if only it has a frame that is needed.
+
         Raises
         ------
         RecordingError
@@ -280,7 +291,7 @@ class Survey:
         for reader in (self.reader, *self._others):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
-                observers += self.transforms.observers(reader)
+                observers += self.transforms.observers(reader, own=reader is self.reader)
             for imu in self._imus.values():
                 observers += imu.observers(reader)
             if reader is self.reader:
@@ -288,3 +299,5 @@ class Survey:
                 observers += (each for facts in self._facts.values() for each in facts.observers)
                 observers += self.observers
             observe(reader, observers)
+        if self.transforms is not None:
+            self.transforms.supply(self.reader, self._needed, use=self._use)
