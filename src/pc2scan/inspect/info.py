@@ -15,9 +15,8 @@ from pc2scan.bags.topics import find_topics
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, leading
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.imu import IMU
-from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
@@ -304,10 +303,10 @@ def info(
             reads_all=bool(target_frame or others or asked.adds_poses),
         )
         topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
-        shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, LASERSCAN)]
+        shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, *SCANS)]
         clouds, scans, parts = _samples(reader, shown, samples, start_ns, end_ns, found.places, found.mountings())
         warnings = [*found.warnings]
-        if not any(topic.msgtype in {*CLOUDS, LASERSCAN} for topic in topics):
+        if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics):
             from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
 
             if instead := instead_of_clouds(reader.connections, reader):
@@ -410,7 +409,7 @@ def _survey(
     """
     moved = bool(places.target_frame)
     facts = survey.topics(each for each in connections if each.ros_type in CLOUDS)
-    flat = survey.topics(each for each in connections if each.ros_type == LASERSCAN and each.topic not in facts)
+    flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in facts)
     for each in facts.values():
         each.ask_samples(moved=moved)
         ask_facts(each)
@@ -535,9 +534,9 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicI
     types: dict[str, set[str]] = {}
     for topic in topics:
         types.setdefault(topic.topic, set()).add(topic.msgtype)
-    known = [topic for topic in topics if topic.msgtype in (*CLOUDS, LASERSCAN) and topic.messages]
+    known = [topic for topic in topics if topic.msgtype in (*CLOUDS, *SCANS) and topic.messages]
     candidates = sorted({topic.topic for topic in known})
-    found = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, LASERSCAN)}
+    found = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, *SCANS)}
     return [topic for topic in known if topic.topic in found] if names else known
 
 
@@ -560,14 +559,14 @@ def _samples(
     if not connections or start_ns is None or end_ns is None:
         return (), (), {}
     for connection in reader.connections:
-        wanted = clouds if connection.ros_type in CLOUDS else scans if connection.ros_type == LASERSCAN else ()
+        wanted = clouds if connection.ros_type in CLOUDS else scans if connection.ros_type in SCANS else ()
         if connection.topic in wanted:
             connections[connection.topic].append(connection)
     # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
     taken = min(samples, max(topic.messages for topic in topics if topic.topic in connections))
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // taken + 1
     cloud_looks = {name: CloudLook(name, most, places) for name in connections if name in clouds}
-    rates = {topic.topic: topic.rate_hz for topic in topics if topic.msgtype == LASERSCAN}
+    rates = {topic.topic: topic.rate_hz for topic in topics if topic.msgtype in SCANS}
     scan_looks = {name: ScanLook(name, rates[name], most) for name in connections if name in scans}
     looks: dict[str, CloudLook | ScanLook] = {**cloud_looks, **scan_looks}
     for message in sampled(reader, connections, samples, start_ns, end_ns):
