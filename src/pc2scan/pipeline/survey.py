@@ -245,9 +245,9 @@ class Survey:
         self._needed, self._use = tuple(needed), use
         return self.transforms
 
-    def ask_robot(self) -> RobotTransforms:
-        """Ask for the transforms between the robot's frames."""
-        self.robot = RobotTransforms(self.reader, self._frames, self.span.first_ns)
+    def ask_robot(self, moments: Sequence[int] = ()) -> RobotTransforms:
+        """Ask for the transforms between the robot's frames, and for how it moves at some further log times."""
+        self.robot = RobotTransforms(self.reader, self._frames, [self.span.first_ns, *moments])
         return self.robot
 
     def facts(self, connections: Sequence[Connection]) -> TopicFacts:

@@ -197,7 +197,7 @@ def measure_sources(
     if sources.flat:
         _require_fields(sources.flat, combination)
     found = timing.get(lead) or _of_scans(sources, notes)
-    if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
+    if asked.every_ns and (spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"):
         found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
     warnings = _doubtful(sources, reader)
     grouper: Callable[[], Grouper[Contribution]]
