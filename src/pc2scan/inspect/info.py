@@ -14,6 +14,7 @@ from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
+    from pc2scan.pipeline.clocks import ClockFinding
     from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.imu import ImuReading
@@ -216,7 +218,11 @@ def _ground_text(mounting: Mounting) -> str:
 
 
 def _proposals(
-    clouds: Sequence[CloudInfo], topics: Sequence[TopicInfo], sources: Sequence[str], given: Mapping[str, Any]
+    clouds: Sequence[CloudInfo],
+    topics: Sequence[TopicInfo],
+    sources: Sequence[str],
+    given: Mapping[str, Any],
+    clocks: Mapping[str, ClockFinding],
 ) -> Iterator[Call]:
     """Yield a conversion for each topic's clouds, with heights that suit them, in a level frame.
 
@@ -226,6 +232,8 @@ def _proposals(
         Of the recording.
     given
         Options about frames that were given; the conversion needs them, too.
+    clocks
+        What is wrong with the clocks of topics.
     """
     from pc2scan.tf.mounting import sensor_exclusion  # noqa: PLC0415  # only with clouds
 
@@ -245,6 +253,8 @@ def _proposals(
             options["static_tf"] = (*given.get("static_tf", ()), mounting.static_tf)
         if target:
             options["target_frame"] = target
+        if (clock := clocks.get(cloud.topic)) is not None:
+            options["time_offset"] = clock.time_offset
         options["min_height"], options["max_height"] = float(f"{heights.low:g}"), float(f"{heights.high:g}")
         if cloud.zero_share:
             option, value = sensor_exclusion(mounting.frame, target)
@@ -303,12 +313,14 @@ def info(
         facts: dict[str, TopicFacts] = {}
         buffer: TransformBuffer | None = None
         ups: tuple[ImuInfo, ...] = ()
+        wrong_clocks: Mapping[str, ClockFinding] = {}
         warnings: list[str] = []
         has_target = bool(target_frame or others or asked.adds_poses)
         if has_target or any(topic.msgtype in CLOUDS for topic in topics):
             facts = survey.topics(c for c in reader.connections if shown and samples and c.ros_type in CLOUDS)
             for each in facts.values():
                 each.ask_samples(moved=bool(target_frame))
+            clocks = Clocks(survey, facts.values(), asked)
             readings = {topic: _imu_reading(survey, topic) for topic in imus}
             if has_target:
                 survey.ask_transforms((target_frame,))
@@ -316,6 +328,7 @@ def info(
                 survey.ask_robot()
             survey.read()
             ups = tuple(_imu(topic, reading) for topic, reading in readings.items())
+            wrong_clocks = clocks.findings()
             if survey.transforms is not None:
                 found = survey.transforms.finish()
                 buffer, warnings = found.buffer, [*found.warnings, *found.notes]
@@ -325,6 +338,7 @@ def info(
         moved = bool(target_frame)
         mountings = {topic: each.mounting(places, buffer, moved=moved) for topic, each in facts.items()}
         clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, mountings)
+        warnings += (each.text for each in wrong_clocks.values())
         warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
         if not any(topic.msgtype in {*CLOUDS, LASERSCAN} for topic in topics):
             from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
@@ -341,7 +355,7 @@ def info(
             clouds,
             scans,
             ups,
-            tuple(_proposals(clouds, topics, [str(r.path) for r in readers], given or {})),
+            tuple(_proposals(clouds, topics, [str(r.path) for r in readers], given or {}, wrong_clocks)),
             tuple(reader.damage),
             tuple(warnings),
         )
