@@ -196,9 +196,7 @@ class Clocks:
             reference_ns = known.get(topic, 0)
             if not are_doubtful(delay_ns, reference_ns):
                 continue
-            if not known and (
-                self._is_simulated or not all(are_doubtful(delay_ns, each) for each in others)
-            ):
+            if not known and (self._is_simulated or not all(are_doubtful(delay_ns, each) for each in others)):
                 continue
             against = f"those of {topic}, compared with their log times" if topic else "their log times"
             behind_ns = delay_ns - reference_ns
