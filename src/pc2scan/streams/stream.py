@@ -16,7 +16,7 @@ import numpy as np
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.core.rule import PointCounts
-from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, visible
+from pc2scan.errors import NothingToConvertError, RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.messages.clouds import usual_topics
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage
@@ -171,7 +171,7 @@ class Selection:
             from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
 
             message, other = without(short_types(kinds), reader.connections, reader)
-            raise TopicError(message, path=reader.path, hint=hint(reader) or other or None)
+            raise NothingToConvertError(message, path=reader.path, hint=hint(reader) or other or None)
         if not self.topics:
             found = {topic: found[topic] for topic in usual_topics({topic: types[topic] for topic in found}, kinds)}
         if not self.topics and len(found) > 1:
