@@ -142,10 +142,13 @@ class ClockFinding(NamedTuple):
         What is wrong, for users.
     time_offset
         The value of the option ``time_offset`` that corrects it.
+    reason
+        Why, in a few words.
     """
 
     text: str
     time_offset: str
+    reason: str
 
 
 class Clocks:
@@ -157,17 +160,15 @@ class Clocks:
         Asked for the messages.
     topics
         Facts of the topics with clouds, of which headers are asked for.
-    frames
-        The source of transforms.
     """
 
-    def __init__(self, survey: Survey, topics: Iterable[TopicFacts], frames: FrameOptions) -> None:
+    def __init__(self, survey: Survey, topics: Iterable[TopicFacts]) -> None:
         self._topics = list(topics)
         for facts in self._topics:
             facts.ask_headers(CLOCK_HEADERS)
         connections = survey.reader.connections
         self._is_simulated = any(each.ros_type == _CLOCK for each in connections)
-        self._motion = self._observers(survey, _moving(connections, frames.tf_topics))
+        self._motion = self._observers(survey, _moving(connections, survey.frames.tf_topics))
         own = {facts.topic for facts in self._topics}
         others = (each for each in connections if each.ros_type in STAMPED and each.ros_version is not None)
         self._others = self._observers(survey, (each for each in others if each.topic not in own))
@@ -204,7 +205,8 @@ class Clocks:
             offset = offset_text(delay_ns, reference_ns)
             cause = _cause(facts.headers[0].stamp_ns, behind_ns)
             text = f"the stamps of {facts.topic} are {how}{cause}; `time_offset={offset}` corrects them"
-            found[facts.topic] = ClockFinding(text, offset)
+            short = f"its stamps are {_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead'}"
+            found[facts.topic] = ClockFinding(text, offset, short + cause)
         return found
 
 
