@@ -184,8 +184,13 @@ def page_of(
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             opened = opening(sources, options) if proposed else Opening(options, {}, ())
-            taken = take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False)
-            described, blobs = clouds_page(sources, taken, opened, preset=preset)
+            # The clouds take most of the memory: they are released before the page is made.
+            described, blobs = clouds_page(
+                sources,
+                take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False),
+                opened,
+                preset=preset,
+            )
         else:
             asked = [request.source for request in options.scan.topics]
             topics, buffer = scan_connections(reader, asked), _transforms(recording)
