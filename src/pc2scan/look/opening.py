@@ -58,7 +58,8 @@ def opening(sources: Sequence[Path], options: ConvertOptions) -> Opening:
     if (params.min_height, params.max_height) != (defaults.min_height, defaults.max_height):
         return unchanged
     try:
-        found = info(sources, described=asked, target_frame=params.target_frame, frames=options.frames)
+        # Heights are of the first clouds, however many are sampled.
+        found = info(sources, samples=1, described=asked, target_frame=params.target_frame, frames=options.frames)
         proposals = [(call.options, _topics(call.options, found)) for call in found.proposals]
         first = next((each for each, _ in proposals if params.target_frame in ("", _frame(each)[0])), None)
         if first is None or "min_height" not in first:
