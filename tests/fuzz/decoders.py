@@ -29,6 +29,7 @@ from fuzz.clouds import project_cloud, project_moving
 from fuzz.rays import draw_rays
 from pc2scan.errors import Pc2ScanError
 from pc2scan.model import Connection, Definition
+from support.clouds import COMPRESSED, LIVOX, OLD_CLOUD, VELODYNE
 from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
     return data[1:], "ros1" if data[:1] < b"\x80" else "cdr"
 
 
-def _cloud(data: bytes) -> None:
+def _cloud(data: bytes, kind: str = "") -> None:
+    """To a scan; messages of other kinds also to a PointCloud2."""
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
     from pc2scan.pipeline.conversion import steps_of
@@ -55,8 +57,22 @@ def _cloud(data: bytes) -> None:
     content, serialization = _serialization(data)
     conversion = CloudToScan(ProjectionParams(min_height=-9.0), Placer())
     value: object = content
-    for step in steps_of([conversion], "/points", serialization, "", [partial(conversion.serialise, "cdr")]):
+    for step in steps_of([conversion], "/points", serialization, kind, [partial(conversion.serialise, "cdr")]):
         value = step(value)
+    if kind:
+        from pc2scan.messages.clouds import CLOUDS
+        from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_cloud, recorded_cloud
+
+        points = CLOUDS[kind](serialization)(content)
+        recorded_cloud(points).structured_points()
+        encode_cloud(as_pointcloud2(points), serialization)
+
+
+def _multi_echo(data: bytes) -> None:
+    from pc2scan.messages.multi_echo import decode_multi_echo
+
+    for echo in ("first", "last", "strongest"):
+        decode_multi_echo(*_serialization(data), echo)
 
 
 def _scan(data: bytes) -> None:
@@ -211,7 +227,12 @@ DECODERS: dict[str, Callable[[bytes], None]] = {
     "clouds": project_cloud,
     "moving": project_moving,
     "rays": draw_rays,
+    "livox": partial(_cloud, kind=LIVOX[1]),
+    "compressed": partial(_cloud, kind=COMPRESSED),
+    "pointcloud": partial(_cloud, kind=OLD_CLOUD),
+    "velodyne": partial(_cloud, kind=VELODYNE),
     "scan": _scan,
+    "multi-echo": _multi_echo,
     "transforms": _transforms,
     "imu": _imu,
     "wire": _wire,

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import base64
 import bz2
 import struct
 from typing import TYPE_CHECKING
@@ -33,6 +34,19 @@ from support.builders import (
     qos_text,
     scan,
 )
+from support.clouds import (
+    COMPRESSORS,
+    DRACO,
+    compressed,
+    draco_points,
+    lidar_points,
+    livox,
+    livox_points,
+    multi_echo,
+    old_cloud,
+    packet,
+    velodyne,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,6 +60,17 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
         points = points_of(1, 3)
         yield "cloud", word, lead + cloud(points, ros_version)
         yield "wire", word, lead + cloud(points, ros_version)
+        few = lidar_points(1, 4)
+        for name in COMPRESSORS:
+            yield "compressed", f"{word} {name}".replace(" ", "-"), lead + compressed(few, ros_version, name)
+        for line in DRACO.read_text("ascii").splitlines():
+            name, _, encoded = line.partition(" ")
+            packed = compressed(draco_points(), ros_version, data=base64.b64decode(encoded), form="draco")
+            yield "compressed", f"{word}-draco-{name}", lead + packed
+        yield "pointcloud", word, lead + old_cloud(few, ros_version)
+        yield "livox", word, lead + livox(livox_points(1, 4), ros_version)
+        yield "velodyne", word, lead + velodyne([(T0, packet(0, range(400, 432), 7))] * 2, ros_version)
+        yield "multi-echo", word, lead + multi_echo(ros_version)
         yield "scan", word, lead + scan(points[:, 0], ros_version)
         yield "transforms", word, lead + CONTENT.of("/tf")[0].data[ros_version]
         yield "imu", word, lead + b"".join(imu_message(ros_version, stamp_ns=T0 + place * 10**7) for place in range(4))

@@ -117,13 +117,19 @@ class CloudInfo:
 
 
 class CloudLook:
-    """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each."""
+    """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each.
+
+    Attributes
+    ----------
+    parts
+        These points, each (3, N), without those at (0, 0, 0) or with NaN.
+    """
 
     def __init__(self, topic: str, most: int, places: Placer) -> None:
         self._result = CloudInfo(topic, target_frame=places.target_frame)
         self._most = most
         self._places = places
-        self._parts: list[NDArray[np.floating[Any]]] = []
+        self.parts: list[NDArray[np.floating[Any]]] = []
         self._frames: dict[str, None] = {}
         self._problems: dict[str, None] = {}
         self._sizes: list[int] = []
@@ -154,18 +160,17 @@ class CloudLook:
         self._frames[cloud.frame_id] = None
         self._sizes.append(count)
         invalid = np.isnan(points).any(axis=0)
-        self._parts.append(points[:, ~invalid] if invalid.any() else points)
+        self.parts.append(points[:, ~invalid] if invalid.any() else points)
         self._zeros += int(zero.sum())
         self._invalid += int(invalid.sum())
 
     def described(self, mounting: Mounting | None) -> CloudInfo:
-        """Return the properties, with the mounting of the first clouds, and release the points."""
+        """Return the properties, with the mounting of the first clouds."""
         result = self._result
         result.frames, result.problems = tuple(self._frames), tuple(self._problems)
         if self._sizes:
             result.points_min, result.points_max = min(self._sizes), max(self._sizes)
-            parts, self._parts = self._parts, []
-            _measure(result, parts, self._invalid, self._zeros)
+            _measure(result, self.parts, self._invalid, self._zeros)
             result.mounting = mounting
         return result
 

@@ -357,8 +357,8 @@ class Surroundings:
             yield (
                 f"{topic}: {seen} {gain:.2g} times as sharp with the transforms to {spec.fixed_frame} of "
                 f"{1000 * abs(shift):.0f} ms {'later' if shift > 0 else 'earlier'}: the odometry "
-                f"{'lags' if shift > 0 else 'is ahead'}, or its clock is another one; correct the stamps where they "
-                "are made, or give another `fixed_frame`"
+                f"{'lags' if shift > 0 else 'is ahead'}, or its clock is another one; `time_offset={shift:.2f}s` "
+                "corrects the clouds' stamps"
             )
             return
         if spec.deskew:
@@ -385,7 +385,7 @@ class Surroundings:
                 f"{lead} and {other}: in {counted(len(pairs), 'second')} of the strongest motion, what both see fits "
                 f"better ({found:.2g} times as sharp) if {other} was measured {1000 * abs(shift):.0f} ms "
                 f"{'later' if shift > 0 else 'earlier'} than its stamps say: the clocks of the two lidars differ; "
-                "synchronise them, or correct the stamps where they are made"
+                f"`time_offset={other}={shift:.2f}s` corrects them"
             )
 
 

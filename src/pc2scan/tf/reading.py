@@ -6,6 +6,7 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.topics import is_static
@@ -381,7 +382,7 @@ def _differs(row: TransformRow, first: TransformRow) -> bool:
 
 
 class RobotTransforms:
-    """The transforms between a robot's frames: the static ones, and a second of the moving ones.
+    """The transforms between a robot's frames: the static ones, and a second of the moving ones, or several.
 
     Parameters
     ----------
@@ -389,8 +390,8 @@ class RobotTransforms:
         The recording.
     options
         The topics, and the transforms to add.
-    time_ns
-        The log time at which the second begins.
+    times_ns
+        The log times at which the seconds begin.
 
     Attributes
     ----------
@@ -398,7 +399,7 @@ class RobotTransforms:
         Take them from the recording; none if it is not clear which topics to use.
     """
 
-    def __init__(self, reader: Reader, options: FrameOptions, time_ns: int) -> None:
+    def __init__(self, reader: Reader, options: FrameOptions, times_ns: Sequence[int]) -> None:
         self._reader = reader
         self._options = options
         self._is_known = True
@@ -412,10 +413,15 @@ class RobotTransforms:
             return
         from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
 
-        for static, start_ns, stop_ns in ((True, None, None), (False, time_ns, time_ns + _SOME_NS)):
-            group = [connection for connection in connections if is_static(connection.topic) is static]
-            if group:
-                self.observers.append(Observer(group, copied_message, _SOME_MESSAGES, start_ns, stop_ns))
+        static, moving = (
+            [connection for connection in connections if is_static(connection.topic) is kind] for kind in (True, False)
+        )
+        if static:
+            self.observers.append(Observer(static, copied_message, _SOME_MESSAGES))
+        times_ns = sorted(set(times_ns)) if moving else []
+        for begin_ns, next_ns in zip_longest(times_ns, times_ns[1:]):
+            end_ns = begin_ns + _SOME_NS if next_ns is None else min(begin_ns + _SOME_NS, next_ns)
+            self.observers.append(Observer(moving, copied_message, _SOME_MESSAGES, begin_ns, end_ns))
         if models := _model_connections(reader.connections, options):
             self.observers.append(Observer(models, copied_message, 1))
 
@@ -439,6 +445,6 @@ def read_robot_transforms(reader: Reader, options: FrameOptions, time_ns: int) -
     """Read the transforms between a robot's frames; see `RobotTransforms`."""
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
 
-    robot = RobotTransforms(reader, options, time_ns)
+    robot = RobotTransforms(reader, options, [time_ns])
     observe(reader, robot.observers)
     return robot.finish()
