@@ -122,6 +122,13 @@ class Connection:
         return normalized_type(self.msgtype)
 
     @property
+    def kind(self) -> str:
+        """The type, and the encoding if it is not ROS's (MCAP files also hold JSON and Protobuf)."""
+        if self.ros_version is None:
+            return f"{self.msgtype or 'untyped'} in {self.serialization or 'no encoding'}"
+        return self.ros_type
+
+    @property
     def in_utf8(self) -> Connection:
         """Return the connection with texts in UTF-8. Those of ROS 1 may have any bytes, read as surrogates."""
         return replace(
@@ -167,6 +174,11 @@ def own_message(message: RawMessage) -> RawMessage:
     """Return a message whose data may be kept."""
     data = own_data(message.data)
     return message if data is message.data else message._replace(data=data)
+
+
+def copied_message(message: RawMessage) -> RawMessage:
+    """Return a message that keeps nothing else in memory: a view would keep a whole chunk."""
+    return message._replace(data=bytes(message.data))
 
 
 def declared_counts(connections: Iterable[Connection]) -> dict[int, int]:

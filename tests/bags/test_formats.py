@@ -145,7 +145,8 @@ def test_a_new_container_is_in_what_errors_list(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"hello")
     with pytest.raises(RecordingError) as caught:
         open_recording(tmp_path / "x")
-    assert caught.value.hint == "ROS 1 bags, rosbag2 directories, .db3 files, MCAP and toys can be read"
+    known = ", ".join(entry.readable for entry in FORMATS.values() if entry.name != "toy")
+    assert caught.value.hint == f"{known} and toys can be read"
     with pytest.raises(DestinationError, match="`compression=zstd` is not possible here; allowed: none"):
         pc2scan.convert(FIXTURES / "hall.mcap", tmp_path / "y.toy", compression="zstd")
     with pytest.raises(DestinationError) as refused:

@@ -12,6 +12,7 @@ import pc2scan
 from pc2scan.bags.mcap import chunks as mcap_chunks
 from pc2scan.bags.rosbag1 import records as rosbag1_records
 from pc2scan.core.rigid import Rigid
+from pc2scan.errors import UsageError
 from support.worlds.moving import Drive, Lidar, write_imu, write_world
 
 if TYPE_CHECKING:
@@ -25,15 +26,21 @@ LIDARS = (
     # Begins late.
     Lidar("/late", "late", columns=400, phase=1.3),
 )
-IN_BASE = {"target_frame": "base_link", "min_height": 0.1, "max_height": 2.0}
+IN_BASE: dict[str, Any] = {"target_frame": "base_link", "min_height": 0.1, "max_height": 2.0}
+#: Its clock is ahead of the others' by more than a scan of both may be: only later places of the recording tell.
+AHEAD = Lidar("/ahead", "ahead", columns=300, clock=3.0)
+#: Without transforms it is tilted, which a conversion notices as it goes.
+TILTED = Lidar("/tilted", "tilted", columns=300, mount=Rigid.from_rpy(0.0, 0.35, 0.0, (0.2, 0.0, 0.5)))
 LEVEL = {"level": True, "imu": "/imu", "static_tf": "base_link imu_link 0.1 0 0.2 0 0 0"}
 DESKEWED = {**IN_BASE, "fixed_frame": "odom", "deskew": True}
 TOGETHER = {"topics": ["/front:=/scan", "/rear:=/scan", "/late:=/scan"]}
 
 #: Options, and the number of times that the chunk that is read most is decompressed.
 REQUESTS: list[tuple[dict[str, Any], int]] = [
-    ({"topics": "/front"}, 1),
-    ({"topics": "/front", "start": 20.7, "end": 21.5}, 1),
+    ({"topics": "/front", "min_height": 0.1}, 1),
+    ({"topics": "/front", "min_height": 0.1, "start": 20.7, "end": 21.5}, 1),
+    # Heights are advised in the robot's frame.
+    ({"topics": "/front"}, 2),
     ({"topics": "/front", "scan_time": "auto", "time_increment": "auto", "beams": "auto"}, 2),
     ({"topics": "/front", **IN_BASE}, 2),
     ({"topics": "/front", "source_frame": "fornt", "min_height": 0.1}, 2),
@@ -89,6 +96,33 @@ def test_no_chunk_is_decompressed_more_than_twice(
     assert any(topic.messages_out for topic in report.topics if topic.spec is not None)
     assert len(decompressed) > 2
     assert max(decompressed.values()) == most
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_clocks_that_differ_are_compared_in_the_one_reading_ahead(
+    kind: str, decompressed: Counter[int], tmp_path: Path
+) -> None:
+    path = write_world(tmp_path / "world.mcap", (LIDARS[0], AHEAD), TILTING)
+    drive = tmp_path / f"drive.{kind}"
+    pc2scan.convert(path, drive, topics="/front:=/unused", keep_clouds=True, min_height=0.1, compression="lz4")
+    decompressed.clear()
+    with pytest.raises(UsageError, match="different clocks"):
+        pc2scan.convert(drive, tmp_path / "s.mcap", topics=["/front:=/scan", "/ahead:=/scan"], **IN_BASE)
+    assert max(decompressed.values()) == 1
+
+
+@pytest.mark.parametrize("kind", ["mcap", "bag"])
+def test_advice_about_several_tilted_sensors_reads_the_transforms_once(
+    kind: str, decompressed: Counter[int], tmp_path: Path
+) -> None:
+    also = Lidar("/also", "also", columns=300, mount=TILTED.mount)
+    path = write_world(tmp_path / "world.mcap", (TILTED, also), TILTING)
+    drive = tmp_path / f"drive.{kind}"
+    pc2scan.convert(path, drive, topics="/tilted:=/unused", keep_clouds=True, min_height=0.1, compression="lz4")
+    decompressed.clear()
+    report = pc2scan.convert(drive, tmp_path / "s.mcap")
+    assert "tilted" in " ".join(report.warnings)
+    assert max(decompressed.values()) == 2
 
 
 def test_scans_in_python_are_made_in_two_readings_as_well(drive: Path, decompressed: Counter[int]) -> None:

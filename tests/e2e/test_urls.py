@@ -251,6 +251,32 @@ def test_only_ranges_are_read(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> N
     assert 0 < sum(read) < recording.stat().st_size * 0.8
 
 
+class FinishedThread(threading.Thread):
+    """A thread that is done before its starter goes on."""
+
+    def start(self) -> None:
+        super().start()
+        self.join()
+
+
+@pytest.mark.parametrize("thread", [threading.Thread, FinishedThread])
+def test_a_conversion_fetches_each_byte_once(
+    thread: type[threading.Thread], bucket: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read: list[int] = []
+    bytes_at: Callable[..., Any] = RemotePath.bytes_at
+
+    def counted(self: RemotePath, start: int, stop: int) -> Any:
+        read.append(stop - start)
+        return bytes_at(self, start, stop)
+
+    monkeypatch.setattr(RemotePath, "bytes_at", counted)
+    monkeypatch.setattr("pc2scan.files.transfers.Thread", thread)
+    bucket.put_file(str(FIXTURES / "hall.bag"), "/bucket/drive.bag")
+    pc2scan.convert("memory://bucket/drive.bag", "memory://out/x.bag", **HEIGHTS)
+    assert sum(read) == (FIXTURES / "hall.bag").stat().st_size
+
+
 # --- The command ---
 
 

@@ -26,7 +26,7 @@ POINTS = 1500
 
 _CODE = """
 import fs from "node:fs";
-import { project, transformed } from "page:project.mjs";
+import { Projector, transformed } from "page:project.mjs";
 import { matrixOfMount } from "page:transform.mjs";
 import { problemOf } from "page:params.mjs";
 const cases = JSON.parse(fs.readFileSync("cases.json"));
@@ -34,6 +34,7 @@ const bytes = fs.readFileSync("clouds.bin");
 const numbers = new Float32Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));
 const hex = (array) => Buffer.from(array.buffer).toString("hex");
 let at = 0;
+let before = cases[0].params;
 const next = (length) => numbers.slice(at, (at += length));
 const results = cases.map(({ params, mount, points, lit }) => {
   let cloud = { x: next(points), y: next(points), z: next(points) };
@@ -45,7 +46,12 @@ const results = cases.map(({ params, mount, points, lit }) => {
     const into = { x: new Float32Array(points), y: new Float32Array(points), z: new Float32Array(points) };
     cloud = transformed(cloud, matrixOfMount({ x, y, z, roll, pitch, yaw }), into);
   }
-  const scan = project(cloud, params, lit ? intensities : null);
+  // As in the page, after other parameters: what is kept of them must not matter.
+  const projector = new Projector();
+  projector.place(cloud);
+  projector.scan(before);
+  before = params;
+  const scan = projector.scan(params, lit ? intensities : null);
   return { ranges: hex(scan.ranges), intensities: lit ? hex(scan.intensities) : "", counts: scan.counts };
 });
 console.log(JSON.stringify(results));

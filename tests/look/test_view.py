@@ -44,6 +44,35 @@ def test_a_page_of_clouds(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
 
 
+def proposed(source: Path) -> Any:
+    done = run("info", source, "--json")
+    (call,) = json.loads(done.stdout)["proposals"]
+    return call["options"]
+
+
+@pytest.mark.parametrize("words", [(), ("--target-frame", "base_link"), ("--preset", "gmapping")])
+def test_a_page_opens_with_what_info_proposes(tmp_path: Path, words: tuple[str, ...]) -> None:
+    page = tmp_path / "page.html"
+    done = run("view", HALL, "-o", page, *words)
+    assert "note: The page opens with the heights that pc2scan info proposes: 0.1 to 1.5 m in frame" in done.stdout
+    options, held = proposed(HALL), description(page)
+    names = ("min_height", "max_height")
+    assert {name: options[name] for name in names} == {name: held["params"][name] for name in names}
+    assert held["targetFrame"] == options["target_frame"] == "base_link"
+    assert held["topics"][0]["heights"] == {name: options[name] for name in names}
+
+
+@pytest.mark.parametrize("words", [("--max-height", "3"), ("--param", "max_height:=3"), ("--target-frame", "odom")])
+def test_a_page_opens_with_what_is_asked_for(tmp_path: Path, words: tuple[str, str]) -> None:
+    page = tmp_path / "page.html"
+    done = run("view", HALL, "-o", page, *words)
+    assert done.status == 0, done.stderr
+    held = description(page)
+    name = words[1] if words[0] == "--target-frame" else ""
+    assert held["targetFrame"] == name
+    assert held["params"]["max_height"] == 3 or name
+
+
 def test_moments_are_chosen_by_time(tmp_path: Path) -> None:
     page = tmp_path / "page.html"
     assert run("view", HALL, "-o", page, "--at", "0.15", "--at", "0.3").status == 0
@@ -96,7 +125,7 @@ def test_ten_large_clouds_make_a_page_of_less_than_15_mb(tmp_path: Path) -> None
     assert page.stat().st_size < 15_000_000
     assert "1 of 2 points is shown" in done.stdout
     held = description(page)
-    assert "1 of 2 points is shown" in held["notes"][0]
+    assert "1 of 2 points is shown" in held["notes"][-1]
     (topic,) = held["topics"]
     assert [(entry["total"], entry["data"]["length"]) for entry in topic["clouds"]] == [(131_072, 65_536)] * 10
     # Fewer are shown whole.
@@ -119,7 +148,7 @@ def test_deskewing_is_shown_and_stays_in_the_command(tmp_path: Path) -> None:
     done = run("view", HALL, "-o", page, "--deskew", "--fixed-frame", "odom", "--target-frame", "base_link")
     assert done.status == 0, done.stderr
     held = description(page)
-    assert "deskewed" in held["notes"][0]
+    assert "deskewed" in held["notes"][1]
     assert [*held["command"][-3:]] == ["--deskew", "--fixed-frame", "odom"]
     run("view", HALL, "-o", page, "--level", "--fixed-frame", "odom", "--target-frame", "base_link")
-    assert "only a conversion makes scans level" in description(page)["notes"][0]
+    assert "only a conversion makes scans level" in description(page)["notes"][1]

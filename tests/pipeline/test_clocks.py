@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pc2scan.bags.observers import observe
 from pc2scan.bags.opening import open_recording
-from pc2scan.pipeline.clocks import are_doubtful, clock_warnings, delay_observers
+from pc2scan.pipeline.clocks import are_doubtful, ask_motion, clock_warnings
 from pc2scan.pipeline.items import Span
+from pc2scan.pipeline.options import ScanSpec
+from pc2scan.pipeline.survey import Survey
+from pc2scan.tf.placing import FrameOptions
 from support.worlds.moving import BEGIN_NS, Lidar, write_world
 
 if TYPE_CHECKING:
@@ -29,11 +31,11 @@ def test_clouds_whose_clock_is_not_that_of_the_transforms(kind: str, clock: floa
     path = write_world(tmp_path / "w.mcap", [replace(LIDAR, kind=kind, clock=clock)], seconds=0.3)
     with closing(open_recording(path)) as reader:
         own = [each for each in reader.connections if each.topic == "/points"]
-        moving = [each for each in reader.connections if each.topic == "/tf"]
-        whole = Span(None, None, BEGIN_NS)
-        sources, others = delay_observers(own, whole), delay_observers(moving, whole)
-        observe(reader, [*sources.values(), *others.values()])
-        found = list(clock_warnings(sources, others))
+        survey = Survey(reader, [], FrameOptions(), Span(None, None, BEGIN_NS))
+        facts, motion = survey.facts(own), ask_motion(survey, FrameOptions(), ScanSpec(fixed_frame="odom", deskew=True))
+        facts.ask_headers(3)
+        survey.read()
+        found = list(clock_warnings([facts], motion))
     assert len(found) == bool(what)
     assert all(text.startswith("the stamps of /points are ") and f" s {what} those of /tf" in text for text in found)
 

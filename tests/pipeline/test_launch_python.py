@@ -11,10 +11,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import pc2scan
 from pc2scan.errors import ParameterError, SeveralNodesError
 from pc2scan.options.table import PARAMETERS
 from pc2scan.pipeline.param_sources import resolve_sources
 from pc2scan.pipeline.params_file import ParamsFile, load_params_file
+from support import ROOT
 from support.tables import rows
 
 if TYPE_CHECKING:
@@ -113,6 +115,22 @@ def test_a_value_that_is_given_is_not_needed_from_the_file(tmp_path: Path) -> No
     body = "return LaunchDescription([NODE(parameters=[{'min_height': lowest(), 'range_max': 30.0}])])"
     found = resolve_sources((), assignments=["min_height:=-0.5"], file=described(tmp_path / "a.launch.py", body))
     assert (found.params.min_height, found.params.range_max) == (-0.5, 30.0)
+
+
+def test_a_topic_that_is_given_is_not_needed_from_the_file(tmp_path: Path) -> None:
+    body = "return LaunchDescription([NODE(remappings=[('cloud_in', topic()), ('imu', imu()), ('scan', '/flat')])])"
+    path = described(tmp_path / "a.launch.py", body)
+    hall = ROOT / "fixtures" / "hall.bag"
+    for report in (
+        pc2scan.convert(hall, params_file=path, dry_run=True, remap="cloud_in:=/points"),
+        pc2scan.convert(hall, params_file=path, dry_run=True, topics="/points:=/flat"),
+    ):
+        assert [topic.target for topic in report.topics if topic.action == "converted"] == ["/flat"]
+
+
+def test_what_may_be_another_node_is_said(tmp_path: Path) -> None:
+    path = described(tmp_path / "a.launch.py", "return LaunchDescription([NODE(name='a'), *others()])")
+    assert load_params_file(path).ignored == (f"{path}, line 2, *others()",)
 
 
 def test_arguments_are_given(tmp_path: Path) -> None:

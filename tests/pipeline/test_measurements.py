@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from pc2scan.bags.observers import observe
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import ParameterError
 from pc2scan.pipeline import measurements as measure_module
-from pc2scan.pipeline.measurements import cloud_observers, measure
+from pc2scan.pipeline.items import Span
+from pc2scan.pipeline.measurements import ask_measurements, measure
 from pc2scan.pipeline.options import ScanSpec
+from pc2scan.pipeline.survey import Survey
 from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.placing import Placer
+from pc2scan.tf.placing import FrameOptions, Placer
 from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap
 
 if TYPE_CHECKING:
@@ -53,10 +55,15 @@ def measured(
     items = sorted(items, key=lambda entry: entry.log_time_ns)
     reader = open_recording(write_mcap(folder / "drive.mcap", Recording(streams, tuple(items))))
     try:
-        spec, placer = ScanSpec(params=params), placer or Placer()
-        observers = cloud_observers(reader.connections, spec, None if placer.buffer else placer, **cut)
-        observe(reader, observers.values())
-        return measure(observers, spec, placer)
+        placer = placer or Placer()
+        spec = ScanSpec(params=replace(params, target_frame=placer.target_frame))
+        span = Span(cut.get("start_ns"), cut.get("stop_ns"), 0)
+        survey = Survey(reader, [], FrameOptions(), span)
+        topics = survey.topics(reader.connections).values()
+        for facts in topics:
+            ask_measurements(facts, spec)
+        survey.read()
+        return measure(topics, spec, placer)
     finally:
         reader.close()
 

@@ -12,8 +12,9 @@ from pc2scan.bags.observers import observe
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcloud2
 from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.items import Span
-from pc2scan.pipeline.point_times import time_observers, time_warnings
+from pc2scan.pipeline.point_times import ask_times, time_warnings
 from pc2scan.pipeline.stages.deskew import PointTime
+from pc2scan.pipeline.survey import TopicFacts
 from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
@@ -54,9 +55,10 @@ def option_warnings(
         )  # fmt: skip
         rows.append((0, stamp_ns, data))
     reader = MemoryReader(Path("made"), [POINTS], rows)
-    observers = time_observers([POINTS], PointTime.parse(asked), Span(None, None, T0))
-    observe(reader, observers.values())
-    return list(time_warnings(observers))
+    facts, point_time = TopicFacts([POINTS], Span(None, None, T0)), PointTime.parse(asked)
+    ask_times(facts, point_time)
+    observe(reader, facts.observers)
+    return list(time_warnings(facts, point_time))
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from pc2scan.errors import MessageError
-from pc2scan.model import RawMessage, own_message
+from pc2scan.model import RawMessage, copied_message
 
 from .units import FirstTimes, Handle, merge_by_time
 
@@ -36,8 +36,9 @@ class Observer(Generic[_Value]):
     connections
         Those whose messages are wanted.
     take
-        Returns what is kept of a message, whose data may be borrowed. It may be called again for a message, and for
-        some that are not among the first. If it raises a `MessageError`, nothing is kept; the message counts.
+        Returns what is kept of a message, and no view of its data, which would keep a whole chunk in memory. It may be
+        called again for a message, and for some that are not among the first. If it raises a `MessageError`, nothing
+        is kept; the message counts.
     most
         How many messages are wanted; None: all.
     start_ns, stop_ns
@@ -80,7 +81,7 @@ class Observer(Generic[_Value]):
     def takes_all_messages(self) -> bool:
         """Whether it takes all messages as they are."""
         limits = (self.most, self.start_ns, self.stop_ns, self.is_needless)
-        return self.take is own_message and limits == (None, None, None, None)
+        return self.take is copied_message and limits == (None, None, None, None)
 
     def end(self) -> None:
         """Note that there are no more messages."""
@@ -171,7 +172,7 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Non
         key = message.connection.id
         # There may be a million transforms.
         if key in lone:
-            return own_message(message)
+            return copied_message(message)
         found = [each for observer in by_connection[key] if (each := observer.value_of(message))]
         return _Seen(message.log_time_ns, len(message.data), found)
 
@@ -184,7 +185,8 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Non
     )
     # Twice: when units are announced to the system, and when they are due.
     chosen = (unit for unit in units if is_wanted(unit))
-    with closing(merge_by_time(chosen, take, loading=partial(_load_wanted, is_wanted), path=reader.path)) as messages:
+    loading = partial(_load_wanted, is_wanted)
+    with closing(merge_by_time(chosen, take, loading=loading, holds_units=False, path=reader.path)) as messages:
         for seen in messages:
             if isinstance(seen, RawMessage):
                 lone[seen.connection.id](seen)

@@ -269,6 +269,7 @@ def merge_by_time(
     *,
     loading: Callable[[Iterable[Unit], Callable[[RawMessage], Item]], Generator[Handle]] = load_when_due,
     max_open_bytes: int = MAX_OPEN_BYTES,
+    holds_units: bool = True,
     path: Path | None = None,
 ) -> Generator[Item | StoredChunk]:
     """Merge the messages of units that overlap in time.
@@ -285,6 +286,8 @@ def merge_by_time(
         in order.
     max_open_bytes
         Bound on the units held at one time (one is always held).
+    holds_units
+        Whether items may keep the memory of their unit. Otherwise it counts as much as its items.
     path
         The recording, for the error.
 
@@ -316,7 +319,7 @@ def merge_by_time(
                     if most < 0:
                         raise RecordingError("has more messages than bytes, which no recording does", path=path)
                 if found:
-                    heapq.heappush(heap, _OpenUnit(unit, found, max_open_bytes))
+                    heapq.heappush(heap, _OpenUnit(unit, found, max_open_bytes if holds_units else 0))
                     _evict(heap, max_open_bytes)
                 del found, unit
                 coming = next(handles, None)
@@ -406,6 +409,7 @@ class _OpenUnit:
         elif not isinstance(found, StoredChunk):
             if unit.size > max_open_bytes:
                 # A damaged chunk may declare any size: its actual size counts, so that others are not dropped for it.
+                # So does what is left of a chunk that is not held.
                 self.size = min(unit.size, sum(item.size for item in found))
             self.size += ITEM_BYTES * len(found)
         self.position = 0

@@ -37,7 +37,8 @@ _AHEAD_THREADS = 2
 def reading_urls(paths: Iterable[UrlPath], folder: Path | None = None) -> Iterator[None]:
     """Fetch whole files or folders, one after the other, in the background while the body reads them.
 
-    Errors are left to the threads that need the bytes.
+    What is fetched is kept until the body ends, because it may be there before anything reads it. Errors are left to
+    the threads that need the bytes.
 
     Parameters
     ----------
@@ -49,25 +50,29 @@ def reading_urls(paths: Iterable[UrlPath], folder: Path | None = None) -> Iterat
     before = scratch.set(folder)
     stopped = Event()
     try:
-        parts = _parts_of(paths)
+        kept = [file.remote.ranges() for path in paths for file in _files_of(path)]
+        parts = _parts_of(kept)
         for _ in range(_AHEAD_THREADS):
             Thread(target=_fetch_parts, args=(parts, stopped), daemon=True).start()
         yield
+        del kept
     finally:
         stopped.set()
         scratch.reset(before)
 
 
-def _parts_of(paths: Iterable[UrlPath]) -> SimpleQueue[tuple[RangeFile, int]]:
+def _files_of(path: UrlPath) -> Iterator[UrlPath]:
+    """Yield a file, or the files in a folder."""
+    yield from (file for file in (path.iterdir() if path.is_dir() else (path,)) if file.is_file())
+
+
+def _parts_of(files: Iterable[RangeFile]) -> SimpleQueue[tuple[RangeFile, int]]:
     """Return a queue of parts of files in the order in which they are read: the file, and where a part begins."""
     parts: SimpleQueue[tuple[RangeFile, int]] = SimpleQueue()
-    for path in paths:
-        for file in path.iterdir() if path.is_dir() else (path,):
-            if file.is_file():
-                ranges = file.remote.ranges()
-                ranges.step = _AHEAD_BYTES
-                for start in range(0, ranges.size, _AHEAD_BYTES):
-                    parts.put((ranges, start))
+    for file in files:
+        file.step = _AHEAD_BYTES
+        for start in range(0, file.size, _AHEAD_BYTES):
+            parts.put((file, start))
     return parts
 
 

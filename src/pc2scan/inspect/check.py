@@ -13,13 +13,15 @@ from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.files.urls import path_or_url
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.pipeline.items import Span
+from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Part, Result
 from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.placing import FrameOptions
-from pc2scan.tf.reading import read_transforms
+from pc2scan.tf.robot_model import NO_MODEL
 
-from .cloud_info import FirstSamples
 from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.verdicts import ConsumerScan, Verdict
     from pc2scan.model import Connection
+    from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
 
     from .findings import Finding
@@ -304,26 +307,43 @@ def check(
     with ExitStack() as stack:
         readers = open_recordings(map(path_or_url, paths), stack)
         reader = as_one(readers)
-        chosen = _scan_connections(reader.connections, tuple(topics))
+        chosen = _scan_connections(reader, tuple(topics))
         others = open_recordings(options.tf_from, stack)
-        first = FirstSamples((each for each in reader.connections if each.ros_version is not None), moved=True)
-        buffer, warnings = read_transforms([reader, *others], options, [*first.observers.values()])
+        # Consumers know no transforms but those of the recording, and what the user adds.
+        known = options if options.model else replace(options, model=NO_MODEL)
+        survey = Survey(reader, others, known, Span(None, None, 0))
+        clouds = survey.topics(
+            each for each in reader.connections if each.ros_type in CLOUDS and each.ros_version
+        ).values()
+        for facts in clouds:
+            facts.ask_samples(moved=True)
+        reading = survey.ask_transforms((odom_frame, base_frame), use=False)
+        survey.read()
+        transforms = reading.finish()
+        buffer = transforms.buffer
         found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, progress)
-        found = _with_mountings(found, first, buffer)
+        found = _with_mountings(found, clouds, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
-    return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
+    return Check(tuple(map(str, paths)), asked, tuple(found), (*transforms.warnings, *transforms.notes), damage)
 
 
-def _scan_connections(connections: Sequence[Connection], topics: tuple[str, ...]) -> dict[str, list[Connection]]:
+def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list[Connection]]:
     """Return the connections of the topics to check, by topic."""
     types: dict[str, set[str]] = {}
     scans: dict[str, list[Connection]] = {}
-    for connection in connections:
+    for connection in reader.connections:
         types.setdefault(connection.topic, set()).add(connection.ros_type)
         if connection.ros_type == LASERSCAN and connection.ros_version is not None:
             scans.setdefault(connection.topic, []).append(connection)
     if not scans:
-        raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
+        from pc2scan.messages.clouds import CLOUDS  # noqa: PLC0415  # only for errors
+
+        if any(connection.ros_type in CLOUDS for connection in reader.connections):
+            raise TopicError("the recording has no LaserScan topic", hint="pc2scan convert makes scans of its clouds")
+        from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
+
+        message, hint = without("LaserScan", reader.connections, reader)
+        raise TopicError(message, hint=hint or None)
     asked = (find_topics(topic, types, sorted(scans), LASERSCAN) for topic in topics)
     names = {name for found in asked for name in found} or scans.keys()
     return {name: scans[name] for name in sorted(names)}
@@ -353,9 +373,11 @@ def _check_topics(
     return [_topic_check(name, scans, places) for name, (scans, places) in topics.items()]
 
 
-def _with_mountings(found: Sequence[TopicCheck], first: FirstSamples, buffer: TransformBuffer) -> list[TopicCheck]:
+def _with_mountings(
+    found: Sequence[TopicCheck], clouds: Iterable[TopicFacts], buffer: TransformBuffer
+) -> list[TopicCheck]:
     """Add findings about the scans' frames, from the clouds of the recording."""
-    tilted = mounting_findings(first, buffer, [frame for topic in found for frame in topic.frames])
+    tilted = mounting_findings(clouds, buffer, [frame for topic in found for frame in topic.frames])
     return [
         replace(topic, findings=(*(tilted[frame] for frame in topic.frames if frame in tilted), *topic.findings))
         for topic in found

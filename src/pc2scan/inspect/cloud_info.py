@@ -7,36 +7,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pc2scan.bags.observers import Observer
-from pc2scan.bags.topics import by_topic
-from pc2scan.core.floor import MOST_CLOUDS, CloudSample
 from pc2scan.core.percentiles import percentiles
 from pc2scan.errors import DecodeError, TransformError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, decode_pointcloud2
 from pc2scan.text import counted
-from pc2scan.tf.mounting import mounting, unit_warning
 
 from .spread import Spread, count_range, finite, spread_of, spread_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
-    from pc2scan.model import Connection, RawMessage
+    from pc2scan.model import RawMessage
     from pc2scan.result import Part
-    from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import Placer
 
 #: The width of the largest bar of the histogram of heights, and how many bars it has.
 _BAR = 40
 _BINS = 12
-
-#: How many messages of a topic are read to find the first clouds that can be decoded and transformed.
-_LOOKED_AT = 30
 
 
 @dataclass(slots=True)
@@ -163,16 +155,8 @@ class CloudLook:
         self._parts.append(points)
         self._zeros += int(zero.sum())
 
-    def described(self, first: FirstSamples, buffer: TransformBuffer | None) -> CloudInfo:
-        """Return the properties, and release the points.
-
-        Parameters
-        ----------
-        first
-            Samples of the first clouds.
-        buffer
-            The transforms of the robot; None if there are none.
-        """
+    def described(self, mounting: Mounting | None) -> CloudInfo:
+        """Return the properties, with the mounting of the first clouds, and release the points."""
         result = self._result
         result.frames, result.problems = tuple(self._frames), tuple(self._problems)
         if self._sizes:
@@ -182,62 +166,8 @@ class CloudLook:
             with np.errstate(invalid="ignore"):
                 points = np.concatenate(parts, axis=1, dtype=np.float64)
             _measure(result, points, self._zeros)
-            if clouds := first.placed(result.topic, self._places):
-                frame = self._places.source_frame or clouds[0].frame_id
-                result.mounting = mounting(result.topic, frame, clouds, buffer)
+            result.mounting = mounting
         return result
-
-
-class FirstSamples:
-    """Samples of the first clouds of topics, as a conversion judges them. They are placed once transforms are known.
-
-    Parameters
-    ----------
-    connections
-        Those with clouds are used.
-    moved
-        Whether the clouds are moved into another frame, which the first ones may lack a transform to.
-
-    Attributes
-    ----------
-    observers
-        By topic.
-    """
-
-    def __init__(self, connections: Iterable[Connection], *, moved: bool) -> None:
-        self.observers = {
-            topic: _sample_observer(sources, moved=moved)
-            for topic, sources in by_topic(each for each in connections if each.ros_type in CLOUDS).items()
-        }
-
-    def unit_warnings(self) -> list[str]:
-        """Return warnings of topics whose clouds are probably in millimetres."""
-        found = (unit_warning(topic, each.found[0]) for topic, each in self.observers.items() if each.found)
-        return list(filter(None, found))
-
-    def placed(self, topic: str, places: Placer) -> list[CloudSample]:
-        """Return as many of a topic as are judged, in their frames; without those that have no place there."""
-        clouds: list[CloudSample] = []
-        for sample in self.observers[topic].found:
-            try:
-                place = places.place(sample.frame_id, sample.stamp_ns)
-            except TransformError:
-                continue
-            clouds.append(sample.placed_in(place.frame_id, place.target_from_source))
-            if clouds[0].floor is not None or len(clouds) == MOST_CLOUDS:
-                break
-        return clouds
-
-
-def _sample_observer(sources: Sequence[Connection], *, moved: bool) -> Observer[CloudSample]:
-    decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in sources}
-    observer = Observer(
-        sources, lambda message: CloudSample.of(decoders[message.connection.id](message.data)), _LOOKED_AT
-    )
-    if not moved:
-        found = observer.found
-        observer.is_needless = lambda: bool(found) and (found[0].floor is not None or len(found) >= MOST_CLOUDS)
-    return observer
 
 
 def _as_floats(column: NDArray[Any]) -> NDArray[np.floating[Any]]:

@@ -14,13 +14,14 @@ from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.pipeline.items import Span
+from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.placing import FrameOptions, Placer
-from pc2scan.tf.reading import RobotTransforms, TransformReading
 
-from .cloud_info import CloudInfo, CloudLook, FirstSamples
+from .cloud_info import CloudInfo, CloudLook
 from .sampling import sampled
 from .scan_info import ScanInfo, ScanLook
 
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
-    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
+    from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.imu import ImuReading
     from pc2scan.tf.mounting import Mounting
@@ -296,16 +297,40 @@ def info(
         shown = _described(topics, described)
         has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
         imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
-        has_target = bool(target_frame or others)
-        first = FirstSamples(reader.connections if shown and samples else (), moved=bool(target_frame))
-        needs_robot = any(topic.msgtype in CLOUDS for topic in topics)
-        buffer, warnings, ups = _transforms_and_imus(
-            [reader, *others], asked, imus, first, start_ns or 0, all_of_them=has_target, needs_robot=needs_robot
-        )
+        survey = Survey(reader, others, asked, Span(None, None, start_ns or 0))
         tolerance_ns = ProjectionParams().tolerance_ns
-        places = Placer(target_frame, asked.source_frame, buffer if target_frame else None, tolerance_ns)
-        clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, buffer, first)
-        warnings += first.unit_warnings()
+        places = Placer(target_frame, asked.source_frame, None, tolerance_ns)
+        facts: dict[str, TopicFacts] = {}
+        buffer: TransformBuffer | None = None
+        ups: tuple[ImuInfo, ...] = ()
+        warnings: list[str] = []
+        has_target = bool(target_frame or others or asked.adds_poses)
+        if has_target or any(topic.msgtype in CLOUDS for topic in topics):
+            facts = survey.topics(c for c in reader.connections if shown and samples and c.ros_type in CLOUDS)
+            for each in facts.values():
+                each.ask_samples(moved=bool(target_frame))
+            readings = {topic: _imu_reading(survey, topic) for topic in imus}
+            if has_target:
+                survey.ask_transforms((target_frame,))
+            else:
+                survey.ask_robot()
+            survey.read()
+            ups = tuple(_imu(topic, reading) for topic, reading in readings.items())
+            if survey.transforms is not None:
+                found = survey.transforms.finish()
+                buffer, warnings = found.buffer, [*found.warnings, *found.notes]
+            elif survey.robot is not None:
+                buffer = survey.robot.finish()
+            places = places._replace(buffer=buffer if target_frame else None)
+        moved = bool(target_frame)
+        mountings = {topic: each.mounting(places, buffer, moved=moved) for topic, each in facts.items()}
+        clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, mountings)
+        warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
+        if not any(topic.msgtype in {*CLOUDS, LASERSCAN} for topic in topics):
+            from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
+
+            if instead := instead_of_clouds(reader.connections, reader):
+                warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
@@ -370,64 +395,10 @@ def _topic_infos(
     return topics
 
 
-def _transforms_and_imus(
-    readers: Sequence[Reader],
-    asked: FrameOptions,
-    imus: Sequence[str],
-    first: FirstSamples,
-    time_ns: int,
-    *,
-    all_of_them: bool,
-    needs_robot: bool,
-) -> tuple[TransformBuffer | None, list[str], tuple[ImuInfo, ...]]:
-    """Read the transforms, and the first messages of each IMU, in one reading of each recording.
-
-    Parameters
-    ----------
-    readers
-        The recording first, then those of ``tf_from``.
-    first
-        Observes the first clouds meanwhile.
-    time_ns
-        The beginning of the recording.
-    all_of_them
-        Whether all transforms are read.
-    needs_robot
-        Whether those between the robot's frames are read otherwise.
-
-    Returns
-    -------
-    TransformBuffer or None, list of str, tuple of ImuInfo
-        The transforms (None if there are none), warnings about them, and the IMUs.
-    """
-    if not (all_of_them or needs_robot or imus or first.observers):
-        return None, [], ()
-    from pc2scan.bags.observers import observe  # noqa: PLC0415  # recordings without clouds need none
-
-    reader = readers[0]
-    transforms = TransformReading(asked) if all_of_them else None
-    robot = RobotTransforms(reader, asked, time_ns) if needs_robot and transforms is None else None
-    readings = {topic: _imu_reading(reader, topic) for topic in imus}
-    observers: list[Observer[Any]] = [] if transforms is None else [*transforms.observers(reader)]
-    observers += [] if robot is None else robot.observers
-    observers += first.observers.values()
-    for reading in readings.values():
-        observers += [] if isinstance(reading, UsageError) else reading.observers(reader)
-    observe(reader, observers)
-    ups = tuple(_imu(topic, reading) for topic, reading in readings.items())
-    if transforms is None:
-        return None if robot is None else robot.finish(), [], ups
-    for other in readers[1:]:
-        observe(other, transforms.observers(other))
-    return *transforms.finish(), ups
-
-
-def _imu_reading(reader: Reader, topic: str) -> ImuReading | UsageError:
+def _imu_reading(survey: Survey, topic: str) -> ImuReading | UsageError:
     """Return what reads the first messages of an IMU, or why they cannot be read."""
-    from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few recordings have one
-
     try:
-        return ImuReading([reader], topic, _MAX_IMU)
+        return survey.imu(topic, _MAX_IMU)
     except UsageError as err:
         return err
 
@@ -462,8 +433,7 @@ def _samples(
     start_ns: int | None,
     end_ns: int | None,
     places: Placer,
-    buffer: TransformBuffer | None,
-    first: FirstSamples,
+    mountings: Mapping[str, Mounting | None],
 ) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
     """Return the properties of the clouds and scans of topics; a topic with both counts as one of clouds."""
     clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS}
@@ -485,6 +455,6 @@ def _samples(
     for message in sampled(reader, connections, samples, start_ns, end_ns):
         looks[message.connection.topic].add(message)
     return (
-        tuple(look.described(first, buffer) for name, look in cloud_looks.items()),
+        tuple(look.described(mountings.get(name)) for name, look in cloud_looks.items()),
         tuple(look.described() for look in scan_looks.values()),
     )

@@ -11,7 +11,6 @@ from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
 from pc2scan.text import counted, nearest
 from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
-from pc2scan.tf.mounting import mounting
 from pc2scan.tf.placing import Placer
 from pc2scan.tf.summary import BODIES
 from pc2scan.tf.world_frames import find_body_motion
@@ -19,14 +18,14 @@ from pc2scan.tf.world_frames import find_body_motion
 from .findings import Finding, Tally, few_unplaced, finding
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterable
 
     import numpy as np
     from numpy.typing import NDArray
 
+    from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
 
-    from .cloud_info import FirstSamples
     from .findings import Level
 
 #: A sensor is tilted if the cosine between its z axis and the robot's is below 1 by this much: 2.6 degrees.
@@ -37,6 +36,9 @@ _SIDEWAYS = math.sqrt(0.5)
 
 #: The names of camera frames, whose z axis points forward (REP 103).
 _OPTICAL = ("_optical_frame", "_optical")
+
+#: The options that name the frames.
+_OPTIONS = {"odometry": "odom_frame", "robot": "base_frame"}
 
 _HINT = "`pc2scan tf` shows the frames; `tf_from` reads transforms from another recording"
 
@@ -105,7 +107,7 @@ class ScanFrames:
         if odometry is None and self._joined(frame, self._odom):
             self._missing.setdefault(frame, Tally()).add(stamp_ns)
             self._reasons.setdefault(frame, (missing, hint))
-        robot, why, _ = self._moved(frame, self._base, stamp_ns)
+        robot, why, how = self._moved(frame, self._base, stamp_ns)
         known: bool | None = robot is not None
         if robot is None and self._trees and self._base not in self._trees and not self._named:
             # The name of the robot's frame is unknown.
@@ -125,15 +127,34 @@ class ScanFrames:
             turned=turned,
             moved=moved,
             missing=missing or why,
-            cure=self._cure(frame),
+            cure="" if odometry is not None and known is not False else self._cure(frame, hint or how),
         )
 
-    def _cure(self, frame: str) -> str:
-        """Return the frame that was probably meant by the name of one without transforms; empty if there is none."""
-        if not frame or not self._trees or frame in self._trees:
+    def _cure(self, frame: str, hint: str) -> str:
+        """Return what gives scans the transforms that they lack; empty if only recording them does.
+
+        Parameters
+        ----------
+        hint
+            That of the transform's error.
+        """
+        if not frame or not self._trees:
             return ""
-        near = nearest(frame, self._trees)
-        return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`" if near else ""
+        if frame not in self._trees:
+            near = nearest(frame, self._trees)
+            if near:
+                return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`"
+            return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
+        return self._naming("odometry", self._odom) if self._odom not in self._trees else hint
+
+    def _naming(self, role: str, name: str) -> str:
+        """Return what to do if there is no frame of this name."""
+        option = _OPTIONS[role]
+        if namesake := named_in_namespace(name, self._trees):
+            return f"`{option}={namesake}`"
+        if role == "odometry" and all(info.static for info in self._buffer.infos):
+            return f"record the robot's odometry on /tf, or a SLAM that needs none; {_HINT}"
+        return f"`{option}` names the right one; {_HINT}"
 
     def _moved(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str, str]:
         """Return the transform to a frame at a stamp; or None, why there is none, and what to do."""
@@ -170,21 +191,14 @@ class ScanFrames:
         if not self._trees:
             return [_no_transforms(), *self._optical_findings()]
         found = []
-        roles: tuple[tuple[str, str, str, Level], ...] = (
-            ("odometry", self._odom, "odom_frame", "defect"),
-            ("robot", self._base, "base_frame", "notice"),
-        )
-        for role, name, option, level in roles:
+        levels: tuple[Level, Level] = ("defect", "notice")
+        for role, name, level in zip(_OPTIONS, (self._odom, self._base), levels, strict=True):
             if name not in self._trees:
                 there = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
                 text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {there}"
-                hint = f"`{option}` names the right one; {_HINT}"
-                if namesake := named_in_namespace(name, self._trees):
-                    hint = f"`{option}={namesake}`"
-                elif role == "odometry" and all(info.static for info in self._buffer.infos):
+                if role == "odometry" and all(info.static for info in self._buffer.infos):
                     text += "; nothing moves in them"
-                    hint = f"record the robot's odometry on /tf, or a SLAM that needs none; {_HINT}"
-                found.append(Finding(f"no-{role}-frame", level, text, hint))
+                found.append(Finding(f"no-{role}-frame", level, text, self._naming(role, name)))
         for frame, scans in self._scans.items():
             # An empty name is reported with the scans themselves.
             if frame:
@@ -222,8 +236,7 @@ class ScanFrames:
     def _frame_findings(self, frame: str, scans: int, interval_ns: float | None) -> list[Finding]:
         if frame not in self._trees:
             text = f"the scan's frame {frame!r} is not in the transforms"
-            hint = self._cure(frame) or f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
-            return [Finding("frame-unknown", "defect", text, hint, scans)]
+            return [Finding("frame-unknown", "defect", text, self._cure(frame, ""), scans)]
         found = []
         moving = find_body_motion(self._buffer, frame, self._base)
         if moving is not None:
@@ -250,13 +263,15 @@ class ScanFrames:
         return found
 
 
-def mounting_findings(first: FirstSamples, buffer: TransformBuffer, frames: Collection[str]) -> dict[str, Finding]:
+def mounting_findings(
+    topics: Iterable[TopicFacts], buffer: TransformBuffer, frames: Collection[str]
+) -> dict[str, Finding]:
     """Look for frames of scans that are tilted, upside down or optical.
 
     Parameters
     ----------
-    first
-        Samples of the first clouds of all topics.
+    topics
+        The facts about all topics with clouds.
     frames
         The frames of the scans.
 
@@ -266,12 +281,11 @@ def mounting_findings(first: FirstSamples, buffer: TransformBuffer, frames: Coll
         A defect for each frame in which the ground of the first clouds is not level.
     """
     findings: dict[str, Finding] = {}
-    for topic in first.observers:
+    for facts in topics:
         for frame in dict.fromkeys(frames):
-            clouds = first.placed(topic, Placer(frame, buffer=buffer))
-            there = mounting(topic, clouds[0].frame_id, clouds, buffer) if clouds else None
+            there = facts.mounting(Placer(frame, buffer=buffer), buffer, moved=True)
             if there is not None and there.fault:
                 hint = f"for scans made from clouds: pc2scan convert with {there.options}" if there.options else ""
-                what = f"the scan's frame {frame!r} is {there.fault}, by the clouds on {topic}"
+                what = f"the scan's frame {frame!r} is {there.fault}, by the clouds on {facts.topic}"
                 findings.setdefault(frame, Finding("not-level", "defect", what, hint))
     return findings

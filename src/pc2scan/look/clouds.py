@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.stages.beam_filters import BeamFilter
     from pc2scan.tf.buffer import TransformBuffer
 
+    from .opening import Opening
     from .shots import Shot, Shots
 
 #: Maximum size of all compressed clouds of a page, in bytes. As text in the page they take a third more.
@@ -40,7 +41,7 @@ _SHOWN = tuple(spec.name for spec in fields(ProjectionParams) if spec.name not i
 
 
 def clouds_page(
-    sources: Sequence[Path], taken: Shots, options: ConvertOptions, *, preset: str
+    sources: Sequence[Path], taken: Shots, opened: Opening, *, preset: str
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Describe a page of clouds.
 
@@ -50,8 +51,8 @@ def clouds_page(
         The recordings as they were given, for the command that the page shows.
     taken
         The clouds.
-    options
-        The options of the conversion.
+    opened
+        The options of the conversion, and the heights of each topic.
     preset
         The preset that the parameters come from; empty for none.
 
@@ -60,7 +61,8 @@ def clouds_page(
     description, blobs
         As `pc2scan.look.html.html` takes them.
     """
-    notes = list(taken.notes)
+    options = opened.options
+    notes = [*opened.notes, *taken.notes]
     if options.scan.deskew:
         notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
     if options.scan.level:
@@ -104,7 +106,10 @@ def clouds_page(
         },
         "command": call_words(_conversion(sources, options)),
         "targetFrame": options.scan.params.target_frame,
-        "topics": [{"topic": topic, "clouds": clouds} for topic, clouds in topics.items()],
+        "topics": [
+            {"topic": topic, "heights": opened.heights.get(topic, {}), "clouds": clouds}
+            for topic, clouds in topics.items()
+        ],
     }
     return description, blobs
 

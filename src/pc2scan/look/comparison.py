@@ -90,6 +90,7 @@ def _page(a: Path, b: Path, topics: Sequence[TopicPair], rules: Rules, summary: 
     moments = [
         {
             "moment": f"{moment_text(one.stamp_ns)}, {counted(len(beams), 'beam', 'differ')}",
+            "frame": one.frame_id,
             "layers": [
                 layer(f"A: {a.name}", 0, one, blobs, differing=beams),
                 layer(f"B: {b.name}", 1, other, blobs, differing=beams),

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.topics import find_topic
-from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError, name_list
+from pc2scan.errors import MessageError, RecordingError, TopicError, TransformError
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from pc2scan.text import counted
 
@@ -39,9 +39,10 @@ def scan_connections(reader: Reader, asked: Sequence[str]) -> dict[str, list[Con
         types.setdefault(connection.topic, set()).add(connection.ros_type)
     candidates = [topic for topic, kinds in types.items() if LASERSCAN in kinds]
     if not candidates:
-        raise TopicError(
-            f"the recording has neither clouds nor scans; its topics are: {name_list(list(types)) or 'none'}"
-        )
+        from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
+
+        message, hint = without("PointCloud2 or LaserScan", reader.connections, reader)
+        raise TopicError(message, hint=hint or None)
     chosen = [find_topic(name, types, candidates, LASERSCAN) for name in asked] or candidates
     return {topic: [c for c in reader.connections if c.topic == topic and c.ros_type == LASERSCAN] for topic in chosen}
 
@@ -107,7 +108,7 @@ def scans_page(
             stamps.append(scan.stamp_ns or message.log_time_ns)
             layers.append(layer(f"{topic} ({where})", number, scan, blobs, pose=pose or _HERE))
         if layers:
-            moments.append({"moment": moment_text(stamps[0]), "layers": layers})
+            moments.append({"moment": moment_text(stamps[0]), "frame": common, "layers": layers})
     if not moments:
         why = f"no scan can be shown; {failed[0]}" if failed else f"no scans on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)

@@ -120,7 +120,12 @@ def take_shots(
     reader = recording.reader
     options.scan.refuse_combining("pages and figures make")
     options = options.with_scan(params=_without_times(options.scan.params))
-    plan = make_plan(reader.connections, options)
+    plan = make_plan(reader.connections, options, reader)
+    if options.clock:
+        from pc2scan.pipeline.stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
+
+        reader, notes = corrected_for(reader, plan, options)
+        recording.reader, plan = reader, plan._replace(notes=tuple(notes))
     prepared = recording.prepare(plan, options)
     conversion = prepared.conversions[options.scan]
     assert isinstance(conversion, CloudToScan)
@@ -145,7 +150,7 @@ def take_shots(
     warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
     params = measured.resolve(conversion.params)
-    return Shots(shots, params, prepared.transforms, list(prepared.notes), warnings)
+    return Shots(shots, params, prepared.transforms, [*plan.notes, *prepared.notes], warnings)
 
 
 def _without_times(params: ProjectionParams) -> ProjectionParams:

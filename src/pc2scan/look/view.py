@@ -13,10 +13,10 @@ from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Part, Result
 from pc2scan.text import size
-from pc2scan.tf.placing import FrameOptions
 
 from .clouds import clouds_page
 from .html import BEGINNING, check_page_name, html
+from .opening import Opening, opening
 from .recording import moment_text, open_recording, title_of
 from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
@@ -110,6 +110,7 @@ def write_page(
     clouds: int = 10,
     at: Sequence[TimeBound] = (),
     preset: str = "",
+    proposed: bool = False,
     overwrite: bool = False,
     also_read: Mapping[str, Path] | None = None,
 ) -> Page:
@@ -137,7 +138,7 @@ def write_page(
         [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
-        page = page_of(sources, options, clouds=clouds, at=at, preset=preset)
+        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, proposed=proposed)
         deliver(page.html)
     return replace(page, path=str(destination))
 
@@ -149,6 +150,7 @@ def page_of(
     clouds: int = 10,
     at: Sequence[TimeBound] = (),
     preset: str = "",
+    proposed: bool = False,
 ) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
 
@@ -164,6 +166,9 @@ def page_of(
         Moments to show instead.
     preset
         The preset that the parameters come from; empty for none.
+    proposed
+        Whether a page of clouds opens with the frame and the heights that `pc2scan.info` proposes, unless heights are
+        given.
 
     Raises
     ------
@@ -178,13 +183,14 @@ def page_of(
         reader = recording.reader
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
-            taken = take_shots(recording, options, count=clouds, at_ns=at_ns, level=False)
-            described, blobs = clouds_page(sources, taken, options, preset=preset)
+            opened = opening(sources, options) if proposed else Opening(options, {}, ())
+            taken = take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False)
+            described, blobs = clouds_page(sources, taken, opened, preset=preset)
         else:
             asked = [request.source for request in options.scan.topics]
             topics, buffer = scan_connections(reader, asked), _transforms(recording)
             described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)
-            frames = FrameOptions(tf_topics=options.frames.tf_topics, tf_from=options.frames.tf_from)
+            frames = replace(options.frames, static=(), source_frame="", write_static=False)
             described["findings"] = findings(check(sources, topics=asked, frames=frames))
         notes, warnings = described["notes"], described.pop("warnings")
         # The page shows both.
@@ -196,7 +202,7 @@ def page_of(
 def _transforms(recording: ShownRecording) -> TransformBuffer | None:
     """Return all transforms; None if it is not clear which to use, and none are needed."""
     try:
-        buffer, _ = recording.transforms()
+        buffer = recording.transforms().buffer
     except UsageError:
         if recording.options.scan.needs_transforms:
             raise

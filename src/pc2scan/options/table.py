@@ -45,10 +45,11 @@ from .conversion import (
     RobotMotion,
     SourceFrame,
     SourceTopics,
+    StampCorrection,
     StaticTransforms,
     TimeRange,
+    TransformInputs,
     TransformSources,
-    TransformTopics,
 )
 from .option import (
     BATCH,
@@ -90,7 +91,16 @@ from .values import Instance
 # Which command takes which groups; the order is that of the help's sections.
 
 
-class _Clouds(ParameterSources, Projection, TimeRange, PointSelection, ConversionFrames, RobotMotion, total=False):
+class _Clouds(
+    ParameterSources,
+    Projection,
+    TimeRange,
+    StampCorrection,
+    PointSelection,
+    ConversionFrames,
+    RobotMotion,
+    total=False,
+):
     """How a cloud becomes a scan, and what is read."""
 
 
@@ -147,7 +157,7 @@ class Info(InfoSamples, StaticTransforms, TransformSources, SourceFrame, total=F
     """``info``."""
 
 
-class Tf(TransformTopics, StaticTransforms, total=False):
+class Tf(TransformInputs, StaticTransforms, total=False):
     """``tf``."""
 
 
@@ -198,6 +208,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     SeveralOutputs: (TOPICS, CONVERSION),
     SourceTopics: (TOPICS, SINGLE),
     TimeRange: (TOPICS, CONVERSION),
+    StampCorrection: (TOPICS, CONVERSION),
     BadMessages: (RUN, CONVERSION),
     PointSelection: (POINTS, ONE_OUTPUT),
     ConversionFrames: (FRAMES, CONVERSION),
@@ -299,6 +310,13 @@ def instead_of(command: str, name: str) -> str:
 
 #: What is about a recording that is written.
 _OF_RECORDINGS: tuple[Any, ...] = (OtherTopics, FailureConditions, Container, CloudContent, DryRun, RunReport)
+
+
+def options_about_scans() -> set[str]:
+    """Return the options of a conversion that say which scans are made, and how."""
+    groups = (SourceTopics, ParameterSources, SeveralOutputs, Projection, PointSelection, RobotMotion, CloudCombination)
+    names = {name for group in (*groups, CloudContent) for name in group.__annotations__}
+    return names | {"keep_used", "min_used", "only_scans"}
 
 
 def conversion_options() -> Mapping[str, Option]:

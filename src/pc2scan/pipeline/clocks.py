@@ -2,28 +2,44 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, TypeAlias
 
-from pc2scan.bags.observers import Observer
-from pc2scan.bags.topics import by_topic
+import numpy as np
+
+from pc2scan.bags.observers import Observer, observe
+from pc2scan.bags.topics import by_topic, is_static
 from pc2scan.core.percentiles import median_low
+from pc2scan.core.timing import TIME_FIELDS, point_times
+from pc2scan.errors import UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.imu import IMU, decode_imu
-from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.messages.imu import IMU
+from pc2scan.messages.poses import POSES
+from pc2scan.messages.stamps import STAMPED, stamp_in
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
+from pc2scan.text import counted, stamp
+from pc2scan.tf.reading import tf_connections
+
+from .options import TRAJECTORY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.tf.placing import FrameOptions
+    from pc2scan.tf.trajectory import Trajectory
 
     from .items import Span
+    from .options import ScanSpec
+    from .survey import Survey, TopicFacts
 
 #: Delays from stamps in a message to its log time, nanoseconds, with the child frames of transforms.
 Delays: TypeAlias = "list[tuple[str, int]]"
 
 #: How many messages of each topic are read: clouds are large, and several nodes publish transforms.
-_MESSAGES = {True: 3, False: 50}
+CLOCK_HEADERS = 3
+_MOTIONS = 50
 
 #: Clocks may differ if the delays from stamps to log times differ by this. Slow drivers delay messages, too.
 _OTHER_CLOCK_NS = 500_000_000
@@ -32,6 +48,14 @@ _OTHER_CLOCK_NS = 500_000_000
 #: difference of the delays is enough.
 _BEFORE_NS = -20_000_000
 _SMALL_NS = 100_000_000
+
+
+#: Earlier times do not count from 1970, nanoseconds.
+_LONG_AGO_NS = 1_000_000_000_000_000
+
+#: In how many messages of each topic an offset is measured, and the longest time that a cloud takes, seconds.
+_MEASURED = 50
+_LONGEST_S = 1.0
 
 
 def logged_early(one_ns: int, other_ns: int) -> bool:
@@ -53,37 +77,36 @@ def are_doubtful(one_ns: int, other_ns: int, window_ns: int = 0) -> bool:
     return abs(one_ns - other_ns) > max(limit_ns, window_ns)
 
 
-def delay_observers(connections: Iterable[Connection], span: Span) -> dict[str, Observer[Delays]]:
-    """Return the observers of the delays from the stamps of topics to their log times.
+def ask_motion(survey: Survey, frames: FrameOptions, spec: ScanSpec) -> dict[str, Observer[Delays]]:
+    """Ask for the delays of what says where the robot was: moving transforms, and an IMU; return their observers."""
+    connections = survey.reader.connections
+    found: list[Connection] = []
+    if spec.fixed_frame:
+        found += (each for each in tf_connections(connections, frames.tf_topics) if not is_static(each.topic))
+    if spec.imu_request:
+        name = spec.imu_request.topic.strip("/")
+        found += (each for each in connections if each.ros_type == IMU and each.topic.strip("/") == name)
+    start_ns, stop_ns = survey.span.start_ns, survey.span.stop_ns
+    observers = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(found).items()}
+    survey.observers += observers.values()
+    return observers
+
+
+def clock_warnings(topics: Iterable[TopicFacts], motion: Mapping[str, Observer[Delays]]) -> Iterator[str]:
+    """Yield a warning for each topic whose stamps are probably of another clock than those of what says where it was.
 
     Parameters
     ----------
-    connections
-        Those with clouds or scans, with moving transforms, or of an IMU.
-    span
-        The cut.
+    topics
+        Facts of topics with clouds or scans: their headers.
+    motion
+        What was observed of the topics with moving transforms, or of an IMU.
     """
-    return {
-        topic: Observer(own, _delays, _MESSAGES[own[0].ros_type in CLOUDS], span.start_ns, span.stop_ns)
-        for topic, own in by_topic(connections).items()
-    }
-
-
-def clock_warnings(sources: Mapping[str, Observer[Delays]], others: Mapping[str, Observer[Delays]]) -> Iterator[str]:
-    """Yield a warning for each source topic whose stamps are probably of another clock than those of other topics.
-
-    Parameters
-    ----------
-    sources
-        What was observed of the topics with clouds or scans.
-    others
-        ... and of those with moving transforms, or of an IMU.
-    """
-    known = {topic: _medians(observer.found) for topic, observer in others.items()}
-    for topic, observer in sources.items():
-        if not (delays := _medians(observer.found)):
+    known = {topic: _medians(observer.found) for topic, observer in motion.items()}
+    for facts in topics:
+        if not facts.headers:
             continue
-        delay_ns = median_low(list(delays.values()))
+        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
         for other, by_child in known.items():
             if not by_child:
                 continue
@@ -92,7 +115,7 @@ def clock_warnings(sources: Mapping[str, Observer[Delays]], others: Mapping[str,
             behind_ns = delay_ns - nearest_ns
             if are_doubtful(delay_ns, nearest_ns):
                 yield (
-                    f"the stamps of {topic} are {abs(behind_ns) / 1e9:.3g} s "
+                    f"the stamps of {facts.topic} are {abs(behind_ns) / 1e9:.3g} s "
                     f"{'behind' if behind_ns > 0 else 'ahead of'} those of {other}, compared with their log times: if "
                     "their clocks differ, points are placed as if they were measured at another time"
                 )
@@ -113,10 +136,123 @@ def _delays(message: RawMessage) -> Delays:
     stamps: list[tuple[str, int]] = []
     if kind in TF_TYPES:
         stamps = [(child, stamp_ns) for _, child, stamp_ns, *_ in decode_transforms(message.data, serialization)]
-    elif kind == IMU:
-        stamps = [("", decode_imu(message.data, serialization).stamp_ns)]
-    elif kind == LASERSCAN:
-        stamps = [("", decode_laserscan(message.data, serialization).stamp_ns)]
-    elif kind in CLOUDS:
-        stamps = [("", CLOUDS[kind](serialization)(message.data).stamp_ns)]
+    elif kind in STAMPED:
+        stamps = [("", stamp_in(message.data, serialization))]
     return [(child, message.log_time_ns - stamp_ns) for child, stamp_ns in stamps]
+
+
+def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], span: Span, end_ns: int | None) -> None:
+    """Raise if the poses of a trajectory are of another time than the messages that need them.
+
+    Parameters
+    ----------
+    topics
+        Facts of these messages: their headers.
+    span
+        The cut.
+    end_ns
+        The log time of the last message; None if it is not known.
+
+    Raises
+    ------
+    UsageError
+        The error has the times of both.
+    """
+    last_ns = min((each for each in (span.stop_ns, end_ns) if each is not None), default=span.first_ns)
+    for facts in topics:
+        if not facts.headers:
+            continue
+        delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+        begin_ns, end_ns = span.first_ns - delay_ns, last_ns - delay_ns
+        if trajectory.first_ns <= end_ns and trajectory.last_ns >= begin_ns:
+            return
+        offset = f"`time_offset={TRAJECTORY}={stamp_text(begin_ns - trajectory.first_ns)}s`"
+        is_relative = trajectory.first_ns < _LONG_AGO_NS <= begin_ns
+        why = "its times count from its beginning" if is_relative else "the clocks differ"
+        raise UsageError(
+            f"its poses are from {stamp(trajectory.first_ns)} to {stamp(trajectory.last_ns)}, {facts.topic} is from "
+            f"{stamp(begin_ns)} to {stamp(end_ns)}: no pose is of the time of a message",
+            path=trajectory.name,
+            hint=f"if {why}, {offset} moves the first pose to the first message",
+        )
+
+
+# --- Offsets between clocks ---
+
+
+def measure_offsets(
+    reader: Reader,
+    topics: Mapping[str, Sequence[Connection]],
+    tf_topics: Sequence[str] = (),
+    start_ns: int | None = None,
+    stop_ns: int | None = None,
+) -> dict[str, tuple[int, str]]:
+    """Measure how far the stamps of topics are off those of the moving transforms, or the log times without any.
+
+    Messages are compared by their log times. A cloud is logged after its last point was measured: the offset is that of
+    the message that was logged soonest. A difference that a slow driver makes is no offset.
+
+    Parameters
+    ----------
+    topics
+        The connections of each topic.
+    tf_topics
+        See `tf_connections`. If it is not clear which transforms to use, log times are.
+    start_ns, stop_ns
+        The cut, in whose first messages it is measured.
+
+    Returns
+    -------
+    dict[str, (int, str)]
+        What has to be added to the stamps of each topic, whole milliseconds in nanoseconds, and a note.
+    """
+    moving: list[Connection] = []
+    with suppress(UsageError):
+        moving = [each for each in tf_connections(reader.connections, tf_topics) if not is_static(each.topic)]
+    if not moving:
+        moving = [each for each in reader.connections if each.ros_type in POSES and each.ros_version is not None]
+        moving = [each for each in moving if each.topic not in topics]
+    ends = {topic: Observer(own, _delay_of_end, _MEASURED, start_ns, stop_ns) for topic, own in topics.items()}
+    references = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(moving).items()}
+    observe(reader, [*ends.values(), *references.values()])
+    known = {topic: _nearest(observer.found) for topic, observer in references.items()}
+    fitting = {topic: delays for topic, delays in known.items() if delays}
+    reference = min(fitting, key=lambda topic: abs(median_low(fitting[topic])), default="")
+    others = fitting.get(reference, [0])
+    found = {}
+    for topic, observer in ends.items():
+        delays = observer.found
+        against = f"the stamps of {reference}" if reference else "the log times"
+        number = counted(len(delays), "message")
+        if not delays or not are_doubtful(median_low(delays), median_low(others)):
+            found[topic] = 0, f"{topic}: time_offset is 0: its first stamps fit to {against} ({number})"
+            continue
+        offset_ns = round((min(delays) - min(others)) / 1e6) * 1_000_000
+        note = (
+            f"{topic}: time_offset is {offset_ns / 1e9:.3f} s, measured against {against} in the first {number}, whose "
+            f"delays differ by {(max(delays) - min(delays)) / 1e9:.3f} s; `time_offset={topic}={offset_ns / 1e9:.3f}s`"
+        )
+        found[topic] = offset_ns, note
+    return found
+
+
+def _nearest(messages: Iterable[Delays]) -> list[int]:
+    """Return the delays of the child frame whose transforms are logged closest to their stamps."""
+    delays: dict[str, list[int]] = {}
+    for message in messages:
+        for child, delay_ns in message:
+            delays.setdefault(child, []).append(delay_ns)
+    return min(delays.values(), key=lambda each: abs(median_low(each)), default=[])
+
+
+def _delay_of_end(message: RawMessage) -> int:
+    """Return the delay from the time of a message's last point to its log time; of others from their stamp."""
+    kind, serialization = message.connection.ros_type, message.connection.serialization
+    stamp_ns, last_s = stamp_in(message.data, serialization), 0.0
+    if kind in CLOUDS:
+        points = CLOUDS[kind](serialization)(message.data)
+        name = next((name for name in TIME_FIELDS if name in points.fields), "")
+        times = point_times(points.field(name), stamp_ns) if name else None
+        if times is not None and times.size:
+            last_s = float(np.fmax.reduce(times, initial=0.0))
+    return message.log_time_ns - stamp_ns - round(min(last_s, _LONGEST_S) * 1e9)

@@ -18,7 +18,7 @@ from pc2scan.bags.topics import NewestItems, is_latched, is_static
 from pc2scan.bags.units import Handle, LazyItems, Unit, load_when_due, merge_by_time
 from pc2scan.errors import DecodeError, MessageError
 from pc2scan.messages.tfmessage import TF_TYPES, decode_transforms
-from pc2scan.model import RawMessage, StoredChunk, own_data, own_message
+from pc2scan.model import RawMessage, StoredChunk, copied_message, own_data, own_message
 from pc2scan.threads import InOrder
 
 from .conversion import ConvertedMessage
@@ -168,7 +168,7 @@ def _units_of_cut(
 def _work(routes: Mapping[int, OpenRoute], message: RawMessage, *, is_due: bool = False) -> Item | DeferredMessage:
     """Convert or re-encode a message; postpone it if the result takes more memory, and is not due. On any thread."""
     route = routes[message.connection.id]
-    if route.steps and len(message.data) < route.shrinks_from and not is_due:
+    if (route.steps or route.unpacks) and len(message.data) < route.shrinks_from and not is_due:
         return DeferredMessage(own_message(message), partial(_work, routes, is_due=True))
     results: Sequence[tuple[Output, Any]] = ()
     passing = error = None
@@ -216,8 +216,7 @@ def latched_at(messages: Iterable[RawMessage], start_ns: int) -> Unit:
     """
     newest: NewestItems[RawMessage] = NewestItems()
     for message in messages:
-        # A view would keep a whole chunk in memory.
-        newest.add(_names(message), message._replace(data=bytes(message.data)))
+        newest.add(_names(message), copied_message(message))
     found = [message._replace(log_time_ns=start_ns, publish_time_ns=start_ns) for message in newest]
 
     def load(callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:  # noqa: ARG001  # no chunk

@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.observers import Observer
 from pc2scan.errors import ParameterError, UsageError, name_list
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
 from pc2scan.text import did_you_mean
 from pc2scan.tf.lookup_errors import frames_text
 from pc2scan.tf.static import static_text
@@ -18,12 +15,10 @@ from pc2scan.tf.world_frames import find_body_motion
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from pc2scan.model import Connection, RawMessage
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import FrameOptions
     from pc2scan.tf.static import StaticTransform
 
-    from .items import Span
     from .options import ScanSpec
     from .plan import Plan
 
@@ -190,20 +185,3 @@ def _offered(buffer: TransformBuffer, fixed: str) -> str:
     found = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
     found = [name for name in found if not fixed or not buffer.is_rigid(name, fixed)]
     return f"`fixed_frame={found[0]}` is a frame that does not move" if found else ""
-
-
-def frame_observer(sources: Sequence[Connection], span: Span) -> Observer[str]:
-    """Return the observer of the frame of the first message."""
-    return Observer(sources, _frame, 1, span.start_ns, span.stop_ns)
-
-
-def first_frame(observer: Observer[str]) -> str:
-    """Return the frame of the first message; empty if there is none."""
-    return next(iter(observer.found), "")
-
-
-def _frame(message: RawMessage) -> str:
-    kind, serialization = message.connection.ros_type, message.connection.serialization
-    if kind == LASERSCAN:
-        return decode_laserscan(message.data, serialization).frame_id
-    return CLOUDS[kind](serialization)(message.data).frame_id

@@ -19,7 +19,7 @@ from pc2scan.text import did_you_mean
 from .launch_tree import Element, NotLiteral, xml_tree
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
     from typing_extensions import Self
 
@@ -123,7 +123,9 @@ def is_launch_xml(text: str) -> bool:
     return re.match(r"\s*<[?!a-zA-Z]", text) is not None
 
 
-def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str | None) -> LaunchNode:
+def launch_node(
+    text: str, path: Path, arguments: Mapping[str, str], node: str | None, overridden: Collection[str] = ()
+) -> LaunchNode:
     """Read the node of a launch file.
 
     Parameters
@@ -134,6 +136,8 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         Values of its arguments; the others have the defaults in the file.
     node
         Name of the node, with or without its namespace; None: the only node in the file.
+    overridden
+        Parameters, and topics in the node's names, whose values are given elsewhere.
 
     Raises
     ------
@@ -141,7 +145,7 @@ def launch_node(text: str, path: Path, arguments: Mapping[str, str], node: str |
         If the text is not a launch file, an argument has no value, a text cannot be computed, or there is no node of
         pointcloud_to_laserscan, or more than one.
     """
-    reader = _LaunchReader(path, dict(arguments))
+    reader = _LaunchReader(path, dict(arguments), overridden)
     if path.suffix == ".py":
         from .launch_python import python_tree  # noqa: PLC0415  # only for Python files
 
@@ -197,8 +201,9 @@ _Found = tuple[LaunchText, Element, _Scope]
 class _LaunchReader:
     """Walks through the elements of a file, with the values of its arguments."""
 
-    def __init__(self, path: Path, arguments: dict[str, str]) -> None:
+    def __init__(self, path: Path, arguments: dict[str, str], overridden: Collection[str]) -> None:
         self.path = path
+        self.overridden = overridden
         self.given = arguments
         #: Arguments of the file, with a value or None.
         self.arguments: dict[LaunchText, LaunchText | None] = {}
@@ -219,7 +224,10 @@ class _LaunchReader:
                 self.ignored.append(f"{self._place(element)}, <include file={element.attributes.get('file', '')!r}>")
             elif tag == "unread":
                 what = element.attributes["what"]
-                self.unread.append(f"{getattr(what, 'shown', what)} (line {element.line})")
+                assert isinstance(what, NotLiteral)
+                self.unread.append(f"{what.shown} (line {element.line})")
+                if "computed" in element.attributes:
+                    self.ignored.append(f"{self._place(element)}, {what.shown}")
             elif tag in {"remap", "set_remap"} and self._applies(element):
                 scope = _Scope(scope.namespace, (*scope.remaps, self._remap(element)))
             elif tag in {"push-ros-namespace", "push_ros_namespace"} and self._applies(element):
@@ -247,7 +255,8 @@ class _LaunchReader:
             if child.tag in {"param", "rosparam", "remap"} and not self._applies(child):
                 continue
             if child.tag == "remap":
-                remaps.append(self._remap(child))
+                if self._needs(child, _TOPICS[_direction_of(element)]):
+                    remaps.append(self._remap(child))
             elif child.tag == "param":
                 params += self._params(child)
             elif child.tag == "rosparam":
@@ -337,8 +346,21 @@ class _LaunchReader:
                     return False
         return True
 
+    def _needs(self, remap: Element, topics: frozenset[str]) -> bool:
+        """Whether a remapping is read: not that of another topic, nor one that is given and cannot be read."""
+        name = remap.attributes.get("from", "").strip("~/")
+        if isinstance(remap.attributes.get("from"), NotLiteral) or "$(" in name:
+            return True
+        return name in topics and not (isinstance(remap.attributes.get("to"), NotLiteral) and name in self.overridden)
+
     def _remap(self, element: Element) -> str:
-        return f"{self._read(element, 'from')}:={self._read(element, 'to')}"
+        left, to = self._read(element, "from"), element.attributes.get("to")
+        if isinstance(to, NotLiteral):
+            raise ParameterError(
+                f"{left.shown}: `{to.shown}` is computed (from {self.path}, line {to.line})",
+                hint=f"give it: `remap={left.strip('~/')}:=/TOPIC`" if left == left.shown else None,
+            )
+        return f"{left}:={self._read(element, 'to')}"
 
     def _place(self, element: Element) -> str:
         return f"{self.path}, line {element.line}"

@@ -70,6 +70,9 @@ _POSITIONS = {
     "set_remap": (("src", "from"), ("dst", "to")),
 }
 
+#: Classes whose arguments are lists of actions. What is computed among those may be a node.
+_LISTS = frozenset({"LaunchDescription", "GroupAction", "OpaqueFunction"})
+
 _OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -346,6 +349,8 @@ class _Program:
                 return self._either(node, names)
             case ast.Compare(ops=[op], comparators=[other]):
                 return self._compared(node, op, self.value(node.left, names), self.value(other, names))
+            case ast.ListComp(generators=[each]) | ast.GeneratorExp(generators=[each]):
+                return self._comprehension(node, each, names)
             case ast.IfExp():
                 test = self._truth(self.value(node.test, names))
                 if test is None:
@@ -361,6 +366,22 @@ class _Program:
                 return _Function(node, names)
             case _:
                 return self._not_literal(node)
+
+    def _comprehension(
+        self, node: ast.ListComp | ast.GeneratorExp, each: ast.comprehension, names: dict[str, Any]
+    ) -> Any:
+        over = self.value(each.iter, names)
+        if not isinstance(over, list | tuple):
+            return self._not_literal(node)
+        found, own = [], dict(names)
+        for item in list(over):
+            self._assign(each.target, item, own)
+            tests = [self._truth(self.value(test, own)) for test in each.ifs]
+            if None in tests:
+                return self._not_literal(node)
+            if all(tests):
+                found.append(self.value(node.elt, own))
+        return found
 
     def text(self, value: Any, node: ast.AST, depth: int = 0) -> str:
         """Return a value as text; a list is a concatenation, as ROS joins substitutions."""
@@ -537,6 +558,11 @@ class _Program:
                 own[parameter.arg] = self.value(defaults[parameter], function.names)
             else:
                 own[parameter.arg] = self._not_literal(parameter)
+        if spec.vararg is not None:
+            own[spec.vararg.arg] = tuple(args[len(parameters) :])
+        if spec.kwarg is not None:
+            named = {parameter.arg for parameter in (*parameters, *spec.kwonlyargs)}
+            own[spec.kwarg.arg] = {key: value for key, value in keywords.items() if key not in named}
         self.calls += 1
         try:
             if isinstance(definition, ast.Lambda):
@@ -661,24 +687,12 @@ class _Program:
             return Element("unread", {"what": self._not_literal(node)}, node.lineno)
         if tag is None:
             if name == "OpaqueFunction":
-                function = keywords.get("function", args[0] if args else None)
-                if isinstance(function, _Function):
-                    more = (
-                        [
-                            *(keywords.get("args") or ()),
-                        ]
-                        if isinstance(keywords.get("args"), list | tuple)
-                        else []
-                    )
-                    named = keywords.get("kwargs")
-                    context = self._not_literal(node)
-                    args = [
-                        self._call_function(function, [context, *more], named if isinstance(named, dict) else {}, node)
-                    ]
-                    keywords = {key: one for key, one in keywords.items() if key == "condition"}
+                args, keywords = [self._opaque(node, args, keywords)], {"condition": keywords.get("condition")}
             if name == "RewrittenYaml":
                 return self._rewritten(node, args, keywords)
             children = [each for one in (*args, *keywords.values()) for each in self._elements(one)]
+            if name not in _LISTS:
+                children = [child for child in children if child.tag != "unread"]
             element = Element("group", {}, node.lineno, children)
         elif tag in {"node", "composable_node"}:
             element = self._node(node, tag, keywords)
@@ -698,6 +712,15 @@ class _Program:
             case _:
                 element.attributes["if"] = self._not_literal(node)
         return element
+
+    def _opaque(self, node: ast.Call, args: list[Any], keywords: dict[str, Any]) -> Any:
+        """Return the actions that a function returns when it is called with a context."""
+        function = keywords.get("function", args[0] if args else None)
+        if not isinstance(function, _Function):
+            return self._not_literal(node)
+        named = keywords.get("kwargs")
+        given = [self._not_literal(node), *_listed(keywords.get("args"))]
+        return self._call_function(function, given, named if isinstance(named, dict) else {}, node)
 
     def _node(self, node: ast.Call, tag: str, keywords: dict[str, Any]) -> Element:
         keywords = {key.removeprefix("node_"): value for key, value in keywords.items()}
@@ -754,7 +777,7 @@ class _Program:
         if isinstance(value, Element):
             return [value]
         if isinstance(value, NotLiteral):
-            return [Element("unread", {"what": value}, value.line)]
+            return [Element("unread", {"what": value, "computed": "true"}, value.line)]
         if isinstance(value, list | tuple) and depth < MAX_DEPTH:
             self._charge(len(value))
             return [element for one in value for element in self._elements(one, depth + 1)]

@@ -9,7 +9,7 @@ from pc2scan.errors import ParameterError, UsageError
 from .parameters import ALIASES, preset_settings, resolve
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
     from .parameters import Direction, ResolvedParams, Setting
@@ -25,6 +25,7 @@ def resolve_sources(
     launch_args: Sequence[str] = (),
     preset: str | None = None,
     reverse: bool = False,
+    remapped: Collection[str] = (),
 ) -> ResolvedParams:
     """Resolve parameters: ``settings`` override ``assignments``, which override the file, which overrides the preset.
 
@@ -42,6 +43,8 @@ def resolve_sources(
         The name of a consumer.
     reverse
         Whether scans become clouds. A section ``laserscan_to_pointcloud`` of the file has the same effect.
+    remapped
+        The node's topics, such as ``cloud_in``, that are given elsewhere.
 
     Raises
     ------
@@ -69,7 +72,9 @@ def resolve_sources(
         from .params_file import load_params_file  # noqa: PLC0415
 
         given = {ALIASES.get(setting.name, setting.name) for setting in found}
-        loaded = load_params_file(file, node=node, arguments=_launch_arguments(launch_args), overridden=given)
+        loaded = load_params_file(
+            file, node=node, arguments=_launch_arguments(launch_args), overridden={*given, *remapped}
+        )
         found += loaded.settings
         ignored, remaps, files, hidden = loaded.ignored, loaded.remaps, loaded.files, loaded.hidden
         if reverse and loaded.direction == "pointcloud_to_laserscan":

@@ -125,7 +125,8 @@ def load_params_file(
     arguments
         Arguments of a launch file; see `pc2scan.pipeline.launch_file`.
     overridden
-        Parameters that have values elsewhere, and need none from a launch file.
+        Parameters, and topics in the node's names such as ``cloud_in``, whose values are given elsewhere: a launch file
+        need not have them.
 
     Returns
     -------
@@ -170,7 +171,7 @@ def _from_launch(
     text: str, path: Path, node: str | None, arguments: Mapping[str, str], overridden: Collection[str]
 ) -> ParamsFile:
     """Read a node's parameters from a launch file; a later value replaces an earlier one."""
-    found = launch_node(text, path, arguments, node)
+    found = launch_node(text, path, arguments, node, overridden)
     settings: dict[str, Setting] = {}
     ignored = list(found.ignored)
     files: list[Path] = []

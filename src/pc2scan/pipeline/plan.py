@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
-from pc2scan.errors import TopicError, name_list
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.errors import NothingToConvertError, TopicError, name_list
+from pc2scan.messages.clouds import CLOUDS, usual_topics, written_as_pointcloud2
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.text import did_you_mean
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from collections.abc import Set as AbstractSet
 
+    from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection
 
     from .options import ConvertOptions, ScanSpec
@@ -73,20 +74,29 @@ class Route(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """The routes in the order of the source's connections, the outputs, and warnings."""
+    """The routes in the order of the source's connections, the outputs, warnings and notes."""
 
     routes: tuple[Route, ...]
     specs: tuple[ScanSpec, ...] = ()
     combinations: tuple[Combination, ...] = ()
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def needs_transforms(self) -> bool:
         """Whether any output is transformed."""
         return any(spec.needs_transforms for spec in self.specs)
 
+    def sources_of(self, spec: ScanSpec, *combinations: Combination | None) -> list[Connection]:
+        """Return the connections that an output converts; if given, only those of a combination (None: of none)."""
+        return [
+            route.connection
+            for route in self.routes
+            if any(task.spec is spec and (not combinations or task.combination in combinations) for task in route.tasks)
+        ]
 
-def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Plan:
+
+def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader: Reader | None = None) -> Plan:
     """Decide which topics are converted, which pass through, and which are skipped.
 
     Parameters
@@ -95,6 +105,9 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         All connections of the source.
     options
         The options of the conversion.
+    reader
+        The source. Only the error about a source without clouds reads images of it, to see whether they are depth
+        images; None: it goes by the names of topics.
 
     Raises
     ------
@@ -102,8 +115,8 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
         If there is nothing to convert, a requested topic is missing or of another type, or an output topic
         already exists in the source.
     """
-    specs = () if options.repair else options.scans
-    kinds = [_kind(connection) for connection in connections]
+    specs = () if options.repair or options.no_scans else options.scans
+    kinds = [connection.kind for connection in connections]
     types: dict[str, set[str]] = {}
     for connection, kind in zip(connections, kinds, strict=True):
         types.setdefault(connection.topic, set()).add(kind)
@@ -111,6 +124,8 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     combined: dict[ScanSpec, Sequence[Combination]] = {}
     for spec in specs:
         with spec.naming_errors(f"{spec.place}, " if spec.place else ""):
+            if not spec.topics and not any(kind in spec.source_types for kind in kinds):
+                raise _without_sources(connections, types, spec, reader)
             targets[spec] = _targets(types, spec, options)
             combined[spec] = _combinations(spec, targets[spec], types, options)
     routes = []
@@ -126,6 +141,10 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions) -> Pla
     converted = {topic for found in targets.values() for topic in found}
     everything = tuple(each for found in combined.values() for each in found)
     idle = _pattern_warnings(types.keys(), options, converted) if options.keep or options.drop else ()
+    if options.clouds_as == "pointcloud2" and not any(
+        each.passes and written_as_pointcloud2(each.connection) for each in routes
+    ):
+        idle = (*idle, "`clouds_as=pointcloud2` has no effect: there are no clouds of other types to write")
     return Plan(tuple(routes), specs, everything, tuple(idle))
 
 
@@ -188,9 +207,15 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
                 target = request.target and fill_glob(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
-        requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}
+        kept = [topic for topic in candidates if not matches(topic, options.drop)]
+        if len(kept) > 1:
+            kept = usual_topics({topic: types[topic] for topic in kept}, convertible)
+        requests = {topic: [None] for topic in kept}
         if not requests:
-            raise TopicError(_nothing_to_convert(types, candidates, convertible), hint=_other_direction(types, spec))
+            raise TopicError(
+                f"every {short_types(convertible)} topic is dropped: {name_list(candidates)}",
+                hint=_other_direction(types, spec),
+            )
     single = len(requests) == 1
     if spec.name and not spec.topics:
         if not single:
@@ -203,11 +228,11 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
     name = "cloud" if spec.reverse else "scan"
     found = {}
     for topic, asked in requests.items():
-        usual = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
+        own = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
         if spec.combining.rebin:
-            usual = f"{topic}_rebinned" if options.keep_clouds else topic
+            own = f"{topic}_rebinned" if options.keep_clouds else topic
         # A topic that is requested twice is converted once.
-        found[topic] = tuple(dict.fromkeys(target or usual for target in asked))
+        found[topic] = tuple(dict.fromkeys(target or own for target in asked))
     return found
 
 
@@ -218,16 +243,23 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
     except TopicError as err:
         if not spec.reverse and LASERSCAN in types.get(name, ()):
             err.hint = f"`rebin=True` makes other scans of LaserScan, `reverse=True` makes clouds; {err.hint}"
+        elif not candidates and name in types:
+            from pc2scan.messages.other_clouds import instead_of_topic  # noqa: PLC0415  # only for errors
+
+            err.hint = instead_of_topic(name, types[name]) or err.hint
+        if all(kinds.isdisjoint(spec.source_types) for kinds in types.values()):
+            raise NothingToConvertError(err.message, hint=err.hint) from err
         raise
 
 
-def _nothing_to_convert(types: dict[str, set[str]], candidates: list[str], convertible: Sequence[str]) -> str:
-    if candidates:
-        return f"every {short_types(convertible)} topic is dropped: {name_list(candidates)}"
-    if not types:
-        return "the recording has no topics"
-    described = [f"{topic} ({', '.join(sorted(kinds))})" for topic, kinds in sorted(types.items())]
-    return f"the recording has no {short_types(convertible)} topic; its topics are: {name_list(described)}"
+def _without_sources(
+    connections: Sequence[Connection], types: dict[str, set[str]], spec: ScanSpec, reader: Reader | None
+) -> NothingToConvertError:
+    """Return the error about a recording with nothing to convert: what it has instead, and what makes clouds of it."""
+    from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
+
+    message, hint = without(short_types(spec.source_types), connections, reader)
+    return NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
 
 
 def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
@@ -297,10 +329,3 @@ def _pattern_warnings(topics: AbstractSet[str], options: ConvertOptions, convert
                     "`keep_clouds=True` writes them too"
                 )
     return idle
-
-
-def _kind(connection: Connection) -> str:
-    """Return the type, and the encoding if it is not ROS's (MCAP files also hold JSON and Protobuf)."""
-    if connection.ros_version is None:
-        return f"{connection.msgtype or 'untyped'} in {connection.serialization or 'no encoding'}"
-    return connection.ros_type

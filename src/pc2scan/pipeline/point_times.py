@@ -7,26 +7,23 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.bags.observers import Observer
-from pc2scan.bags.topics import by_topic
 from pc2scan.core import kernel
 from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns, offset_and_unit
 from pc2scan.errors import DecodeError
-from pc2scan.messages.clouds import CLOUDS
 
-from .stages.deskew import PointTime, mask_zero_times
-from .stages.turn import FIRST_CLOUDS, Turn, TurnSample, measure_turn, turn_sample
+from .stages.deskew import mask_zero_times
+from .stages.turn import AZIMUTH, FIRST_CLOUDS, measure_turn, turn_sample
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
-    from pc2scan.model import Connection, RawMessage
 
-    from .items import Span
-
+    from .stages.deskew import PointTime
+    from .stages.turn import Turn
+    from .survey import TopicFacts
 
 #: How many clouds of a topic are read, and how many stamps are needed to know its period.
 _CLOUDS = 4
@@ -75,42 +72,20 @@ class PointTimes(NamedTuple):
     ordered: bool
 
 
-def time_observers(
-    connections: Iterable[Connection], point_time: PointTime, span: Span
-) -> dict[str, Observer[PointTimes | None]]:
-    """Return the observers of the times of points in the first clouds of each topic.
-
-    Parameters
-    ----------
-    connections
-        Those with clouds are used; others are ignored.
-    point_time
-        The source of the times: a field.
-    span
-        The cut.
-    """
-
-    def take(message: RawMessage) -> PointTimes | None:
-        connection = message.connection
-        return _times(CLOUDS[connection.ros_type](connection.serialization)(message.data), point_time)
-
-    return {
-        topic: Observer(sources, take, _CLOUDS, span.start_ns, span.stop_ns)
-        for topic, sources in _clouds_by_topic(connections).items()
-    }
+def ask_times(facts: TopicFacts, point_time: PointTime) -> None:
+    """Ask for the times of points: those of a field, or the turns of a lidar whose period is to be measured."""
+    if point_time.turn is None:
+        facts.ask(point_time, lambda points, _: _times(points, point_time), _CLOUDS)
+    elif not point_time.turn.period:
+        facts.ask(AZIMUTH, lambda points, message: turn_sample(points, message.log_time_ns), FIRST_CLOUDS)
 
 
-def time_warnings(observers: Mapping[str, Observer[PointTimes | None]]) -> Iterator[str]:
+def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
     """Yield warnings about times of points that are probably wrong, and would deskew a cloud wrongly.
 
     Times that are impossible are not among them: those are errors when their cloud is converted.
     """
-    for topic, observer in observers.items():
-        yield from _doubts(topic, [each for each in observer.found if each is not None])
-
-
-def _clouds_by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:
-    return by_topic(connection for connection in connections if connection.ros_type in CLOUDS)
+    yield from _doubts(facts.topic, facts.found(point_time))
 
 
 def _times(points: Points, point_time: PointTime) -> PointTimes | None:
@@ -151,7 +126,7 @@ def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whol
     return bool((off < _NEAR).mean() >= _FOLLOWS)
 
 
-def _doubts(topic: str, clouds: list[PointTimes]) -> Iterator[str]:
+def _doubts(topic: str, clouds: Sequence[PointTimes]) -> Iterator[str]:
     if not clouds:
         return
     name, unit = clouds[0].field, clouds[0].unit
@@ -184,44 +159,15 @@ def _doubts(topic: str, clouds: list[PointTimes]) -> Iterator[str]:
         )
 
 
-def turn_observers(
-    connections: Iterable[Connection], point_time: str, start_ns: int | None = None, stop_ns: int | None = None
-) -> dict[str, Observer[TurnSample]]:
-    """Return the observers of the first clouds, if the turn of the lidar is to be measured; else none.
+def measure_turns(topics: Iterable[TopicFacts], point_time: PointTime) -> tuple[dict[str, Turn], list[str]]:
+    """Measure the rotation of the lidars, if the times of points come from azimuths and that of a turn is not given.
 
     Parameters
     ----------
-    connections
-        Those with clouds are used; others are ignored.
+    topics
+        What was observed.
     point_time
-        See `PointTime.parse`. A turn is measured if points' times come from azimuths and its time is not given.
-    start_ns, stop_ns
-        The cut, by log time; None: no limit.
-    """
-    asked = PointTime.parse(point_time).turn
-    if asked is None or asked.period:
-        return {}
-
-    def take(message: RawMessage) -> TurnSample:
-        connection = message.connection
-        points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
-        return turn_sample(points, message.log_time_ns)
-
-    return {
-        topic: Observer(sources, take, FIRST_CLOUDS, start_ns, stop_ns)
-        for topic, sources in _clouds_by_topic(connections).items()
-    }
-
-
-def measure_turns(observers: Mapping[str, Observer[TurnSample]], point_time: str) -> tuple[dict[str, Turn], list[str]]:
-    """Measure the rotation of the lidars.
-
-    Parameters
-    ----------
-    observers
-        What was observed: see `turn_observers`.
-    point_time
-        As for those.
+        The source of the times.
 
     Returns
     -------
@@ -235,8 +181,9 @@ def measure_turns(observers: Mapping[str, Observer[TurnSample]], point_time: str
     """
     turns: dict[str, Turn] = {}
     notes: list[str] = []
-    for topic, observer in observers.items():
-        if observer.found:
-            turns[topic], note = measure_turn(topic, Turn.parse(point_time), observer.found)
-            notes.append(note)
+    if point_time.turn is not None and not point_time.turn.period:
+        for facts in topics:
+            if samples := facts.found(AZIMUTH):
+                turns[facts.topic], note = measure_turn(facts.topic, point_time.turn, samples)
+                notes.append(note)
     return turns, notes

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, suppress
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.errors import Pc2ScanError, UsageError
+from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.tf.placing import Placer
 
 from .first_clouds import FirstClouds
 from .items import Span
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
+    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.placing import FrameOptions
+    from pc2scan.tf.reading import FoundTransforms
 
+    from .clocks import Delays
+    from .combine.measurements import SourceFacts
     from .conversion import Conversion, Measurements
+    from .odometry import Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
-    from .stages.deskew import Deskew
-    from .survey import DeskewObservers, Survey
+    from .stages.deskew import Deskew, PointTime
+    from .survey import Survey, TopicFacts
 
 
 class Preparation(NamedTuple):
@@ -42,7 +49,7 @@ class Preparation(NamedTuple):
         The other recordings that transforms were read from.
     notes, warnings
         Texts for the user.
-    transforms
+    found
         All transforms; None if they were not read.
     """
 
@@ -52,7 +59,12 @@ class Preparation(NamedTuple):
     others: Sequence[Reader] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
-    transforms: TransformBuffer | None = None
+    found: FoundTransforms | None = None
+
+    @property
+    def transforms(self) -> TransformBuffer | None:
+        """All transforms, for lookups; None if they were not read."""
+        return None if self.found is None else self.found.buffer
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -77,7 +89,7 @@ def prepare(
     stack: ExitStack,
     warn: Callable[[str], None] | None = None,
     *,
-    keep_transforms: bool = False,
+    transform_frames: Collection[str] | None = None,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -91,14 +103,16 @@ def prepare(
         Closes the other recordings.
     warn
         Called immediately with warnings about the first clouds.
-    keep_transforms
-        Whether the caller wants all transforms, even if the conversion needs none.
+    transform_frames
+        The frames that the caller needs transforms of, even if the conversion needs none; None: it needs no transforms.
     """
-    reads_transforms = keep_transforms or plan.needs_transforms
     asked = options.frames
-    read_later = partial(_robot_transforms, sources, options, span)
+    # Added transforms are written to the output, even if it needs none.
+    adds_transforms = asked.write_static or asked.odometry or asked.trajectory
+    reads_transforms = transform_frames is not None or plan.needs_transforms or adds_transforms
+    read_later = cache(partial(_robot_transforms, reader, sources, options, span))
     firsts = FirstClouds(asked.source_frame, read_later, warn)
-    needs_survey = reads_transforms or asked.static or asked.source_frame or plan.combinations
+    needs_survey = reads_transforms or asked.static or asked.model or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
         placer = Placer()
         unmeasured: dict[ScanSpec | Combination, Conversion] = {
@@ -113,27 +127,51 @@ def prepare(
     others: list[Reader] = []
     if reads_transforms:
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
-    survey = Survey(reader, others, plan, asked, span, reads_transforms=reads_transforms)
+    survey = Survey(reader, others, asked, span)
+    if reads_transforms:
+        needed = (frame for spec in plan.specs if spec.needs_transforms for frame in spec.frames)
+        survey.ask_transforms((*(transform_frames or ()), *needed))
+    else:
+        survey.ask_robot()
+    gives_frames = bool(asked.static or asked.source_frame)
+    given = [survey.facts([route.connection]) for route in plan.routes if gives_frames and route.tasks]
+    for facts in given:
+        facts.ask_headers(1)
+    placed: Collection[TopicFacts] = ()
+    if asked.trajectory is not None:
+        from .clocks import CLOCK_HEADERS  # noqa: PLC0415  # few conversions add poses
+
+        placed = survey.topics(route.connection for route in plan.routes if route.tasks).values()
+        for facts in placed:
+            facts.ask_headers(CLOCK_HEADERS)
+    outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
     survey.read()
     transforms: TransformBuffer | None = None
+    found: FoundTransforms | None = None
     if survey.transforms is not None:
-        transforms, found = survey.transforms.finish()
-        warnings += found
+        found = survey.transforms.finish()
+        transforms = found.buffer
+        warnings += found.warnings
+        notes += found.notes
+    if asked.trajectory is not None:
+        from .clocks import refuse_other_clock  # noqa: PLC0415  # few conversions add poses
+
+        refuse_other_clock(asked.trajectory, placed, span, reader.summary.end_ns)
     buffer = transforms if plan.needs_transforms else None
     if buffer is not None:
         firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
     elif survey.robot is not None:
         firsts.transforms.read = survey.robot.finish
-    if asked.static or asked.source_frame:
-        from .frame_checks import check_given_frames, first_frame  # noqa: PLC0415  # few conversions add frames
+    if given:
+        from .frame_checks import check_given_frames  # noqa: PLC0415  # few conversions add frames
 
         robot = transforms if survey.robot is None else survey.robot.finish()
-        warnings += check_given_frames(map(first_frame, survey.given_frames), plan, asked, buffer, robot)
+        warnings += check_given_frames((facts.frame for facts in given), plan, asked, buffer, robot)
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
         from .levelling import UpSources  # noqa: PLC0415  # only where scans are level
 
-        ups = UpSources(buffer, survey.up)
+        ups = UpSources(buffer, lambda request: survey.imu(request.topic).up(request.frame))
     conversions: dict[ScanSpec | Combination, Conversion] = {}
     for spec in plan.specs:
         placer = Placer(source_frame=asked.source_frame)
@@ -147,83 +185,159 @@ def prepare(
         if spec.reverse:
             conversions[spec] = _to_clouds(spec, placer)
             continue
-        made, new_notes, doubts = _prepare_output(spec, reader, survey, plan, placer, firsts)
+        made, new_notes, doubts = outputs[spec].conversions(placer, firsts)
         conversions |= made
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
         warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, span, firsts, others, notes, warnings, transforms)
+    return Preparation(conversions, span, firsts, others, notes, warnings, found)
 
 
-def _prepare_output(
-    spec: ScanSpec, reader: Reader, survey: Survey, plan: Plan, placer: Placer, firsts: FirstClouds
-) -> tuple[dict[ScanSpec | Combination, Conversion], list[str], list[str]]:
-    """Return the conversions of an output to scans, with notes and warnings, from what the survey observed."""
-    observed = survey.outputs[spec]
-    conversions: dict[ScanSpec | Combination, Conversion] = {}
-    notes, warnings = list[str](), list[str]()
-    if observed.delays is not None:
-        from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
+class _OutputFacts:
+    """The facts that one output to scans needs: asked for before the survey reads, and then made into conversions."""
 
-        warnings += clock_warnings(*observed.delays)
-    if observed.frame is not None and placer.buffer is not None:
-        from .frame_checks import check_fixed_frame, first_frame  # noqa: PLC0415  # few conversions have one
+    def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey, frames: FrameOptions) -> None:
+        self._spec, self._reader, self._span = spec, survey.reader, survey.span
+        self._is_alone = bool(plan.sources_of(spec, None))
+        self._topics: Mapping[str, TopicFacts] = {}
+        self._alone: Mapping[str, TopicFacts] = {}
+        self._where: PointTime | None = None
+        self._motion: Mapping[str, Observer[Delays]] = {}
+        self._sources: list[SourceFacts] = []
+        if spec.fixed_frame or spec.imu or spec.deskew:
+            self._topics = survey.topics(plan.sources_of(spec))
+        if spec.fixed_frame or spec.imu:
+            from .clocks import CLOCK_HEADERS, ask_motion  # noqa: PLC0415  # only where clocks are compared
 
-        with spec.naming_errors():
-            doubts = check_fixed_frame(placer.source_frame or first_frame(observed.frame), spec, placer.buffer)
-        warnings += (spec.label + doubt for doubt in doubts)
-    for combination, observers in observed.combinations.items():
-        from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
-        from .combine.measurements import measure_sources  # noqa: PLC0415
+            self._motion = ask_motion(survey, frames, spec)
+            for facts in self._topics.values():
+                facts.ask_headers(CLOCK_HEADERS)
+            if spec.imu_request:
+                survey.imu(spec.imu_request.topic)
+        if spec.deskew:
+            from .point_times import ask_times  # noqa: PLC0415  # only with deskewing
+            from .stages.deskew import PointTime  # noqa: PLC0415
 
-        with spec.naming_errors():
-            timing, grouper, new_notes, doubts = measure_sources(reader, combination, observers, placer)
-        notes += (spec.label + note for note in new_notes)
-        warnings += (spec.label + doubt for doubt in doubts)
-        deskew, new_notes, doubts = _deskew(spec, placer, observed.deskew[combination])
-        notes += new_notes
-        warnings += doubts
-        conversions[combination] = MessagesToScan(
-            spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec)
-        )
-    from .survey import converted_alone  # noqa: PLC0415  # most conversions need none
+            self._where = PointTime.parse(spec.point_time)
+            for facts in self._topics.values():
+                ask_times(facts, self._where)
+        for combination in (each for each in plan.combinations if each.spec is spec):
+            from .combine.measurements import SourceFacts  # noqa: PLC0415  # few scans are of several messages
 
-    if not observed.combinations or converted_alone(plan, spec):
-        measurements = None
+            own = survey.topics(plan.sources_of(spec, combination))
+            facts_of = {topic: own[topic] for topic in combination.sources}
+            self._sources.append(SourceFacts(combination, facts_of, survey.reader, survey.span))
+            survey.observers += self._sources[-1].observers
         if spec.needs_measuring:
-            from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
+            from .measurements import ask_measurements  # noqa: PLC0415  # only if something is to be measured
+
+            self._alone = survey.topics(plan.sources_of(spec, None))
+            for facts in self._alone.values():
+                ask_measurements(facts, spec)
+
+    def conversions(
+        self, placer: Placer, firsts: FirstClouds
+    ) -> tuple[dict[ScanSpec | Combination, Conversion], list[str], list[str]]:
+        """Return the conversions of the output and of its combinations, with notes and warnings.
+
+        Raises
+        ------
+        Pc2ScanError
+            If something that it needs cannot be measured, or does not exist.
+        """
+        spec = self._spec
+        conversions: dict[ScanSpec | Combination, Conversion] = {}
+        notes, warnings = list[str](), list[str]()
+        if self._motion:
+            from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
+
+            warnings += clock_warnings(self._topics.values(), self._motion)
+        source = ""
+        if spec.fixed_frame and placer.buffer is not None:
+            from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
+            from .odometry import odometry_warnings, tilt_warnings  # noqa: PLC0415
+
+            # By log time.
+            first = min((facts.headers[0] for facts in self._topics.values() if facts.headers), default=None)
+            source = placer.source_frame or ("" if first is None else first.frame_id)
+            with spec.naming_errors():
+                doubts = check_fixed_frame(source, spec, placer.buffer)
+            doubts += odometry_warnings(spec, source, placer.buffer)
+            if placer.up is not None:
+                doubts += tilt_warnings(spec, source, placer.buffer, placer.up)
+            warnings += (spec.label + doubt for doubt in doubts)
+        for sources in self._sources:
+            from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
+            from .combine.measurements import measure_sources  # noqa: PLC0415
 
             with spec.naming_errors():
-                measurements, new_notes = measure(observed.clouds, spec, placer)
+                timing, grouper, new_notes, doubts = measure_sources(self._reader, sources, placer)
             notes += (spec.label + note for note in new_notes)
-        deskew, new_notes, doubts = _deskew(spec, placer, observed.deskew.get(None))
-        notes += new_notes
-        warnings += doubts
-        conversions[spec] = _to_scans(spec, placer, measurements, deskew, firsts)
-    return conversions, notes, warnings
+            warnings += (spec.label + doubt for doubt in doubts)
+            combination = sources.combination
+            seen = self._surroundings(placer, firsts, source, combination.sources)
+            deskew, new_notes, doubts = self._deskew(placer, sources.facts.values(), seen)
+            notes += new_notes
+            warnings += doubts
+            conversions[combination] = MessagesToScan(
+                spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec), seen
+            )
+        if self._is_alone or not self._sources:
+            measurements = None
+            if spec.needs_measuring:
+                from .measurements import measure  # noqa: PLC0415  # only if something is to be measured
+
+                with spec.naming_errors():
+                    measurements, new_notes = measure(self._alone.values(), spec, placer)
+                notes += (spec.label + note for note in new_notes)
+            seen = self._surroundings(placer, firsts, source)
+            deskew, new_notes, doubts = self._deskew(placer, self._alone.values(), seen)
+            notes += new_notes
+            warnings += doubts
+            conversions[spec] = _to_scans(spec, placer, measurements, deskew, firsts)
+        return conversions, notes, warnings
+
+    def _surroundings(
+        self, placer: Placer, firsts: FirstClouds, source: str, topics: Sequence[str] = ()
+    ) -> Surroundings | None:
+        """Return what samples the clouds of some topics, to compare them with the odometry; None where nothing does."""
+        if not source or placer.buffer is None or not (self._spec.deskew or len(topics) > 1):
+            return None
+        from .odometry import Surroundings  # noqa: PLC0415  # few conversions have a fixed frame
+
+        first_ns, last_ns = self._span.first_ns, self._span.stop_ns or self._reader.summary.end_ns
+        span = (first_ns, first_ns if last_ns is None else last_ns)
+        seen = Surroundings(self._spec, placer.buffer, source, placer.source_frame, span, topics)
+        firsts.surroundings.append((self._spec.label, seen))
+        return seen
+
+    def _deskew(
+        self, placer: Placer, topics: Collection[TopicFacts], surroundings: Surroundings | None
+    ) -> tuple[Deskew | None, list[str], list[str]]:
+        """Return what places points at their own times (None: nothing does), notes and warnings."""
+        spec, where = self._spec, self._where
+        if where is None:
+            return None, [], []
+        from .point_times import measure_turns, time_warnings  # noqa: PLC0415  # only with deskewing
+        from .stages.deskew import Deskew  # noqa: PLC0415
+
+        doubts = [spec.label + each for facts in topics for each in time_warnings(facts, where)]
+        with spec.naming_errors():
+            turns, notes = measure_turns(topics, where)
+        sample = None if surroundings is None else surroundings.add
+        deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns, sample)
+        return deskew, [spec.label + note for note in notes], doubts
 
 
-def _deskew(
-    spec: ScanSpec, placer: Placer, observers: DeskewObservers | None
-) -> tuple[Deskew | None, list[str], list[str]]:
-    """Return what places points at their own times (None: nothing does), notes and warnings."""
-    if not spec.deskew:
-        return None, [], []
-    from .point_times import measure_turns, time_warnings  # noqa: PLC0415  # only with deskewing
-    from .stages.deskew import Deskew, PointTime  # noqa: PLC0415
-
-    where = PointTime.parse(spec.point_time)
-    doubts = [] if observers is None else [spec.label + each for each in time_warnings(observers.times)]
-    with spec.naming_errors():
-        turns, notes = measure_turns({} if observers is None else observers.turns, spec.point_time)
-    deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns)
-    return deskew, [spec.label + note for note in notes], doubts
-
-
-def _robot_transforms(sources: Sequence[Path], options: ConvertOptions, span: Span) -> TransformBuffer | None:
+def _robot_transforms(
+    opened: Reader, sources: Sequence[Path], options: ConvertOptions, span: Span
+) -> TransformBuffer | None:
     """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
     from pc2scan.tf.reading import read_robot_transforms  # noqa: PLC0415  # only where the first clouds leave a doubt
 
+    given = options.frames.static or options.frames.model
+    if not given and all(each.ros_type not in TF_TYPES for each in opened.connections):
+        return None
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))
         return read_robot_transforms(reader, options.frames, span.first_ns)

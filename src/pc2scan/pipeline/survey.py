@@ -1,81 +1,204 @@
-"""The look ahead of a conversion: reads the first messages, and all transforms, once for everything that needs them.
+"""The look ahead: reads the first messages of topics, and the transforms, once for everything that asks for them.
 
-What an output needs is a list of observers, which the modules of the subjects make; the same modules draw facts, notes
-and warnings from what was observed.
+`info`, `check`, conversions and pages ask for the facts that they need, let the recordings be read, and then read the
+facts; so they cannot disagree. A fact that is asked for twice is observed once, and one that is not asked for costs
+nothing. The subjects' modules say what follows from the facts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.bags.observers import observe
-from pc2scan.bags.topics import is_static
-from pc2scan.tf.placing import FrameOptions, Placer
-from pc2scan.tf.reading import RobotTransforms, TransformReading, tf_connections
+from pc2scan.bags.observers import Observer, observe
+from pc2scan.bags.topics import by_topic
+from pc2scan.core.floor import MOST_CLOUDS, CloudSample
+from pc2scan.errors import TransformError
+from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.tf.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Sequence
 
-    from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Connection
-    from pc2scan.tf.imu import ImuReading, ImuRequest, UpEstimate
+    from pc2scan.core.points import Points
+    from pc2scan.model import Connection, RawMessage
+    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.imu import ImuReading
+    from pc2scan.tf.mounting import Mounting
+    from pc2scan.tf.placing import FrameOptions, Placer
 
-    from .clocks import Delays
-    from .combine.measurements import CombinationObservers
     from .items import Span
-    from .measurements import FirstCloud
-    from .options import ScanSpec
-    from .plan import Combination, Plan
-    from .point_times import PointTimes
-    from .stages.turn import TurnSample
+
+#: How many messages are read to find the first clouds that can be decoded and transformed.
+_MOST_SAMPLES = 30
 
 
-class DeskewObservers(NamedTuple):
-    """Observers of the times of points, or of the lidars' turns, by topic."""
-
-    times: Mapping[str, Observer[PointTimes | None]]
-    turns: Mapping[str, Observer[TurnSample]]
-
-
-@dataclass(slots=True)
-class OutputObservers:
-    """What one output needs of the first messages; None and empty if it does not need it.
+class Header(NamedTuple):
+    """What a message with a cloud or a scan says of itself.
 
     Attributes
     ----------
-    delays
-        Delays from stamps to log times, by topic: of its sources, and of what says where the robot was.
-    frame
-        The frame of its first message.
-    clouds
-        The first clouds of each topic.
-    deskew
-        The times of points: for scans of one message (None), and for each combination.
-    combinations
-        The first messages of topics that become scans together.
+    log_time_ns, stamp_ns, delay_ns, frame_id
+        Its times, from the stamp to the log time, and its frame.
+    fields
+        The names of the cloud's fields; empty for a LaserScan.
+    increment
+        The size of the angle increment of a LaserScan, radians; None for a cloud.
     """
 
-    delays: tuple[Mapping[str, Observer[Delays]], Mapping[str, Observer[Delays]]] | None = None
-    frame: Observer[str] | None = None
-    clouds: Mapping[str, Observer[FirstCloud]] = field(default_factory=dict)
-    deskew: dict[Combination | None, DeskewObservers] = field(default_factory=dict)
-    combinations: dict[Combination, CombinationObservers] = field(default_factory=dict)
+    log_time_ns: int
+    stamp_ns: int
+    delay_ns: int
+    frame_id: str
+    fields: tuple[str, ...] = ()
+    increment: float | None = None
+
+
+class TopicFacts:
+    """What the first messages of a topic show.
+
+    Parameters
+    ----------
+    connections
+        Those of one topic, with clouds or LaserScans. Of LaserScans only the headers are observed.
+    span
+        The cut.
+    """
+
+    def __init__(self, connections: Sequence[Connection], span: Span) -> None:
+        self.topic = connections[0].topic
+        self.connections = connections
+        self._span = span
+        self._clouds = [each for each in connections if each.ros_type != LASERSCAN]
+        self._decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in self._clouds}
+        self._observers: dict[Hashable, Observer[Any]] = {}
 
     @property
-    def all(self) -> list[Observer[Any]]:
-        """All observers."""
-        found: list[Observer[Any]] = [each for delays in self.delays or () for each in delays.values()]
-        found += [] if self.frame is None else [self.frame]
-        found += self.clouds.values()
-        found += (each for pair in self.deskew.values() for observers in pair for each in observers.values())
-        found += (each for joint in self.combinations.values() for each in joint.all)
-        return found
+    def observers(self) -> Sequence[Observer[Any]]:
+        """Those of everything that was asked for."""
+        return [each for each in self._observers.values() if each.connections]
+
+    def ask_headers(self, most: int) -> None:
+        """Ask for the headers of so many messages."""
+        self._ask("headers", self._header, most, self.connections)
+
+    def ask_samples(self, *, moved: bool) -> None:
+        """Ask for samples of points.
+
+        Parameters
+        ----------
+        moved
+            Whether they are moved into another frame, which the first ones may lack a transform to.
+        """
+        observer = self.ask(("samples", moved), lambda points, _: CloudSample.of(points), _MOST_SAMPLES)
+        if not moved:
+            found = observer.found
+            observer.is_needless = lambda: bool(found) and (found[0].floor is not None or len(found) >= MOST_CLOUDS)
+
+    def ask(self, fact: Hashable, take: Callable[[Points, RawMessage], Any], most: int) -> Observer[Any]:
+        """Ask for what is taken of each of so many clouds, under a name.
+
+        Parameters
+        ----------
+        fact
+            Its name, which is also known to whoever reads it (`found`).
+        take
+            Returns it; None and errors of messages are left out.
+        most
+            How many clouds are wanted.
+        """
+        return self._ask(fact, lambda message: take(self._points(message), message), most, self._clouds)
+
+    def delays_from(self, start_ns: int, most: int) -> Observer[int]:
+        """Return the observer of the delays from stamps to log times of so many messages, from a log time on."""
+        return Observer(
+            self.connections, lambda message: self._header(message).delay_ns, most, start_ns, self._span.stop_ns
+        )
+
+    @property
+    def headers(self) -> Sequence[Header]:
+        """The headers, in the order of log time."""
+        return self.found("headers")
+
+    @property
+    def frame(self) -> str:
+        """The frame of the first message; empty if there is none."""
+        return next((each.frame_id for each in self.headers), "")
+
+    def found(self, fact: Hashable) -> list[Any]:
+        """Return what was taken of the first messages, in the order of log time; nothing if it was not asked for."""
+        observer = self._observers.get(fact)
+        return [] if observer is None else observer.found
+
+    def samples(self, placer: Placer, *, moved: bool) -> list[CloudSample]:
+        """Return as many samples as show how the sensor is mounted, in the frames of scans.
+
+        Those that have no place there are left out.
+        """
+        clouds: list[CloudSample] = []
+        for sample in self.found(("samples", moved)):
+            try:
+                place = placer.place(sample.frame_id, sample.stamp_ns)
+            except TransformError:
+                continue
+            clouds.append(sample.placed_in(place.frame_id, place.target_from_source))
+            if clouds[0].floor is not None or len(clouds) == MOST_CLOUDS:
+                break
+        return clouds
+
+    def mounting(self, placer: Placer, buffer: TransformBuffer | None, *, moved: bool) -> Mounting | None:
+        """Return how the sensor is mounted, and which options suit that; None if no cloud can be judged.
+
+        Parameters
+        ----------
+        placer
+            The frames of the scans.
+        buffer
+            The robot's transforms; None if there are none.
+        moved
+            As for `ask_samples`.
+        """
+        clouds = self.samples(placer, moved=moved)
+        if not clouds:
+            return None
+        from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # slow to import
+
+        return mounting(self.topic, placer.source_frame or clouds[0].frame_id, clouds, buffer)
+
+    def unit_warning(self, *, moved: bool) -> str:
+        """Return the warning that the clouds are probably in millimetres; empty if they are not."""
+        first = next(iter(self.found(("samples", moved))), None)
+        if first is None:
+            return ""
+        from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # slow to import
+
+        return unit_warning(self.topic, first)
+
+    def _ask(
+        self, fact: Hashable, take: Callable[[RawMessage], Any], most: int, connections: Sequence[Connection]
+    ) -> Observer[Any]:
+        new = Observer(connections, take, most, self._span.start_ns, self._span.stop_ns)
+        observer = self._observers.setdefault(fact, new)
+        observer.most = max(observer.most or 0, most)
+        return observer
+
+    def _points(self, message: RawMessage) -> Points:
+        return self._decoders[message.connection.id](message.data)
+
+    def _header(self, message: RawMessage) -> Header:
+        connection, time_ns = message.connection, message.log_time_ns
+        if connection.id in self._decoders:
+            points = self._points(message)
+            stamp_ns = points.stamp_ns
+            return Header(time_ns, stamp_ns, time_ns - stamp_ns, points.frame_id, tuple(points.fields))
+        scan = decode_laserscan(message.data, connection.serialization)
+        increment = abs(scan.angle_increment)
+        return Header(time_ns, scan.stamp_ns, time_ns - scan.stamp_ns, scan.frame_id, increment=increment)
 
 
 class Survey:
-    """What the outputs of a run need of the first messages and of the transforms, as it was recorded.
+    """What is asked for of recordings before anything else is done with them.
 
     Parameters
     ----------
@@ -83,145 +206,98 @@ class Survey:
         The sources.
     others
         The recordings of ``tf_from``.
-    plan
-        The plan of the conversion.
-    asked
+    frames
         The options about transforms.
     span
         The cut. It limits clouds, never transforms.
-    reads_transforms
-        Whether all transforms are read.
 
     Attributes
     ----------
+    reader, span
+        As given.
     transforms
-        All transforms; None if they are not needed.
+        All transforms; None if they were not asked for.
     robot
-        Those between the robot's frames, if not all transforms are read.
-    given_frames
-        The frames of the first messages, if the user gives frames.
-    outputs
-        For each output that makes scans.
-
-    Raises
-    ------
-    UsageError
-        If it is not clear which transforms to use, or an IMU does not exist.
+        Those between the robot's frames; None if they were not asked for.
+    observers
+        Further observers of the sources.
     """
 
-    def __init__(
-        self,
-        reader: Reader,
-        others: Sequence[Reader],
-        plan: Plan,
-        asked: FrameOptions,
-        span: Span,
-        *,
-        reads_transforms: bool,
-    ) -> None:
-        self._readers = [reader, *others]
-        self._span = span
-        self.transforms = TransformReading(asked) if reads_transforms else None
-        self.robot = None if reads_transforms else RobotTransforms(reader, asked, span.first_ns)
-        self.given_frames: list[Observer[str]] = []
-        if asked.static or asked.source_frame:
-            from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions add frames
-
-            self.given_frames = [frame_observer([route.connection], span) for route in plan.routes if route.tasks]
+    def __init__(self, reader: Reader, others: Sequence[Reader], frames: FrameOptions, span: Span) -> None:
+        self.reader, self.span = reader, span
+        self._others, self._frames = others, frames
+        self.transforms: TransformReading | None = None
+        self.robot: RobotTransforms | None = None
+        self.observers: list[Observer[Any]] = []
+        self._needed: tuple[str, ...] = ()
+        self._use = True
+        self._facts: dict[tuple[int, ...], TopicFacts] = {}
         self._imus: dict[str, ImuReading] = {}
-        for spec in plan.specs:
-            if spec.imu_request:
-                from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few scans are level
 
-                topic = spec.imu_request.topic
-                self._imus.setdefault(topic, ImuReading(self._readers, topic))
-        self.outputs = {spec: self._observers_of(spec, plan, asked) for spec in plan.specs if not spec.reverse}
+    def ask_transforms(self, needed: Iterable[str] = (), *, use: bool = True) -> TransformReading:
+        """Ask for all transforms.
 
-    def _observers_of(self, spec: ScanSpec, plan: Plan, asked: FrameOptions) -> OutputObservers:
-        reader, span = self._readers[0], self._span
-        found = OutputObservers()
-        own = [route.connection for route in plan.routes if any(task.spec is spec for task in route.tasks)]
-        if spec.fixed_frame or spec.imu:
-            from .clocks import delay_observers  # noqa: PLC0415  # only where times of several topics are compared
+        Parameters
+        ----------
+        needed, use
+            Frames that are needed; see `TransformReading.supply`.
+        """
+        self.transforms = TransformReading(self._frames)
+        self._needed, self._use = tuple(needed), use
+        return self.transforms
 
-            motion = _motion_connections(reader, spec, asked)
-            found.delays = delay_observers(own, span), delay_observers(motion, span)
-        if spec.fixed_frame:
-            from .frame_checks import frame_observer  # noqa: PLC0415  # few conversions have one
+    def ask_robot(self) -> RobotTransforms:
+        """Ask for the transforms between the robot's frames."""
+        self.robot = RobotTransforms(self.reader, self._frames, self.span.first_ns)
+        return self.robot
 
-            found.frame = frame_observer(own, span)
-        placer = None if spec.needs_transforms else Placer(source_frame=asked.source_frame)
-        for combination in (each for each in plan.combinations if each.spec is spec):
-            from .combine.measurements import source_observers  # noqa: PLC0415  # few scans are of several messages
+    def facts(self, connections: Sequence[Connection]) -> TopicFacts:
+        """Return the facts about the messages of some connections of one topic."""
+        key = tuple(each.id for each in connections)
+        if key not in self._facts:
+            self._facts[key] = TopicFacts(connections, self.span)
+        return self._facts[key]
 
-            sources = combination_sources(plan, combination)
-            found.combinations[combination] = source_observers(combination, sources, placer, span)
-            found.deskew[combination] = _deskew_observers(spec, sources, span)
-        if converted := converted_alone(plan, spec):
-            if spec.needs_measuring:
-                from .measurements import cloud_observers  # noqa: PLC0415  # only if something is to be measured
+    def topics(self, connections: Iterable[Connection]) -> dict[str, TopicFacts]:
+        """Return the facts about the topics of connections."""
+        return {topic: self.facts(own) for topic, own in by_topic(connections).items()}
 
-                found.clouds = cloud_observers(converted, spec, placer, span.start_ns, span.stop_ns)
-            found.deskew[None] = _deskew_observers(spec, converted, span)
-        return found
+    def imu(self, topic: str, most: int | None = None) -> ImuReading:
+        """Return the messages of an IMU: the first ones, or all.
+
+        Raises
+        ------
+        TopicError
+            If there is no such topic.
+        """
+        if topic not in self._imus:
+            from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few recordings have one
+
+            self._imus[topic] = ImuReading([self.reader, *self._others], topic, most)
+        return self._imus[topic]
 
     def read(self) -> None:
         """Read the recordings: each once, as far as anything of it is needed.
+
+        A topic with poses that was not asked for is read separately, if only it has a frame that is needed.
 
         Raises
         ------
         RecordingError
             If one cannot be read.
+        UsageError
+            If it is not clear which transforms to use.
         """
-        for number, reader in enumerate(self._readers):
+        for reader in (self.reader, *self._others):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
-                observers += self.transforms.observers(reader)
+                observers += self.transforms.observers(reader, own=reader is self.reader)
             for imu in self._imus.values():
                 observers += imu.observers(reader)
-            if number == 0:
+            if reader is self.reader:
                 observers += [] if self.robot is None else self.robot.observers
-                observers += self.given_frames
-                observers += (each for output in self.outputs.values() for each in output.all)
+                observers += (each for facts in self._facts.values() for each in facts.observers)
+                observers += self.observers
             observe(reader, observers)
-
-    def up(self, request: ImuRequest) -> UpEstimate:
-        """Estimate the direction of up by an IMU; see `ImuReading.up`."""
-        return self._imus[request.topic].up(request.frame)
-
-
-def combination_sources(plan: Plan, combination: Combination) -> list[Connection]:
-    """Return the connections whose messages become scans together."""
-    return [route.connection for route in plan.routes if any(task.combination is combination for task in route.tasks)]
-
-
-def converted_alone(plan: Plan, spec: ScanSpec) -> list[Connection]:
-    """Return the connections whose messages become scans by themselves."""
-    return [
-        route.connection
-        for route in plan.routes
-        if any(task.spec is spec and task.combination is None for task in route.tasks)
-    ]
-
-
-def _deskew_observers(spec: ScanSpec, sources: Sequence[Connection], span: Span) -> DeskewObservers:
-    if not spec.deskew:
-        return DeskewObservers({}, {})
-    from .point_times import time_observers, turn_observers  # noqa: PLC0415  # only with deskewing
-    from .stages.deskew import PointTime  # noqa: PLC0415
-
-    where = PointTime.parse(spec.point_time)
-    if where.turn is None:
-        return DeskewObservers(time_observers(sources, where, span), {})
-    return DeskewObservers({}, turn_observers(sources, spec.point_time, span.start_ns, span.stop_ns))
-
-
-def _motion_connections(reader: Reader, spec: ScanSpec, frames: FrameOptions) -> Iterator[Connection]:
-    """Yield the connections with moving transforms, and those of the IMU, that the spec uses."""
-    if spec.fixed_frame:
-        yield from (c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic))
-    if spec.imu_request:
-        from pc2scan.messages.imu import IMU  # noqa: PLC0415  # few scans are level
-
-        topic = spec.imu_request.topic.strip("/")
-        yield from (c for c in reader.connections if c.ros_type == IMU and c.topic.strip("/") == topic)
+        if self.transforms is not None:
+            self.transforms.supply(self.reader, self._needed, use=self._use)

@@ -228,6 +228,14 @@ class TransformBuffer:
         chain = self._timeless_chain(numbers[0], numbers[1])
         return chain is not None and all(link.static for link in chain.links)
 
+    def moving_links(self, one: str, other: str) -> tuple[FrameHistory, ...]:
+        """Return the frames between two that move; none if these are not connected, or frames change their parents."""
+        numbers = [self._numbers.get(name.removeprefix("/")) for name in (one, other)]
+        if numbers[0] is None or numbers[1] is None:
+            return ()
+        chain = self._timeless_chain(numbers[0], numbers[1])
+        return () if chain is None else tuple(link for link in chain.links if not link.static)
+
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
         """Statistics of each child frame, sorted by name."""

@@ -144,11 +144,14 @@ def unknown_frame_error(
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
     namesake = named_in_namespace(name, frames)
     near = f"did you mean {namesake}?" if namesake else did_you_mean(name, sorted(frames))
-    advice = "`static_tf` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
+    advice = (
+        "`static_tf`, `urdf` or `tf_from` adds a transform, `odom_topic` or `trajectory` poses; `source_frame` "
+        "corrects a wrong frame_id"
+    )
     # A target of a lookup may be a target frame, a fixed frame or a level one, so the message does not call it one.
     kind = "source frame" if role == "source_frame" else "frame"
     if role == "source_frame" and frames and not near:
-        advice = f"{mount_text(name, frames, target)}, `tf_from` reads its transform from another recording"
+        advice = f"{mount_text(name, frames, target)}, `urdf` or `tf_from` reads that from elsewhere"
     return UnconnectedError(
         f"no transform has the {kind} {name!r}; {there_are}",
         stamp_ns=stamp_ns,
@@ -182,10 +185,13 @@ def _tolerance_hint(gap_ns: int) -> str:
     if gap_ns < _PROBABLY_NS:
         return f"the nearest transform is {seconds} s away"
     if gap_ns < _OTHER_CLOCK_NS:
-        return f"the nearest transform is {seconds} s away: was it recorded later, or do the clocks differ?"
+        return (
+            f"the nearest transform is {seconds} s away: was it recorded later, or do the clocks differ? "
+            "`time_offset=auto` measures by how much"
+        )
     return (
-        f"the clocks differ by {gap_ns / 3.6e12:,.0f} hours: one of them was not set, or these transforms are from "
-        "another recording"
+        f"the clocks differ by {gap_ns / 3.6e12:,.0f} hours: one of them was not set, which `time_offset=auto` "
+        "corrects; or these transforms are from another recording"
     )
 
 

@@ -4,12 +4,12 @@ import { commandLine, commandWords, parameterFile, staticText } from "./commands
 import { Controls } from "./controls.mjs";
 import { columns } from "./data.mjs";
 import { band, beamsFromAbove, endsOf, frameMarks, rings, sector } from "./draw.mjs";
-import { Flat } from "./flat.mjs";
+import { Flat, GRAB } from "./flat.mjs";
 import { Orbit } from "./orbit.mjs";
-import { copyButton, element, figure, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
-import { coloursOf, outcomeColours, usualRange, word } from "./palette.mjs";
+import { copyButton, element, figure, nameFrame, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
+import { outcomeColours, paintValues, usualRange, word } from "./palette.mjs";
 import { emptyRange, problemOf } from "./params.mjs";
-import { OUTCOMES, project, transformed } from "./project.mjs";
+import { OUTCOMES, Projector, transformed } from "./project.mjs";
 import { layoutOf } from "./rule.mjs";
 import { niceStep } from "./stage.mjs";
 import { matrixOf, matrixOfMount } from "./transform.mjs";
@@ -35,6 +35,13 @@ import { Unrolled } from "./unrolled.mjs";
  */
 
 /**
+ * @typedef {object} TopicEntry
+ * @property {string} topic
+ * @property {Partial<Params>} heights that suit its clouds, `min_height` and `max_height`; empty: those of `params`
+ * @property {CloudEntry[]} clouds
+ */
+
+/**
  * @typedef {object} CloudRecording
  * @property {string} title
  * @property {string} subtitle
@@ -47,7 +54,7 @@ import { Unrolled } from "./unrolled.mjs";
  * @property {Record<string, {help: string, choices: string[]}>} parameters
  * @property {string[]} command
  * @property {string} targetFrame the requested target frame
- * @property {{topic: string, clouds: CloudEntry[]}[]} topics
+ * @property {TopicEntry[]} topics
  */
 
 const OUTCOME_NAMES = {
@@ -60,19 +67,18 @@ const OUTCOME_NAMES = {
   filtered: "rejected by filters",
 };
 
-/** How close to an edge of the band the pointer must be to drag it, pixels. */
-const GRAB = 7;
+/** How many times as large heights are shown from the side, at most. */
+const MOST_STRETCH = 20;
 
 /** @param {CloudRecording} recording */
 export function showClouds(recording) {
   const style = getComputedStyle(document.documentElement);
-  const shown = { x: 0, y: 0, z: 0, scale: 20 };
-  const given = /** @type {Params} */ (revived(recording.params));
+  const shown = { x: 0, y: 0, z: 0, scale: 20, stretch: 1 };
   const defaults = revived(recording.defaults);
-  let params = { ...given };
+  let topic = recording.topics[0];
+  let params = given();
   let base = revived(recording.base);
   let preset = recording.preset;
-  let topic = recording.topics[0];
   let entry = topic.clouds[0];
   /** @type {Mount | null} the user's mount; null: the recorded one */
   let mount = null;
@@ -80,13 +86,15 @@ export function showClouds(recording) {
   let fields = new Map();
   /** @type {ArrayLike<number> | null} */
   let filtered = null;
+  const projector = new Projector();
   /** @type {Cloud} in the scan's frame */
-  let cloud = { x: new Float32Array(), y: new Float32Array(), z: new Float32Array() };
+  let cloud = emptyCloud(0);
+  /** @type {Cloud} where points are transformed to */
+  let moved = emptyCloud(0);
   /** @type {Scan} */
-  let scan = project(cloud, params);
+  let scan = projector.scan(params);
   let ends = new Float64Array();
   let colours = new Uint32Array();
-  let front = new Float32Array();
   let milliseconds = 0;
   let problem = problemOf(params);
   let markedBeam = -1;
@@ -101,12 +109,11 @@ export function showClouds(recording) {
   const orbit = new Orbit(element("orbit", HTMLElement), { draw, fit });
   const unrolled = new Unrolled(element("unrolled", HTMLElement), draw);
 
-  const panel = element("panel", HTMLElement);
   const fieldNames = [
     ...new Set(recording.topics.flatMap((t) => t.clouds.flatMap((c) => c.data.fields.map((f) => f.name)))),
   ];
   const controls = new Controls(
-    panel,
+    element("controls", HTMLElement),
     {
       parameters: recording.parameters,
       presets: Object.keys(recording.presets),
@@ -114,7 +121,7 @@ export function showClouds(recording) {
     },
     { param: setParam, mount: setMount, preset: setPreset, reset },
   );
-  const results = resultsIn(panel, choice);
+  const results = resultsIn(element("results", HTMLElement), choice);
 
   colourBy.replaceChildren(
     ...["outcome", "height", ...fieldNames.filter((name) => !["x", "y", "z"].includes(name))].map(
@@ -128,7 +135,12 @@ export function showClouds(recording) {
   const topics = element("topic", HTMLSelectElement);
   topics.replaceChildren(...recording.topics.map(({ topic: name }) => new Option(name, name)));
   topics.addEventListener("change", () => {
+    const before = given();
     topic = recording.topics[topics.selectedIndex];
+    // Heights that the user has set are kept.
+    const { min_height, max_height } = params;
+    if (min_height === before.min_height && max_height === before.max_height)
+      params = { ...params, ...heightsOf(given()) };
     fitted = false;
     void go(0);
   });
@@ -144,6 +156,11 @@ export function showClouds(recording) {
     paint();
     draw();
   });
+
+  /** The parameters that the page opens a topic with. */
+  function given() {
+    return /** @type {Params} */ ({ ...revived(recording.params), ...topic.heights });
+  }
 
   /** @param {number} step */
   async function load(step) {
@@ -164,14 +181,11 @@ export function showClouds(recording) {
     const matrix = mount
       ? matrixOfMount(mount)
       : entry.transform && matrixOf(entry.transform.quaternion, entry.transform.translation);
-    const length = own.x.length;
-    cloud = matrix
-      ? transformed(own, matrix, {
-          x: new Float32Array(length),
-          y: new Float32Array(length),
-          z: new Float32Array(length),
-        })
-      : own;
+    if (moved.x.length !== own.x.length) moved = emptyCloud(own.x.length);
+    // Another object, by which the views know that points have moved.
+    cloud = { ...(matrix ? transformed(own, matrix, moved) : own) };
+    projector.place(cloud, filtered);
+    nameFrame(choice().targetFrame || entry.targetFrame);
     if (!fitted) fit();
     update();
   }
@@ -183,7 +197,7 @@ export function showClouds(recording) {
     controls.show(params, mount ?? entry.mount, preset);
     if (!problem) {
       const begin = performance.now();
-      scan = project(cloud, params, (params.intensity_field && fields.get(params.intensity_field)) || null, filtered);
+      scan = projector.scan(params, (params.intensity_field && fields.get(params.intensity_field)) || null);
       milliseconds = performance.now() - begin;
       ends = endsOf(scan, isReturn);
     }
@@ -197,30 +211,28 @@ export function showClouds(recording) {
     return Number.isFinite(range) && !Object.is(range, emptyRange(params));
   }
 
-  /** Choose the colour of each point, and which points are drawn in front. */
+  /** Choose the colour of each point. */
   function paint() {
     const by = colourBy.value;
     const { outcomes } = scan;
     const count = cloud.x.length;
-    front = new Float32Array(count);
-    for (let n = 0; n < count; n++) front[n] = outcomes[n] === 0 ? 1 : 0;
-    if (by === "outcome") {
-      const words = outcomeColours(theme()).map(word);
-      colours = Uint32Array.from(outcomes, (outcome) => words[outcome]);
-    } else {
-      colours = coloursOf(by === "height" ? cloud.z : (fields.get(by) ?? cloud.z), theme());
-    }
     if (colours.length !== count) colours = new Uint32Array(count);
+    if (by === "outcome") {
+      const words = Uint32Array.from(outcomeColours(theme()), word);
+      for (let n = 0; n < count; n++) colours[n] = words[outcomes[n]];
+    } else {
+      paintValues(by === "height" ? cloud.z : (fields.get(by) ?? cloud.z), theme(), colours);
+    }
   }
 
   function drawAll() {
     if (!cloud.x.length && !fields.size) return;
-    const byOutcome = colourBy.value === "outcome";
+    const ranks = colourBy.value === "outcome" ? scan.outcomes : null;
     const beam = style.getPropertyValue("--beam");
     const size = cloud.x.length > 60_000 ? 1 : 1.5;
-    top.points(cloud, colours, byOutcome ? front : null, size);
-    side.points(cloud, colours, byOutcome ? front : null, size);
-    orbit.points(cloud, colours, size);
+    top.points(cloud, size, colours, ranks);
+    side.points(cloud, size, colours, ranks);
+    orbit.points(cloud, size, colours);
     const axis = 40 / shown.scale;
     let pen = top.axes(style);
     rings(pen, top, niceStep(top.stage.width / shown.scale, 8), style);
@@ -248,6 +260,7 @@ export function showClouds(recording) {
           increment: scan.layout.increment,
           ranges: scan.ranges,
           colour: beam,
+          size: 2,
           isReturn,
         },
       ],
@@ -282,11 +295,14 @@ export function showClouds(recording) {
     return /** @type {[number, number]} */ ([keep(side.py(params.max_height)), keep(side.py(params.min_height))]);
   }
 
-  /** @param {[number, number]} start */
-  function grabBand([, y]) {
+  /**
+   * @param {[number, number]} start
+   * @param {number} reach pixels
+   */
+  function grabBand([, y], reach) {
     const [upper, lower] = bandEdges();
     const [toUpper, toLower] = [Math.abs(y - upper), Math.abs(y - lower)];
-    if (Math.min(toUpper, toLower) > GRAB) return null;
+    if (Math.min(toUpper, toLower) > reach) return null;
     const name = toUpper < toLower ? "max_height" : "min_height";
     return (/** @type {[number, number]} */ at) => {
       const height = Math.round(side.world(at)[1] * 100) / 100;
@@ -298,17 +314,16 @@ export function showClouds(recording) {
   /** Show the whole cloud except for a few points far away. */
   function fit() {
     fitted = true;
-    const [x0, x1] = usualRange(cloud.x);
-    const [y0, y1] = usualRange(cloud.y);
-    const [z0, z1] = usualRange(cloud.z);
-    const { width, height } = top.stage;
-    const reach = [Math.max(x1, 0) - Math.min(x0, 0), Math.max(y1, 0) - Math.min(y0, 0)];
-    shown.x = (Math.max(x1, 0) + Math.min(x0, 0)) / 2;
-    shown.y = (Math.max(y1, 0) + Math.min(y0, 0)) / 2;
-    shown.z = (z0 + z1) / 2;
-    shown.scale = 0.85 * Math.min((width - 40) / Math.max(1, reach[0]), (height - 20) / Math.max(1, reach[1]));
-    orbit.centre = [shown.x, shown.y, shown.z];
-    orbit.scale = (0.8 * Math.min(orbit.stage.width, orbit.stage.height)) / Math.max(1, Math.hypot(reach[0], reach[1]));
+    const [[x0, x1], [y0, y1], heights] = [cloud.x, cloud.y, cloud.z].map(usualRange);
+    // With the sensor.
+    const limits = [[Math.min(x0, 0), Math.max(x1, 0)], [Math.min(y0, 0), Math.max(y1, 0)], heights];
+    const [x, y, z] = limits.map(([low, high]) => ({ middle: (low + high) / 2, size: Math.max(1, high - low) }));
+    const [across, upward] = top.room;
+    Object.assign(shown, { x: x.middle, y: y.middle, z: z.middle });
+    shown.scale = 0.92 * Math.min(across / x.size, upward / y.size);
+    shown.stretch = Math.min(MOST_STRETCH, Math.max(1, (0.75 * side.room[1]) / (z.size * shown.scale)));
+    element("stretch", HTMLElement).textContent = shown.stretch > 1 ? `, heights × ${figure(shown.stretch, 1)}` : "";
+    orbit.fit(/** @type {[number, number][]} */ (limits));
     draw();
   }
 
@@ -353,7 +368,7 @@ export function showClouds(recording) {
   }
 
   function reset() {
-    params = { ...given };
+    params = given();
     base = revived(recording.base);
     preset = recording.preset;
     mount = null;
@@ -378,7 +393,7 @@ export function showClouds(recording) {
       view.stage.element.addEventListener("pointermove", (event) => {
         const [x, y] = view.stage.place(event);
         const { ratio, raster } = view.stage;
-        const point = raster.at(x * ratio, y * ratio, 6 * ratio);
+        const point = raster?.at(x * ratio, y * ratio, 6 * ratio) ?? -1;
         if (view === side) {
           const near = bandEdges().some((edge) => Math.abs(edge - y) <= GRAB);
           side.stage.element.style.cursor = near ? "ns-resize" : "";
@@ -464,6 +479,17 @@ function revived(values) {
   );
 }
 
+/** @param {Params} params */
+const heightsOf = ({ min_height, max_height }) => ({ min_height, max_height });
+
+/**
+ * @param {number} points
+ * @returns {Cloud}
+ */
+function emptyCloud(points) {
+  return { x: new Float32Array(points), y: new Float32Array(points), z: new Float32Array(points) };
+}
+
 /** @param {[number, number]} pair */
 const flipped = ([x, y]) => /** @type {[number, number]} */ ([y, x]);
 
@@ -499,7 +525,14 @@ function resultsIn(panel, choice) {
     copyButton("ROS 2 parameters", () => parameterFile(choice(), 2)),
     staticButton,
   );
-  panel.prepend(heading, table, summary, take, buttons, command);
+  panel.append(heading, table, summary, take, buttons, command);
+  const rows = OUTCOMES.map((outcome) => {
+    const row = table.insertRow();
+    const swatch = Object.assign(document.createElement("span"), { className: "swatch" });
+    row.insertCell().append(swatch, OUTCOME_NAMES[outcome]);
+    const [count, share] = ["count", "share"].map((className) => Object.assign(row.insertCell(), { className }));
+    return { row, swatch, count, share };
+  });
   return {
     /**
      * @param {Scan} scan
@@ -509,24 +542,13 @@ function resultsIn(panel, choice) {
     show(scan, milliseconds, entry) {
       const colours = outcomeColours(theme());
       const total = Math.max(1, scan.outcomes.length);
-      table.replaceChildren(
-        ...OUTCOMES.slice(0, entry.filtered ? OUTCOMES.length : -1).map((outcome, n) => {
-          const row = document.createElement("tr");
-          const name = document.createElement("td");
-          const swatch = document.createElement("span");
-          swatch.className = "swatch";
-          swatch.style.background = colours[n];
-          name.append(swatch, OUTCOME_NAMES[outcome]);
-          const count = Object.assign(document.createElement("td"), { className: "count" });
-          count.textContent = scan.counts[n].toLocaleString("en");
-          const share = Object.assign(document.createElement("td"), { className: "share" });
-          share.textContent = `${((100 * scan.counts[n]) / total).toFixed(1)} %`;
-          row.append(name, count, share);
-          return row;
-        }),
-      );
-      const thinned =
-        entry.total > scan.outcomes.length ? ` of ${entry.total.toLocaleString("en")} points, thinned;` : "";
+      rows.forEach(({ row, swatch, count, share }, n) => {
+        row.hidden = OUTCOMES[n] === "filtered" && !entry.filtered;
+        swatch.style.background = colours[n];
+        count.textContent = grouped(scan.counts[n]);
+        share.textContent = `${((100 * scan.counts[n]) / total).toFixed(1)} %`;
+      });
+      const thinned = entry.total > scan.outcomes.length ? ` of ${grouped(entry.total)} points, thinned;` : "";
       summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return;${thinned} ${milliseconds.toFixed(1)} ms`;
       command.replaceChildren(
         ...commandWords(choice())
@@ -537,3 +559,5 @@ function resultsIn(panel, choice) {
     },
   };
 }
+
+const { format: grouped } = new Intl.NumberFormat("en");

@@ -76,7 +76,7 @@ const GROUPS = [
     ],
   },
   {
-    title: "Ranges",
+    title: "Range of a beam",
     rows: [
       "reduce",
       { name: "kth", label: "kth", unit: "", min: 1, max: 20, step: 1 },

@@ -37,8 +37,9 @@ export function endsOf({ layout, ranges }, isReturn) {
  * @param {string} colour
  * @param {readonly number[]} origin where the sensor is, metres
  * @param {boolean} lines whether to draw lines from the sensor, too
+ * @param {number} size of a return, pixels
  */
-export function beamsFromAbove(pen, view, ends, colour, origin, lines) {
+export function beamsFromAbove(pen, view, ends, colour, origin, lines, size = 3) {
   pen.strokeStyle = pen.fillStyle = colour;
   const [x0, y0] = [view.px(origin[0]), view.py(origin[1])];
   if (lines && ends.length / 2 <= MOST_LINES) {
@@ -53,7 +54,7 @@ export function beamsFromAbove(pen, view, ends, colour, origin, lines) {
     pen.globalAlpha = 1;
   }
   for (let n = 0; n < ends.length; n += 2) {
-    if (ends[n] === ends[n]) pen.fillRect(view.px(ends[n]) - 1.5, view.py(ends[n + 1]) - 1.5, 3, 3);
+    if (ends[n] === ends[n]) pen.fillRect(view.px(ends[n]) - size / 2, view.py(ends[n + 1]) - size / 2, size, size);
   }
 }
 

@@ -1,4 +1,4 @@
-// A view along an axis, with equal scales, metres on its axes, pan and zoom. Views may share a window.
+// A view along an axis, with metres on its axes, pan and zoom. Views may share a window.
 
 import { Stage, niceStep, tick, ticks } from "./stage.mjs";
 
@@ -9,10 +9,14 @@ import { Stage, niceStep, tick, ticks } from "./stage.mjs";
  * @property {number} y
  * @property {number} z
  * @property {number} scale pixels a metre
+ * @property {number} stretch how many times as large heights are shown
  */
 
 /** Space for the numbers of the axes, pixels. */
 const MARGIN = { left: 40, bottom: 20 };
+
+/** How close the pointer must be to something to drag it, pixels. */
+export const GRAB = 7;
 
 export class Flat {
   /**
@@ -23,14 +27,15 @@ export class Flat {
    * @param {() => void} on.change the window has changed
    * @param {() => void} on.draw draw this view
    * @param {() => void} on.fit
-   * @param {(start: [number, number]) => ((at: [number, number]) => void) | null} [on.grab] something to be dragged
+   * @param {(start: [number, number], reach: number) => ((at: [number, number]) => void) | null} [on.grab] something
+   *   to be dragged, which is at most `reach` pixels away
    */
   constructor(element, up, shown, on) {
     this.up = up;
     this.shown = shown;
     this.stage = new Stage(element, on.draw);
-    this.stage.onDrag((start) => {
-      const grabbed = on.grab?.(start);
+    this.stage.onDrag((start, { pointerType }) => {
+      const grabbed = on.grab?.(start, pointerType === "touch" ? 3 * GRAB : GRAB);
       if (grabbed) return (_dx, _dy, at) => grabbed(at);
       return (dx, dy) => {
         this.pan(dx, dy);
@@ -53,6 +58,16 @@ export class Flat {
     });
   }
 
+  /** Pixels a metre, along the axis that points up. */
+  get rise() {
+    return this.shown.scale * (this.up === "z" ? this.shown.stretch : 1);
+  }
+
+  /** The size of the plot without its margins, pixels. */
+  get room() {
+    return [Math.max(1, this.stage.width - MARGIN.left), Math.max(1, this.stage.height - MARGIN.bottom)];
+  }
+
   /** The middle of the plot, pixels. */
   get middle() {
     return [(this.stage.width + MARGIN.left) / 2, (this.stage.height - MARGIN.bottom) / 2];
@@ -65,7 +80,7 @@ export class Flat {
 
   /** @param {number} value metres, along the axis that points up */
   py(value) {
-    return this.middle[1] - (value - this.shown[this.up]) * this.shown.scale;
+    return this.middle[1] - (value - this.shown[this.up]) * this.rise;
   }
 
   /**
@@ -75,7 +90,7 @@ export class Flat {
   world([px, py]) {
     return [
       this.shown.x + (px - this.middle[0]) / this.shown.scale,
-      this.shown[this.up] - (py - this.middle[1]) / this.shown.scale,
+      this.shown[this.up] - (py - this.middle[1]) / this.rise,
     ];
   }
 
@@ -85,7 +100,7 @@ export class Flat {
    */
   pan(dx, dy) {
     this.shown.x -= dx / this.shown.scale;
-    this.shown[this.up] += dy / this.shown.scale;
+    this.shown[this.up] += dy / this.rise;
   }
 
   /**
@@ -102,27 +117,23 @@ export class Flat {
 
   /**
    * Draw points.
-   * @param {{x: Float32Array, y: Float32Array, z: Float32Array}} cloud
-   * @param {Uint32Array} colours
-   * @param {Float32Array | null} front points with larger values are drawn in front; null: those closer to the eye
+   * @param {import("./raster.mjs").Cloud} cloud
    * @param {number} size pixels of CSS
+   * @param {Uint32Array} colours
+   * @param {Uint8Array | null} ranks points of rank 0 are drawn in front; null: those closer to the eye
    */
-  points(cloud, colours, front, size) {
-    const { raster, ratio } = this.stage;
-    raster.clear();
-    const across = cloud.x;
-    const upward = cloud[this.up];
-    const away = this.up === "y" ? cloud.z : cloud.y;
-    const sign = this.up === "y" ? 1 : -1;
+  points(cloud, size, colours, ranks) {
+    const { ratio } = this.stage;
     const [mx, my] = this.middle;
     const scale = this.shown.scale * ratio;
-    const [x0, y0] = [mx * ratio - this.shown.x * scale, my * ratio + this.shown[this.up] * scale];
-    const dot = Math.max(1, Math.round(size * ratio));
-    for (let n = 0; n < across.length; n++) {
-      const depth = front ? front[n] : sign * away[n];
-      raster.dot(n, x0 + across[n] * scale, y0 - upward[n] * scale, depth, colours[n], dot);
-    }
-    raster.show();
+    const left = mx * ratio - this.shown.x * scale;
+    const rise = this.rise * ratio;
+    const top = my * ratio + this.shown[this.up] * rise;
+    const view =
+      this.up === "y"
+        ? { right: [scale, 0, 0, left], down: [0, -rise, 0, top], near: [0, 0, 1] }
+        : { right: [scale, 0, 0, left], down: [0, 0, -rise, top], near: [0, -1, 0] };
+    this.stage.points(cloud, view, size, colours, ranks);
   }
 
   /**
@@ -146,11 +157,12 @@ export class Flat {
       pen.lineTo(x, bottom);
       numbers.push({ x, y: bottom + 11, text: tick(value, step), align: "center" });
     }
-    for (const value of ticks(low, high, step)) {
+    const stepUp = this.rise === this.shown.scale ? step : niceStep(height / this.rise, height / 30);
+    for (const value of ticks(low, high, stepUp)) {
       const y = Math.round(this.py(value)) + 0.5;
       pen.moveTo(MARGIN.left, y);
       pen.lineTo(width, y);
-      numbers.push({ x: MARGIN.left - 6, y, text: tick(value, step), align: "right" });
+      numbers.push({ x: MARGIN.left - 6, y, text: tick(value, stepUp), align: "right" });
     }
     pen.globalCompositeOperation = "destination-over";
     pen.stroke();

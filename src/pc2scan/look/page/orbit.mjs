@@ -66,6 +66,19 @@ export class Orbit {
   }
 
   /**
+   * Show a box as large as the view allows.
+   * @param {[number, number][]} limits of x, y and z, metres
+   */
+  fit(limits) {
+    this.centre = limits.map(([low, high]) => (low + high) / 2);
+    const [right, up] = this.directions();
+    const half = (/** @type {number[]} */ direction) =>
+      limits.reduce((sum, [low, high], axis) => sum + (Math.abs(direction[axis]) * (high - low)) / 2, 0);
+    const { width, height } = this.stage;
+    this.scale = 0.46 * Math.min(width / Math.max(0.1, half(right)), height / Math.max(0.1, half(up)));
+  }
+
+  /**
    * Where a point of the world is on the screen, pixels of CSS.
    * @param {number} x metres
    * @param {number} y
@@ -81,24 +94,23 @@ export class Orbit {
 
   /**
    * Draw points.
-   * @param {{x: Float32Array, y: Float32Array, z: Float32Array}} cloud
-   * @param {Uint32Array} colours
+   * @param {import("./raster.mjs").Cloud} cloud
    * @param {number} size pixels of CSS
+   * @param {Uint32Array} colours
    */
-  points(cloud, colours, size) {
-    const { raster, ratio } = this.stage;
-    raster.clear();
-    const [right, up, eye] = this.directions();
+  points(cloud, size, colours) {
+    const { ratio, width, height } = this.stage;
+    const [right, up, near] = this.directions();
     const scale = this.scale * ratio;
-    const [cx, cy, cz] = this.centre;
-    const [mx, my] = [(this.stage.width * ratio) / 2, (this.stage.height * ratio) / 2];
-    const dot = Math.max(1, Math.round(size * ratio));
-    for (let n = 0; n < cloud.x.length; n++) {
-      const [x, y, z] = [cloud.x[n] - cx, cloud.y[n] - cy, cloud.z[n] - cz];
-      const px = mx + (right[0] * x + right[1] * y) * scale;
-      const py = my - (up[0] * x + up[1] * y + up[2] * z) * scale;
-      raster.dot(n, px, py, eye[0] * x + eye[1] * y + eye[2] * z, colours[n], dot);
-    }
-    raster.show();
+    const row = (/** @type {number[]} */ direction, /** @type {number} */ factor, /** @type {number} */ middle) => {
+      const [a, b, c] = direction.map((value) => value * factor);
+      return [a, b, c, middle - a * this.centre[0] - b * this.centre[1] - c * this.centre[2]];
+    };
+    const view = {
+      right: row(right, scale, (width * ratio) / 2),
+      down: row(up, -scale, (height * ratio) / 2),
+      near,
+    };
+    this.stage.points(cloud, view, size, colours, null);
   }
 }

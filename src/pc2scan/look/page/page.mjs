@@ -86,6 +86,14 @@ export function setUpTime(count, show, describe) {
 }
 
 /**
+ * Name the frame of the view from above.
+ * @param {string} frame empty: unknown
+ */
+export function nameFrame(frame) {
+  element("frame", HTMLElement).textContent = frame && `in frame ${frame}`;
+}
+
+/**
  * A button that copies a text.
  * @param {string} label
  * @param {() => string} text

@@ -73,17 +73,16 @@ export function usualRange(values) {
 }
 
 /**
- * Colours of values, as words.
+ * Colour values.
  * @param {ArrayLike<number>} values
  * @param {Theme} theme
+ * @param {Uint32Array} into overwritten with a word for each value
  */
-export function coloursOf(values, theme) {
+export function paintValues(values, theme, into) {
   const colours = scale(theme);
   const [low, high] = usualRange(values);
-  const words = new Uint32Array(values.length);
   for (let n = 0; n < values.length; n++) {
     const place = Math.round(((values[n] - low) / (high - low)) * 255);
-    words[n] = colours[Math.max(0, Math.min(255, place || 0))];
+    into[n] = colours[Math.max(0, Math.min(255, place || 0))];
   }
-  return words;
 }

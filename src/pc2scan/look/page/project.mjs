@@ -51,50 +51,137 @@ export function transformed(cloud, transform, into) {
   return into;
 }
 
-/**
- * Project points that are in the scan's frame.
- * @param {Cloud} cloud
- * @param {Params} params without a problem; see `problemOf`
- * @param {ArrayLike<number> | null} values of the intensity field, one for each point
- * @param {ArrayLike<number> | null} filtered 1 for the points that filters reject
- * @returns {Scan}
- */
-export function project(cloud, params, values = null, filtered = null) {
-  const layout = layoutOf(params);
-  const points = cloud.x.length;
-  const outcomes = new Uint8Array(points);
-  const bins = new Int32Array(points);
-  const squares = new Float64Array(points);
-  const counts = count(cloud, params, layout, filtered, outcomes, bins, squares);
-  const empty = emptyRange(params);
-  const returned = returnsOf(params, empty, outcomes, squares);
-  const ranges = new Float32Array(layout.count).fill(empty);
-  const intensities = values && new Float32Array(layout.count);
-  let returns = 0;
-  if (params.reduce === "mean") {
-    const {
-      seen,
-      ranges: found,
-      values: lit,
-    } = means(layout.count, params.min_points, returned, bins, squares, values);
+/** Projects a cloud again and again. Its angles, which take most of the time, are kept; arrays are used again. */
+export class Projector {
+  constructor() {
+    /** @type {Cloud} in the scan's frame */
+    this.cloud = { x: new Float32Array(), y: new Float32Array(), z: new Float32Array() };
+    /** @type {ArrayLike<number> | null} 1 for the points that filters reject */
+    this.filtered = null;
+    /** The angle of each point, radians; NaN until it is needed. */
+    this.angles = new Float64Array();
+    this.rounding = "";
+    this.outcomes = new Uint8Array();
+    this.bins = new Int32Array();
+    this.squares = new Float64Array();
+  }
+
+  /**
+   * Take other points.
+   * @param {Cloud} cloud in the scan's frame
+   * @param {ArrayLike<number> | null} filtered 1 for the points that filters reject
+   */
+  place(cloud, filtered = null) {
+    this.cloud = cloud;
+    this.filtered = filtered;
+    const points = cloud.x.length;
+    if (this.angles.length !== points) {
+      this.angles = new Float64Array(points);
+      this.outcomes = new Uint8Array(points);
+      this.bins = new Int32Array(points);
+      this.squares = new Float64Array(points);
+    }
+    this.angles.fill(NaN);
+  }
+
+  /**
+   * Project the points.
+   * @param {Params} params without a problem; see `problemOf`
+   * @param {ArrayLike<number> | null} values of the intensity field, one for each point
+   * @returns {Scan} `outcomes` and `bins` are overwritten by the next scan
+   */
+  scan(params, values = null) {
+    const layout = layoutOf(params);
+    const { outcomes, bins, squares } = this;
+    const counts = this.count(params, layout);
+    const empty = emptyRange(params);
+    const returned = returnsOf(params, empty, outcomes, squares);
+    const ranges = new Float32Array(layout.count).fill(empty);
+    const intensities = values && new Float32Array(layout.count);
+    let returns = 0;
+    if (params.reduce === "mean") {
+      const found = means(layout.count, params.min_points, returned, bins, squares, values);
+      for (let bin = 0; bin < layout.count; bin++) {
+        if (!found.seen[bin]) continue;
+        returns += 1;
+        ranges[bin] = found.ranges[bin];
+        if (intensities && found.values) intensities[bin] = found.values[bin];
+      }
+      return { layout, ranges, intensities, counts, outcomes, bins, returns };
+    }
+    const readers = new Int32Array(layout.count).fill(-1);
+    winners(readers, params, returned, bins, squares, layout.increment);
     for (let bin = 0; bin < layout.count; bin++) {
-      if (!seen[bin]) continue;
+      const point = readers[bin];
+      if (point < 0) continue;
+      ranges[bin] = Math.sqrt(squares[point]);
       returns += 1;
-      ranges[bin] = found[bin];
-      if (intensities && lit) intensities[bin] = lit[bin];
+      if (intensities && values) intensities[bin] = values[point];
     }
     return { layout, ranges, intensities, counts, outcomes, bins, returns };
   }
-  const readers = new Int32Array(layout.count).fill(-1);
-  winners(readers, params, returned, bins, squares, layout.increment);
-  for (let bin = 0; bin < layout.count; bin++) {
-    const point = readers[bin];
-    if (point < 0) continue;
-    ranges[bin] = Math.sqrt(squares[point]);
-    returns += 1;
-    if (intensities && values) intensities[bin] = values[point];
+
+  /**
+   * Find the outcome of each point, and the bins and squared ranges of those that are used.
+   * @param {Params} params
+   * @param {Layout} layout
+   * @returns {number[]} points of each outcome
+   */
+  count(params, layout) {
+    const rule = ruleOf(params);
+    const { lowest, highest, least, most, first, last, offset, turn, end, skew, increment, closed } = rule;
+    if (this.rounding !== params.angle_rounding) this.angles.fill(NaN);
+    this.rounding = params.angle_rounding;
+    const angleOf = params.angle_rounding === "glibc-2.40" ? olderGlibcAngle : correctAngle;
+    const { filtered, angles, outcomes, bins, squares } = this;
+    const { x: xs, y: ys, z: zs } = this.cloud;
+    const beams = layout.count;
+    for (let n = 0; n < xs.length; n++) {
+      const x = xs[n];
+      const y = ys[n];
+      const z = zs[n];
+      if (filtered && filtered[n]) {
+        outcomes[n] = FILTERED;
+        continue;
+      }
+      if (x !== x || y !== y || z !== z) {
+        outcomes[n] = IS_NAN;
+        continue;
+      }
+      if (!(z >= lowest && z <= highest)) {
+        outcomes[n] = HEIGHT;
+        continue;
+      }
+      const square = x * x + y * y;
+      if (!(square >= least && square <= most)) {
+        outcomes[n] = RANGE;
+        continue;
+      }
+      let angle = angles[n];
+      if (angle !== angle) angle = angles[n] = angleOf(y, x);
+      let turned = angle + offset;
+      // The angles from -float32(pi) to float32(pi) are more than one turn.
+      for (let twice = 0; twice < 2; twice++) if (turned >= turn) turned -= turn;
+      if (angle < first || angle > last || turned > end) {
+        outcomes[n] = ANGLE;
+        continue;
+      }
+      let bin = Math.trunc((turned + skew) / increment);
+      if (bin >= beams) {
+        if (!closed) {
+          outcomes[n] = PAST_END;
+          continue;
+        }
+        bin = beams - 1;
+      }
+      outcomes[n] = USED;
+      bins[n] = bin;
+      squares[n] = square;
+    }
+    const counts = new Array(OUTCOMES.length).fill(0);
+    for (let n = 0; n < outcomes.length; n++) counts[outcomes[n]] += 1;
+    return counts;
   }
-  return { layout, ranges, intensities, counts, outcomes, bins, returns };
 }
 
 /**
@@ -111,66 +198,4 @@ function returnsOf(params, empty, outcomes, squares) {
   return outcomes.map((outcome, n) =>
     outcome === USED && !(Math.fround(Math.sqrt(squares[n])) < limit) ? RANGE : outcome,
   );
-}
-
-/**
- * @param {Cloud} cloud
- * @param {Params} params
- * @param {Layout} layout
- * @param {ArrayLike<number> | null} filtered
- * @param {Uint8Array} outcomes overwritten
- * @param {Int32Array} bins overwritten
- * @param {Float64Array} squares overwritten: the squared ranges
- * @returns {number[]}
- */
-function count(cloud, params, layout, filtered, outcomes, bins, squares) {
-  const rule = ruleOf(params);
-  const { lowest, highest, least, most, first, last, offset, turn, end, skew, increment, closed } = rule;
-  const angleOf = params.angle_rounding === "glibc-2.40" ? olderGlibcAngle : correctAngle;
-  const { x: xs, y: ys, z: zs } = cloud;
-  const beams = layout.count;
-  for (let n = 0; n < xs.length; n++) {
-    const x = xs[n];
-    const y = ys[n];
-    const z = zs[n];
-    if (filtered && filtered[n]) {
-      outcomes[n] = FILTERED;
-      continue;
-    }
-    if (x !== x || y !== y || z !== z) {
-      outcomes[n] = IS_NAN;
-      continue;
-    }
-    if (!(z >= lowest && z <= highest)) {
-      outcomes[n] = HEIGHT;
-      continue;
-    }
-    const square = x * x + y * y;
-    if (!(square >= least && square <= most)) {
-      outcomes[n] = RANGE;
-      continue;
-    }
-    const angle = angleOf(y, x);
-    let turned = angle + offset;
-    // The angles from -float32(pi) to float32(pi) are more than one turn.
-    for (let twice = 0; twice < 2; twice++) if (turned >= turn) turned -= turn;
-    if (angle < first || angle > last || turned > end) {
-      outcomes[n] = ANGLE;
-      continue;
-    }
-    let bin = Math.trunc((turned + skew) / increment);
-    if (bin >= beams) {
-      if (!closed) {
-        outcomes[n] = PAST_END;
-        continue;
-      }
-      bin = beams - 1;
-    }
-    outcomes[n] = USED;
-    bins[n] = bin;
-    squares[n] = square;
-  }
-  const counts = new Array(OUTCOMES.length).fill(0);
-  for (const outcome of outcomes) counts[outcome] += 1;
-  return counts;
 }

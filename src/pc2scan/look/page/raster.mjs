@@ -1,64 +1,144 @@
 // Draws points as coloured pixels, the nearest in front, and finds the point that a pixel shows.
+//
+// Where the points are on the screen is found again only when the cloud or the view changes. While a parameter changes,
+// a picture takes one or two passes over the points, and allocates nothing.
+
+/** @typedef {{x: Float32Array, y: Float32Array, z: Float32Array}} Cloud */
+
+/**
+ * Where a point is on the screen: three rows, each of which x, y, z and 1 are multiplied with.
+ * @typedef {object} View
+ * @property {readonly number[]} right pixels from the left
+ * @property {readonly number[]} down pixels from the top
+ * @property {readonly number[]} near larger is nearer to the eye
+ */
 
 export class Raster {
-  /** @param {HTMLCanvasElement} canvas */
-  constructor(canvas) {
-    this.canvas = canvas;
+  constructor() {
     this.width = 0;
     this.height = 0;
+    /** Size of a point, pixels. */
+    this.size = 1;
+    /** @type {ImageData | null} the picture; null if there is none */
+    this.image = null;
     this.pixels = new Uint32Array(0);
     this.depths = new Float32Array(0);
     /** Which point each pixel shows, plus one. */
     this.points = new Int32Array(0);
-    /** @type {ImageData | null} */
-    this.image = null;
-  }
-
-  /** Begin a new picture, of the size of the canvas. */
-  clear() {
-    const { width, height } = this.canvas;
-    if (width !== this.width || height !== this.height || !this.image) {
-      this.width = width;
-      this.height = height;
-      this.image = new ImageData(Math.max(1, width), Math.max(1, height));
-      this.pixels = new Uint32Array(this.image.data.buffer);
-      this.depths = new Float32Array(this.pixels.length);
-      this.points = new Int32Array(this.pixels.length);
-    }
-    this.pixels.fill(0);
-    this.depths.fill(-Infinity);
-    this.points.fill(0);
+    /** The upper left pixel of each point; -1 outside of the picture. */
+    this.places = new Int32Array(0);
+    /** @type {Cloud | null} what the places are of */
+    this.cloud = null;
+    this.key = "";
   }
 
   /**
-   * Show a point, unless another one is in front of it.
-   * @param {number} point
-   * @param {number} x pixels
-   * @param {number} y pixels
-   * @param {number} depth larger is nearer
-   * @param {number} colour
-   * @param {number} size pixels
+   * Draw a cloud.
+   * @param {Cloud} cloud metres; another object if the points have changed
+   * @param {View} view
+   * @param {number} size pixels of a point
+   * @param {Uint32Array} colours of the points
+   * @param {Uint8Array | null} ranks points of rank 0 are drawn in front; null: the nearest
    */
-  dot(point, x, y, depth, colour, size) {
-    const { width, height } = this;
-    const left = Math.round(x - size / 2);
-    const top = Math.round(y - size / 2);
-    if (!(left > -size && left < width && top > -size && top < height)) return;
-    for (let row = Math.max(0, top); row < Math.min(height, top + size); row++) {
-      for (let column = Math.max(0, left); column < Math.min(width, left + size); column++) {
-        const place = row * width + column;
-        if (depth < this.depths[place]) continue;
-        this.depths[place] = depth;
-        this.pixels[place] = colour;
-        this.points[place] = point + 1;
+  draw(cloud, view, size, colours, ranks) {
+    const key = [view.right, view.down, view.near, size, this.width, this.height, ranks === null].join();
+    if (cloud !== this.cloud || key !== this.key) {
+      this.cloud = cloud;
+      this.key = key;
+      this.size = size;
+      this.locate(cloud, view);
+      if (!ranks) this.stack(cloud, view);
+    }
+    const { pixels, points } = this;
+    if (ranks) {
+      pixels.fill(0);
+      points.fill(0);
+      this.stamp(colours, ranks, false);
+      this.stamp(colours, ranks, true);
+    } else {
+      for (let place = 0; place < points.length; place++) {
+        const point = points[place];
+        pixels[place] = point === 0 ? 0 : colours[point - 1];
       }
     }
   }
 
-  /** Put the picture on the canvas. */
-  show() {
-    if (this.image && this.canvas.width && this.canvas.height) {
-      this.canvas.getContext("2d")?.putImageData(this.image, 0, 0);
+  /**
+   * Take a size, pixels.
+   * @param {number} width
+   * @param {number} height
+   */
+  resize(width, height) {
+    if (width === this.width && height === this.height) return;
+    this.width = width;
+    this.height = height;
+    this.image = width && height ? new ImageData(width, height) : null;
+    this.pixels = this.image ? new Uint32Array(this.image.data.buffer) : new Uint32Array(0);
+    this.depths = new Float32Array(this.pixels.length);
+    this.points = new Int32Array(this.pixels.length);
+  }
+
+  /**
+   * Find the pixel of each point.
+   * @param {Cloud} cloud
+   * @param {View} view
+   */
+  locate({ x: xs, y: ys, z: zs }, { right: [a, b, c, p], down: [d, e, f, q] }) {
+    if (this.places.length !== xs.length) this.places = new Int32Array(xs.length);
+    const { places, size, width } = this;
+    const [mostLeft, mostTop] = [width - size + 1, this.height - size + 1];
+    const shift = (1 - size) / 2;
+    // A view along an axis shows points of which only the place along this axis is unknown.
+    const [hasX, hasY, hasZ] = [a !== 0 || d !== 0, b !== 0 || e !== 0, c !== 0 || f !== 0];
+    for (let n = 0; n < xs.length; n++) {
+      const x = hasX ? xs[n] : 0;
+      const y = hasY ? ys[n] : 0;
+      const z = hasZ ? zs[n] : 0;
+      const left = a * x + b * y + c * z + p + shift;
+      const top = d * x + e * y + f * z + q + shift;
+      places[n] = left >= 0 && left < mostLeft && top >= 0 && top < mostTop ? (top | 0) * width + (left | 0) : -1;
+    }
+  }
+
+  /**
+   * Find the points of the pixels: the nearest.
+   * @param {Cloud} cloud
+   * @param {View} view
+   */
+  stack({ x: xs, y: ys, z: zs }, { near: [a, b, c] }) {
+    const { places, points, depths, size, width } = this;
+    points.fill(0);
+    depths.fill(-Infinity);
+    for (let n = 0; n < places.length; n++) {
+      if (places[n] < 0) continue;
+      const depth = a * xs[n] + b * ys[n] + c * zs[n];
+      for (let row = 0; row < size; row++) {
+        for (let place = places[n] + row * width, end = place + size; place < end; place++) {
+          if (depth < depths[place]) continue;
+          depths[place] = depth;
+          points[place] = n + 1;
+        }
+      }
+    }
+  }
+
+  /**
+   * Draw the points of rank 0, or all others.
+   * @param {Uint32Array} colours
+   * @param {Uint8Array} ranks
+   * @param {boolean} front
+   */
+  stamp(colours, ranks, front) {
+    const { places, points, pixels, size, width } = this;
+    for (let n = 0; n < places.length; n++) {
+      if ((ranks[n] === 0) !== front || places[n] < 0) continue;
+      const colour = colours[n];
+      for (let row = 0; row < size; row++) {
+        for (let place = places[n] + row * width, end = place + size; place < end; place++) {
+          pixels[place] = colour;
+          points[place] = n + 1;
+        }
+      }
     }
   }
 

@@ -3,7 +3,7 @@
 import { columns } from "./data.mjs";
 import { beamsFromAbove, endsOf, frameMarks, rings } from "./draw.mjs";
 import { Flat } from "./flat.mjs";
-import { element, figure, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
+import { element, figure, nameFrame, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
 import { layerColour, usualRange } from "./palette.mjs";
 import { niceStep } from "./stage.mjs";
 import { Unrolled } from "./unrolled.mjs";
@@ -24,7 +24,7 @@ import { Unrolled } from "./unrolled.mjs";
 /**
  * @typedef {object} ScanRecording
  * @property {string} kind
- * @property {{moment: string, layers: Layer[]}[]} moments
+ * @property {{moment: string, frame: string, layers: Layer[]}[]} moments
  * @property {{heading: string, lines: {text: string, wrong: boolean}[]}[]} findings
  */
 
@@ -33,7 +33,7 @@ import { Unrolled } from "./unrolled.mjs";
 /** @param {ScanRecording} recording */
 export function showScans(recording) {
   const style = getComputedStyle(document.documentElement);
-  const shown = { x: 0, y: 0, z: 0, scale: 20 };
+  const shown = { x: 0, y: 0, z: 0, scale: 20, stretch: 1 };
   /** @type {Loaded[]} */
   let layers = [];
   let step = -1;
@@ -46,7 +46,7 @@ export function showScans(recording) {
   const unrolled = new Unrolled(element("unrolled", HTMLElement), draw);
   const readout = element("readout", HTMLElement);
   const legend = document.createElement("table");
-  describeFindings(element("panel", HTMLElement), recording, legend);
+  describeFindings(element("results", HTMLElement), recording, legend);
   const go = setUpTime(
     () => recording.moments.length,
     load,
@@ -68,6 +68,7 @@ export function showScans(recording) {
     const loaded = await Promise.all(recording.moments[wanted].layers.map(loadLayer));
     if (step !== wanted) return;
     layers = loaded;
+    nameFrame(recording.moments[wanted].frame);
     if (!fitted) fit();
     describeLayers();
     draw();
@@ -76,11 +77,8 @@ export function showScans(recording) {
   function drawAll() {
     if (!layers.length) return;
     const pen = top.axes(style);
-    const { raster } = top.stage;
-    raster.clear();
-    raster.show();
     rings(pen, top, niceStep(top.stage.width / shown.scale, 8), style);
-    layers.forEach((layer) =>
+    layers.forEach((layer, n) =>
       beamsFromAbove(
         pen,
         top,
@@ -88,6 +86,7 @@ export function showScans(recording) {
         layerColour(theme(), layer.colour),
         [layer.pose[2], layer.pose[5]],
         layers.length === 1,
+        1 + sizeOf(n),
       ),
     );
     pen.strokeStyle = style.getPropertyValue("--bad");
@@ -102,11 +101,12 @@ export function showScans(recording) {
     frameMarks(pen, (x, y) => [top.px(x), top.py(y)], [], 40 / shown.scale, style);
     pen.restore();
     unrolled.draw(
-      layers.map((layer) => ({
+      layers.map((layer, n) => ({
         angleMin: layer.angleMin,
         increment: layer.increment,
         ranges: layer.ranges,
         colour: layerColour(theme(), layer.colour),
+        size: sizeOf(n),
         isReturn: (range) => isReturn(layer, range),
       })),
       style,
@@ -120,16 +120,24 @@ export function showScans(recording) {
     document.body.dataset.drawn = `${Number(document.body.dataset.drawn ?? 0) + 1}`;
   }
 
+  /**
+   * The size of a layer's returns, pixels: each layer lies on larger returns of those below, so that all are seen.
+   * @param {number} layer
+   */
+  function sizeOf(layer) {
+    return 2 + 3 * Math.min(2, layers.length - 1 - layer);
+  }
+
   function fit() {
     fitted = true;
     const all = layers.flatMap((layer) => [...layer.ends]);
     const [x0, x1] = usualRange(all.filter((_, n) => n % 2 === 0));
     const [y0, y1] = usualRange(all.filter((_, n) => n % 2 === 1));
-    const { width, height } = top.stage;
+    const [width, height] = top.room;
     shown.x = (Math.max(x1, 0) + Math.min(x0, 0)) / 2;
     shown.y = (Math.max(y1, 0) + Math.min(y0, 0)) / 2;
     const reach = [Math.max(1, Math.max(x1, 0) - Math.min(x0, 0)), Math.max(1, Math.max(y1, 0) - Math.min(y0, 0))];
-    shown.scale = 0.85 * Math.min((width - 40) / reach[0], (height - 20) / reach[1]);
+    shown.scale = 0.92 * Math.min(width / reach[0], height / reach[1]);
     draw();
   }
 

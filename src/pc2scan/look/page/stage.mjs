@@ -1,4 +1,4 @@
-// A drawing area, as large as its element: a canvas for points, and one above it for lines and text.
+// A drawing area, as large as its element: points, and lines and text above them.
 
 import { Raster } from "./raster.mjs";
 
@@ -12,11 +12,12 @@ export class Stage {
    */
   constructor(element, draw) {
     this.element = element;
-    const [below, above] = [document.createElement("canvas"), document.createElement("canvas")];
-    element.replaceChildren(below, above);
-    this.below = below;
-    this.above = above;
-    this.raster = new Raster(below);
+    this.canvas = document.createElement("canvas");
+    element.replaceChildren(this.canvas);
+    /** @type {Map<number, [number, number]>} the fingers that touch it, and where */
+    this.fingers = new Map();
+    /** @type {Raster | null} the points; null before any are drawn */
+    this.raster = null;
     this.ratio = 1;
     this.width = 0;
     this.height = 0;
@@ -32,17 +33,30 @@ export class Stage {
     this.ratio = Math.min(MAX_RATIO, window.devicePixelRatio || 1);
     this.width = this.element.clientWidth;
     this.height = this.element.clientHeight;
-    for (const canvas of [this.below, this.above]) {
-      canvas.width = Math.round(this.width * this.ratio);
-      canvas.height = Math.round(this.height * this.ratio);
-    }
+    this.canvas.width = Math.round(this.width * this.ratio);
+    this.canvas.height = Math.round(this.height * this.ratio);
   }
 
-  /** @returns {CanvasRenderingContext2D} for lines and text, cleared, in the units of CSS */
+  /**
+   * Draw a cloud; `pen` shows it. The parameters are those of `Raster.draw`.
+   * @param {import("./raster.mjs").Cloud} cloud
+   * @param {import("./raster.mjs").View} view
+   * @param {number} size pixels of CSS
+   * @param {Uint32Array} colours
+   * @param {Uint8Array | null} ranks
+   */
+  points(cloud, view, size, colours, ranks) {
+    this.raster ??= new Raster();
+    this.raster.resize(this.canvas.width, this.canvas.height);
+    this.raster.draw(cloud, view, Math.max(1, Math.round(size * this.ratio)), colours, ranks);
+  }
+
+  /** @returns {CanvasRenderingContext2D} for lines and text over the points, in the units of CSS */
   pen() {
-    const pen = /** @type {CanvasRenderingContext2D} */ (this.above.getContext("2d"));
+    const pen = /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-    pen.clearRect(0, 0, this.width, this.height);
+    if (this.raster?.image) pen.putImageData(this.raster.image, 0, 0);
+    else pen.clearRect(0, 0, this.width, this.height);
     pen.font = `12px ${getComputedStyle(document.documentElement).fontFamily}`;
     pen.textBaseline = "middle";
     pen.lineWidth = 1;
@@ -65,18 +79,22 @@ export class Stage {
    */
   onDrag(begin) {
     this.element.addEventListener("pointerdown", (event) => {
-      if (event.button !== 0) return;
+      if (event.button !== 0 || !event.isPrimary) return;
       let last = this.place(event);
       const step = begin(last, event);
       if (!step) return;
       this.element.setPointerCapture(event.pointerId);
       /** @param {PointerEvent} moved */
       const move = (moved) => {
+        if (!moved.isPrimary) return;
         const at = this.place(moved);
-        step(at[0] - last[0], at[1] - last[1], at);
+        // While two fingers zoom, the picture stays between them.
+        if (this.fingers.size < 2) step(at[0] - last[0], at[1] - last[1], at);
         last = at;
       };
-      const end = () => {
+      /** @param {PointerEvent} ended */
+      const end = (ended) => {
+        if (!ended.isPrimary) return;
         this.element.removeEventListener("pointermove", move);
         this.element.removeEventListener("pointerup", end);
         this.element.removeEventListener("pointercancel", end);
@@ -88,7 +106,7 @@ export class Stage {
   }
 
   /**
-   * Call a function on zooming, with the factor and the place that stays fixed.
+   * Call a function on zooming (by wheel, key or two fingers), with the factor and the place that stays fixed.
    * @param {(factor: number, at: [number, number]) => void} zoom
    */
   onZoom(zoom) {
@@ -100,6 +118,20 @@ export class Stage {
       },
       { passive: false },
     );
+    const { fingers } = this;
+    this.element.addEventListener("pointerdown", (event) => {
+      if (event.pointerType === "touch") fingers.set(event.pointerId, this.place(event));
+    });
+    this.element.addEventListener("pointermove", (event) => {
+      if (!fingers.has(event.pointerId)) return;
+      const before = apart(fingers);
+      fingers.set(event.pointerId, this.place(event));
+      const after = apart(fingers);
+      if (before && after) zoom(after.distance / before.distance, after.middle);
+    });
+    for (const ended of /** @type {const} */ (["pointerup", "pointercancel"])) {
+      this.element.addEventListener(ended, (event) => fingers.delete(event.pointerId));
+    }
     this.element.addEventListener("keydown", (event) => {
       const factor = { "+": 1.25, "=": 1.25, "-": 0.8 }[event.key];
       if (!factor) return;
@@ -107,6 +139,17 @@ export class Stage {
       zoom(factor, [this.width / 2, this.height / 2]);
     });
   }
+}
+
+/**
+ * How far two fingers are apart, and the place between them; null if there are not two.
+ * @param {Map<number, [number, number]>} fingers
+ */
+function apart(fingers) {
+  if (fingers.size !== 2) return null;
+  const [[ax, ay], [bx, by]] = fingers.values();
+  const middle = /** @type {[number, number]} */ ([(ax + bx) / 2, (ay + by) / 2]);
+  return { distance: Math.max(1, Math.hypot(ax - bx, ay - by)), middle };
 }
 
 /**

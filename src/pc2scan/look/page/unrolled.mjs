@@ -12,6 +12,7 @@ const DEGREE = Math.PI / 180;
  * @property {number} increment radians
  * @property {Float32Array} ranges metres
  * @property {string} colour
+ * @property {number} size of a return, pixels
  * @property {(range: number) => boolean} isReturn
  */
 
@@ -65,11 +66,12 @@ export class Unrolled {
     pen.stroke();
     pen.textAlign = "left";
     pen.fillText("m", 8, height - BOTTOM + 11);
-    for (const { angleMin, increment, ranges, colour, isReturn } of curves) {
+    for (const { angleMin, increment, ranges, colour, size, isReturn } of curves) {
       pen.fillStyle = colour;
       for (let beam = 0; beam < ranges.length; beam++) {
         if (!isReturn(ranges[beam])) continue;
-        pen.fillRect(this.px((angleMin + beam * increment) / DEGREE) - 1, this.py(ranges[beam]) - 1, 2, 2);
+        const x = this.px((angleMin + beam * increment) / DEGREE);
+        pen.fillRect(x - size / 2, this.py(ranges[beam]) - size / 2, size, size);
       }
     }
     if (marked >= 0 && curves[0]) {

@@ -115,10 +115,14 @@ class CloudFacts:
 
     @property
     def are_fine(self) -> bool:
-        """Whether scans have points, heights need no advice, and the first cloud is level or too small to be judged."""
+        """Whether nothing is doubtful.
+
+        The points are those that were measured, scans have some, heights need no advice, and the first cloud is level
+        or too small to be judged.
+        """
         cut = self.total.height >= _NOTABLE_SHARE * max(self.total.total, 1)
         needs_heights = (cut and self.is_default("min_height")) or self.lack_heights
-        if self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
+        if self.samples[0].lossy or self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
             return False
         first = self.samples[0]
         if len(first.points) < FEWEST_POINTS:
@@ -182,14 +186,11 @@ class CloudFacts:
 
     @cached_property
     def mounting(self) -> Mounting:
-        """How the sensor is mounted; the robot's transforms are only read if it is not level."""
+        """How the sensor is mounted, as `info` sees it: with the robot's transforms, which are read for it."""
         from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
 
         known = self.transforms
-        found = mounting(self.topic, self.source, self.samples, known.buffer)
-        if known.buffer is None and found.fault:
-            return mounting(self.topic, self.source, self.samples, known.read())
-        return found
+        return mounting(self.topic, self.source, self.samples, known.read() if known.buffer is None else known.buffer)
 
     @cached_property
     def advice(self) -> str:
@@ -304,6 +305,12 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
         f"and the floor at z = {-below - floor.height:.2f} m; the parent comes first: `static_tf='{inverse}'` puts "
         f"the floor at z = {below - floor.height + 0.0:.2f} m"
     )
+
+
+def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the points are not those that the lidar measured."""
+    if text := clouds.samples[0].lossy:
+        yield f"{clouds.topic}: {text}"
 
 
 def clouds_in_millimetres(clouds: CloudFacts) -> Iterator[str]:

@@ -1,0 +1,210 @@
+"""What a recording without clouds has instead, such as depth images or packets, and what makes clouds of it."""
+
+from __future__ import annotations
+
+import re
+from contextlib import closing
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from pc2scan.errors import Pc2ScanError, name_list
+
+from .clouds import CLOUDS
+from .laserscan import LASERSCAN
+from .wire import Cursor
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Generator, Iterator, Sequence
+
+    from pc2scan.model import Connection, RawMessage
+
+
+class _Kind(NamedTuple):
+    """A kind of messages: a pattern of its types, without ``msg/``, its name, and how to make clouds or scans of it."""
+
+    types: str
+    name: str
+    advice: str
+
+
+def _with(tool: str) -> str:
+    return f"play the recording into {tool}, and record the PointCloud2 that it makes"
+
+
+_DEPTH = _Kind(
+    "sensor_msgs/(Compressed)?Image",
+    "depth images",
+    "play the recording into depthimage_to_laserscan, which makes scans, or depth_image_proc, which makes clouds",
+)
+
+#: In the order in which errors name them. Types that can be converted are left out, so a row may stay when one can.
+_KINDS = (
+    _Kind("velodyne_msgs/VelodynePacket", "Velodyne packets", _with("velodyne_pointcloud")),
+    _Kind(
+        r"ouster\w*/PacketMsg",
+        "Ouster packets",
+        f"{_with('the replay of ouster_ros')}; ouster-cli shows and converts them",
+    ),
+    _Kind(
+        r"(hesai\w*|pandar\w*)/(Udp|Pandar|Hesai)\w*",
+        "Hesai packets",
+        _with("Hesai's driver (hesai_ros_driver, source_type 3)"),
+    ),
+    _Kind(
+        r"(rslidar\w*|robosense\w*)/\w+",
+        "RoboSense packets",
+        _with("RoboSense's driver (rslidar_sdk, msg_source 2)"),
+    ),
+    _Kind(r"nebula\w*/\w*Packets?", "packets of Nebula's drivers", _with("Nebula")),
+    _Kind(r"lslidar\w*/Ls\w+", "LSLIDAR packets", _with("lslidar_driver")),
+    _Kind(r"livox\w*/CustomMsg", "Livox messages", _with("livox_to_pointcloud2")),
+    _Kind(
+        r"foxglove(_msgs)?[/.]PointCloud",
+        "clouds in Foxglove's schema",
+        "record PointCloud2 as well, or write it with a program: mcap's Protobuf and ROS support read and write both",
+    ),
+    _DEPTH,
+    _Kind("stereo_msgs/DisparityImage", "disparity images", _with("stereo_image_proc")),
+    _Kind("radar_msgs/Radar(Scan|Return)", "radar scans", _with("Autoware's radar_scan_to_pointcloud2")),
+    _Kind(
+        r"(\w*radar\w*|\w*mmwave\w*|continental_\w+|ars\d\w*|delphi_esr\w*|umrr\w*)"
+        r"/\w*(Radar|Detection|Target|Track|Return)\w*",
+        "radar detections",
+        "the radar's driver may also have a topic with PointCloud2; record that",
+    ),
+    _Kind("octomap_msgs/Octomap(WithPose)?", "OctoMaps", _with("octomap_server")),
+    _Kind(
+        "sensor_msgs/MultiEchoLaserScan",
+        "2D scans with several echoes",
+        "play the recording into laser_proc, and record the LaserScans that it makes",
+    ),
+    _Kind(
+        r"\w*(lidar|laser)\w*/\w*(Packet|Udp|Raw)\w*", "packets of a lidar", _with("the driver that has these messages")
+    ),
+)
+
+#: How many topics an error lists.
+_MOST_TOPICS = 5
+
+#: How many topics with images are looked into.
+_MOST_IMAGES = 20
+
+#: The encodings of depth images: millimetres and metres.
+_DEPTH_ENCODINGS = frozenset({"16UC1", "mono16", "32FC1"})
+
+
+class Source(Protocol):
+    """A recording whose messages can be read: a `pc2scan.bags.reader.Reader`."""
+
+    def messages(self, connections: Collection[Connection], /) -> Generator[RawMessage]:
+        """Yield the messages of connections."""
+        ...
+
+
+class _Images:
+    """Says which images are depth images: by the first message, or without one by the name of the topic."""
+
+    def __init__(self, reader: Source | None) -> None:
+        self._reader = reader
+        self._looks = 0
+
+    def are_depth(self, connection: Connection) -> bool:
+        """Return whether the images of a connection are depth images."""
+        encoding = self._encoding(connection)
+        if encoding is None:
+            return "depth" in connection.topic.lower()
+        return encoding in _DEPTH_ENCODINGS or "compressedDepth" in encoding
+
+    def _encoding(self, connection: Connection) -> str | None:
+        self._looks += 1
+        if self._reader is None or self._looks > _MOST_IMAGES:
+            return None
+        try:
+            with closing(self._reader.messages([connection])) as messages:
+                first = next(messages, None)
+                if first is None:
+                    return None
+                cursor = Cursor(first.data, connection.serialization)
+                cursor.header()
+                if not connection.ros_type.endswith("CompressedImage"):
+                    cursor.read("2I")
+                return cursor.string()
+        except Pc2ScanError:
+            return None
+
+
+def instead_of_clouds(connections: Sequence[Connection], reader: Source | None = None) -> tuple[str, str] | None:
+    """Return what a recording has instead of clouds and scans, and what makes clouds of it; None for nothing.
+
+    The first images of a ``reader`` are looked into, to see whether they are depth images; without one, their topics'
+    names decide.
+
+    >>> from pc2scan.model import Connection
+    >>> instead_of_clouds([Connection(0, "/laser", "sensor_msgs/msg/MultiEchoLaserScan", "cdr")])[0]
+    '2D scans with several echoes: /laser'
+    """
+    found = list(_kinds(connections, _Images(reader)))
+    if not found:
+        return None
+    what = "; ".join(f"{kind.name}: {name_list(topics, _MOST_TOPICS)}" for kind, topics in found)
+    if len(found) == 1:
+        return what, found[0][0].advice
+    return what, "; ".join(f"{kind.name}: {kind.advice}" for kind, _ in found)
+
+
+def _kinds(connections: Sequence[Connection], images: _Images) -> Iterator[tuple[_Kind, list[str]]]:
+    """Yield the kinds that there are, with their topics; three at most."""
+    left = {connection.topic: connection for connection in reversed(connections) if _type(connection) not in CLOUDS}
+    count = 0
+    for kind in _KINDS:
+        topics = []
+        for topic, first in left.items():
+            if re.fullmatch(kind.types, _type(first).replace("/msg/", "/")) and (
+                kind is not _DEPTH or images.are_depth(first)
+            ):
+                topics.append(topic)
+        for topic in topics:
+            del left[topic]
+        if topics:
+            yield kind, sorted(topics)
+            count += 1
+        if count == 3:
+            return
+
+
+def instead_of_topic(topic: str, types: Collection[str]) -> str:
+    """Return what makes clouds of the messages of a topic; empty if nothing is known."""
+    names = [kind.replace("/msg/", "/") for kind in types]
+    found = (kind for kind in _KINDS if any(re.fullmatch(kind.types, name) for name in names))
+    kind = next((kind for kind in found if kind is not _DEPTH or "depth" in topic.lower()), None)
+    return f"these are {kind.name}: {kind.advice}" if kind else ""
+
+
+def without(wanted: str, connections: Sequence[Connection], reader: Source | None = None) -> tuple[str, str]:
+    """Return the message that a recording has no topic of a type, and the hint; the hint may be empty.
+
+    Parameters
+    ----------
+    wanted
+        The types, without their packages.
+    connections
+        All connections of the recording.
+    reader
+        See `instead_of_clouds`.
+    """
+    if not connections:
+        return "the recording has no topics", ""
+    missing = f"the recording has no {wanted} topic"
+    scans = sorted({each.topic for each in connections if _type(each) == LASERSCAN})
+    if scans and "LaserScan" not in wanted:
+        return f"{missing}, but 2D scans: {name_list(scans, _MOST_TOPICS)}", ""
+    if instead := instead_of_clouds(connections, reader):
+        return f"{missing}, but {instead[0]}", instead[1]
+    types = {f"{each.topic} ({each.kind})" for each in connections}
+    if len(types) > _MOST_TOPICS:
+        return f"{missing} among its {len({each.topic for each in connections})}", "pc2scan info lists them"
+    return f"{missing}; its topics are: {name_list(sorted(types))}", ""
+
+
+def _type(connection: Connection) -> str:
+    """Return the type; of messages in other encodings than ROS's, the name of the schema."""
+    return connection.ros_type if connection.ros_version is not None else connection.msgtype
