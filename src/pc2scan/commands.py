@@ -205,6 +205,7 @@ def check(sources: Sequence[Path], options: Options, *, progress: Progress | Non
         topics=options.topics,
         odom_frame=options.odom_frame,
         base_frame=options.base_frame,
+        echo=options.echo,
         frames=frames_of(options),
         progress=progress,
     )

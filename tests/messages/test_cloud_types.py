@@ -25,7 +25,7 @@ from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_pointcloud2, recorded_cloud
 from support import RECORDINGS, builders, clouds
 from support.builders import CLOUD, SECOND, T0, Mcap, Recording, Stream
-from support.clouds import COMPRESSED, COMPRESSORS, OLD_CLOUD, VELODYNE
+from support.clouds import COMPRESSED, COMPRESSORS, DRACO, OLD_CLOUD, VELODYNE, draco_points
 from support.outputs import opened
 
 if TYPE_CHECKING:
@@ -92,6 +92,16 @@ def test_scans_are_those_of_the_same_points_as_pointcloud2(name: str, form: str,
     found = scans_of(recorded(tmp_path / "own" / form, kind, own, ros_version), **options)
     assert len(found) == 4
     assert found == scans_of(recorded(tmp_path / "usual" / form, CLOUD, usual, ros_version), **options)
+
+
+@pytest.mark.parametrize("name", ["PointCloud", "zstd"])
+def test_info_describes_them_and_proposes_what_can_be_converted(name: str, tmp_path: Path) -> None:
+    kind, make = LOSSLESS[name]
+    messages = [make(clouds.lidar_points(step, 2_000), 2, T0 + step * SECOND // 10) for step in range(12)]
+    found = pc2scan.info(recorded(tmp_path / "a.mcap", kind, messages, 2))
+    (cloud,) = found.clouds
+    assert [field for field, *_ in cloud.fields] == ["x", "y", "z", "intensity", "ring"]
+    assert 0.01 < cloud.nan_share < 0.1
 
 
 @pytest.mark.parametrize("ros_version", [1, 2])
@@ -187,22 +197,6 @@ def test_data_that_cannot_be_decompressed_are_errors(name: str) -> None:
 
 
 # --- Draco ---
-
-#: The points that ``draco.cpp`` encoded, and the result: points merged and positions unchanged, and rounded to 14 bits.
-DRACO = Path(__file__).with_name("draco.txt")
-
-
-def draco_points() -> NDArray[Any]:
-    """Points as ``draco.cpp`` reads them, some of them twice."""
-    names, kinds = ["x", "y", "z", "ring", "tag"], ["<f4", "<f4", "<f4", "<u2", "u1"]
-    dtype = np.dtype({"names": names, "formats": kinds, "offsets": [0, 4, 8, 12, 14], "itemsize": 16})
-    points = np.zeros(60, dtype)
-    for place, axis in enumerate("xyz"):
-        points[axis] = np.sin(np.arange(60) * (place + 1.7)) * (9 - 4 * place)
-    points["ring"] = np.arange(60) % 7 * 300
-    points["tag"] = np.arange(60) * 4
-    points[5::10] = points[4::10]
-    return points
 
 
 def encoded() -> dict[str, bytes]:

@@ -54,6 +54,9 @@ def test_sound_odometry_is_not_doubted(drive: str, lidars: str, fault: str, tmp_
 def test_odometry_that_lags_is_said_with_its_lag(late: float, tmp_path: Path) -> None:
     source = write_weaving(tmp_path / "drive.mcap", fault=Fault(late=late))
     (text,) = warnings(source, [RINGS])
+    # What is to type leaves nothing to say.
+    assert f"`time_offset={late:.2f}s`" in text
+    assert warnings(source, [RINGS], time_offset=[f"{late:.2f}s"]) == []
     assert (
         f"of {1000 * abs(late):.0f} ms {'later: the odometry lags' if late > 0 else 'earlier: the odometry is ahead'}"
         in text
@@ -71,6 +74,8 @@ def test_clocks_of_two_lidars_that_differ_are_said(clock: float, deskew: bool, t
     lidars = [RINGS, replace(REAR, clock=clock)]
     source = write_weaving(tmp_path / "drive.mcap", lidars)
     found = " ".join(warnings(source, lidars, deskew=deskew))
+    assert "rear was" not in " ".join(warnings(source, lidars, deskew=deskew, time_offset=[f"/rear={-clock:.2f}s"]))
+    assert f"`time_offset=/rear={-clock:.2f}s`" in found
     assert (
         f"/rear was measured {1000 * abs(clock):.0f} ms {'earlier' if clock > 0 else 'later'} than its stamps" in found
     )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import gzip
+import math
 import zlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import zstandard
 
-from support import builders
+from support import ROOT, builders
 from support.builders import CLOUD, T0
 
 if TYPE_CHECKING:
@@ -20,13 +21,19 @@ if TYPE_CHECKING:
 __all__ = [
     "COMPRESSED",
     "COMPRESSORS",
+    "DRACO",
+    "ECHO_INTENSITIES",
+    "ECHO_RANGES",
     "LIVOX",
+    "MULTI_ECHO",
     "OLD_CLOUD",
     "VELODYNE",
     "compressed",
+    "draco_points",
     "lidar_points",
     "livox",
     "livox_points",
+    "multi_echo",
     "old_cloud",
     "packet",
     "structured",
@@ -40,11 +47,19 @@ VELODYNE = "velodyne_msgs/msg/VelodyneScan"
 
 #: What point_cloud_transport's plugins write, and what their subscribers read too: a zlib header.
 COMPRESSORS: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
-    "zlib": ("zlib", lambda data: gzip.compress(data, 6)),
+    "zlib": ("zlib", lambda data: gzip.compress(data, 6, mtime=0)),
     "zlib header": ("zlib", zlib.compress),
     "zstd": ("zstd", lambda data: zstandard.ZstdCompressor().compress(data)),
     "zstd stream": ("zstd", lambda data: zstandard.ZstdCompressor(write_content_size=False).compress(data)),
 }
+
+#: The points that ``draco.cpp`` encoded, and the result: points as they were, merged, and rounded to 14 bits.
+DRACO = ROOT / "tests" / "messages" / "draco.txt"
+
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
+ECHO_RANGES: tuple[list[float], ...] = ([1.0], [2.0, 4.0], [], [3.0, 5.0, 6.0], [7.0, math.inf], [8.0, 9.0])
+ECHO_INTENSITIES: tuple[list[float], ...] = ([10.0], [20.0, 50.0], [], [30.0, 90.0, 40.0], [1.0, 2.0], [5.0, 5.0])
+
 
 _CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 
@@ -63,13 +78,15 @@ def lidar_points(step: int, count: int = 300) -> NDArray[Any]:
     return points
 
 
-def _description(points: NDArray[Any], ros_version: int, seq: int, stamp_ns: int) -> dict[str, Any]:
+def _description(
+    points: NDArray[Any], ros_version: int, seq: int, stamp_ns: int, frame_id: str = "lidar"
+) -> dict[str, Any]:
     store = builders.typestore(ros_version)
     field = store.types["sensor_msgs/msg/PointField"]
     dtype = points.dtype
     fields = [field(name, dtype.fields[name][1], _CODES[dtype[name].str[1:]], 1) for name in dtype.names or ()]  # type: ignore[index]
     return {
-        "header": builders.header(store, ros_version, seq, stamp_ns, "lidar"),
+        "header": builders.header(store, ros_version, seq, stamp_ns, frame_id),
         "height": 1,
         "width": len(points),
         "fields": fields,
@@ -80,12 +97,19 @@ def _description(points: NDArray[Any], ros_version: int, seq: int, stamp_ns: int
 
 
 def structured(
-    points: NDArray[Any], ros_version: int, *, seq: int = 0, stamp_ns: int = T0, dense: bool = False
+    points: NDArray[Any],
+    ros_version: int,
+    *,
+    seq: int = 0,
+    stamp_ns: int = T0,
+    frame_id: str = "lidar",
+    dense: bool = False,
 ) -> bytes:
     """A PointCloud2."""
     store = builders.typestore(ros_version)
     data = np.frombuffer(points.tobytes(), np.uint8)
-    message = store.types[CLOUD](**_description(points, ros_version, seq, stamp_ns), data=data, is_dense=dense)
+    described = _description(points, ros_version, seq, stamp_ns, frame_id)
+    message = store.types[CLOUD](**described, data=data, is_dense=dense)
     return builders.serialized(store, message, CLOUD, ros_version)
 
 
@@ -177,3 +201,42 @@ def velodyne(packets: Sequence[tuple[int, bytes]], ros_version: int, *, seq: int
         packets=[kind(time(*divmod(at, builders.SECOND)), np.frombuffer(data, np.uint8)) for at, data in packets],
     )
     return builders.serialized(store, message, VELODYNE, ros_version)
+
+
+def draco_points() -> NDArray[Any]:
+    """Points as ``draco.cpp`` reads them, some of them twice."""
+    names, kinds = ["x", "y", "z", "ring", "tag"], ["<f4", "<f4", "<f4", "<u2", "u1"]
+    dtype = np.dtype({"names": names, "formats": kinds, "offsets": [0, 4, 8, 12, 14], "itemsize": 16})
+    points = np.zeros(60, dtype)
+    for place, axis in enumerate("xyz"):
+        points[axis] = np.sin(np.arange(60) * (place + 1.7)) * (9 - 4 * place)
+    points["ring"] = np.arange(60) % 7 * 300
+    points["tag"] = np.arange(60) * 4
+    points[5::10] = points[4::10]
+    return points
+
+
+def multi_echo(
+    ros_version: int,
+    ranges: Sequence[Sequence[float]] = ECHO_RANGES,
+    intensities: Sequence[Sequence[float]] = ECHO_INTENSITIES,
+    *,
+    seq: int = 0,
+    stamp_ns: int = T0,
+) -> bytes:
+    """A MultiEchoLaserScan."""
+    store = builders.typestore(ros_version)
+    echo = store.types["sensor_msgs/msg/LaserEcho"]
+    made = store.types[MULTI_ECHO](
+        header=builders.header(store, ros_version, seq, stamp_ns, "laser"),
+        angle_min=-1.0,
+        angle_max=1.0,
+        angle_increment=0.4,
+        time_increment=0.0,
+        scan_time=0.1,
+        range_min=0.5,
+        range_max=20.0,
+        ranges=[echo(np.array(each, np.float32)) for each in ranges],
+        intensities=[echo(np.array(each, np.float32)) for each in intensities],
+    )
+    return builders.serialized(store, made, MULTI_ECHO, ros_version)

@@ -141,7 +141,15 @@ def _typed(pitch: float) -> str:
 
 SITUATIONS = (
     # Mounts and frames.
-    Situation("a mount typed 1.5 degrees off", hall(), ((_typed(0.026), "is tilted by 1."),), (_typed(0),)),
+    Situation(
+        "a mount typed 1.5 degrees off",
+        hall(),
+        (
+            (_typed(0.026), "is tilted by 1."),
+            (f"{_typed(0.026).replace('convert', 'view').replace('{out}', 'p.html')}", "is tilted by 1."),
+        ),
+        (_typed(0),),
+    ),
     Situation(
         "a mount recorded 5 degrees off",
         hall(mount=(0.2, 0, 0.6), turned=0.087),
@@ -165,7 +173,11 @@ SITUATIONS = (
     Situation(
         "a lidar tilted by 65 degrees",
         hall(65, 0),
-        ((f"{_HALL} {_HEIGHTS}", "is slanted: "), ("info {src}", "is slanted: ")),
+        (
+            (f"{_HALL} {_HEIGHTS}", "is slanted: "),
+            ("info {src}", "is slanted: "),
+            ("view {src} -o p.html", "is slanted: "),
+        ),
         (f"{_HALL} {_HEIGHTS}",),
         hall(),
     ),
@@ -260,13 +272,13 @@ SITUATIONS = (
     Situation(
         "a range that ends before the first wall",
         hall(),
-        ((f"{_HALL} {_HEIGHTS} --range-max 0.3", "range_max 0.3 m, but the range is"),),
+        ((f"{_HALL} {_HEIGHTS} --range-max 0.3", "are used; range_min is 0 m and range_max 0.3 m"),),
         (f"{_HALL} {_HEIGHTS} --range-max 12",),
     ),
     Situation(
         "a range that begins behind the walls",
         hall(),
-        ((f"{_HALL} {_HEIGHTS} --range-min 30", "range_min is 30 m"),),
+        ((f"{_HALL} {_HEIGHTS} --range-min 30", "are used; range_min is 30 m"),),
         (f"{_HALL} {_HEIGHTS} --range-min 0.3",),
     ),
     Situation(
@@ -356,6 +368,12 @@ SITUATIONS = (
         drive(),
         ((f"{_IN_BASE} --deskew --fixed-frame base_link", "--fixed-frame odom is a frame that does not move"),),
         (_DESKEW,),
+    ),
+    Situation(
+        "a recording that is read twice",
+        hall(),
+        ((f"convert {{src}} {{src}} -o {{out}} {_HEIGHTS}", "twice"),),
+        (f"{_HALL} {_HEIGHTS}",),
     ),
     # The cut.
     Situation(

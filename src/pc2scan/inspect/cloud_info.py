@@ -117,13 +117,19 @@ class CloudInfo:
 
 
 class CloudLook:
-    """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each."""
+    """Collects the properties of a topic's sampled clouds, from at most ``most`` points of each.
+
+    Attributes
+    ----------
+    parts
+        These points, each (3, N), without those at (0, 0, 0).
+    """
 
     def __init__(self, topic: str, most: int, places: Placer) -> None:
         self._result = CloudInfo(topic, target_frame=places.target_frame)
         self._most = most
         self._places = places
-        self._parts: list[NDArray[np.floating[Any]]] = []
+        self.parts: list[NDArray[np.floating[Any]]] = []
         self._frames: dict[str, None] = {}
         self._problems: dict[str, None] = {}
         self._sizes: list[int] = []
@@ -152,19 +158,18 @@ class CloudLook:
             _describe(self._result, cloud, message)
         self._frames[cloud.frame_id] = None
         self._sizes.append(count)
-        self._parts.append(points)
+        self.parts.append(points)
         self._zeros += int(zero.sum())
 
     def described(self, mounting: Mounting | None) -> CloudInfo:
-        """Return the properties, with the mounting of the first clouds, and release the points."""
+        """Return the properties, with the mounting of the first clouds."""
         result = self._result
         result.frames, result.problems = tuple(self._frames), tuple(self._problems)
         if self._sizes:
             result.points_min, result.points_max = min(self._sizes), max(self._sizes)
-            parts, self._parts = self._parts, []
             # A signalling NaN is treated as any other NaN.
             with np.errstate(invalid="ignore"):
-                points = np.concatenate(parts, axis=1, dtype=np.float64)
+                points = np.concatenate(self.parts, axis=1, dtype=np.float64)
             _measure(result, points, self._zeros)
             result.mounting = mounting
         return result

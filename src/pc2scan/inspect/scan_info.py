@@ -11,7 +11,8 @@ import numpy as np
 from pc2scan.core.consumers import CONSUMERS, judge
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, leading
-from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
+from pc2scan.messages.clouds import SCANS
+from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import agreeing, counted
 
 from .spread import Spread, count_range, spread_of, spread_table
@@ -154,7 +155,7 @@ class ScanLook:
         """Add a scan."""
         self._sampled += 1
         try:
-            decoded = decode_laserscan(message.data, message.connection.serialization)
+            decoded = SCANS[message.connection.ros_type](message.connection.serialization, "first")(message.data)
         except DecodeError as err:
             self._problems[err.message] = None
             return

@@ -1,16 +1,18 @@
-"""The table of the message types that are clouds, with their decoders to points.
+"""The tables of the message types that are clouds, with their decoders to points, and of those that are 2D scans.
 
-A new type is one entry, because everything that needs to know which topics can be converted uses this table.
+A new type is one entry, because everything that needs to know which topics can be converted uses these tables.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
+from functools import partial
 from typing import TypeAlias
 
 from pc2scan.core.points import Points
 from pc2scan.model import Buffer, Connection
 
+from .laserscan import LASERSCAN, LaserScan, decode_laserscan
 from .pointcloud2 import POINTCLOUD2, as_pointcloud2, encode_cloud, point_decoder
 
 #: A decoder: returns the points of a message's bytes, or raises a `DecodeError`. Threads may share one.
@@ -54,6 +56,28 @@ CLOUDS: dict[str, Callable[[str], Decode]] = {
 }
 
 
+#: A decoder of 2D scans.
+DecodeScan: TypeAlias = Callable[[Buffer], LaserScan]
+
+
+def _laserscan(serialization: str, _echo: str) -> DecodeScan:
+    return partial(decode_laserscan, serialization=serialization)
+
+
+def _multi_echo(serialization: str, echo: str) -> DecodeScan:
+    from .multi_echo import decode_multi_echo  # noqa: PLC0415  # few recordings have them
+
+    return partial(decode_multi_echo, serialization=serialization, echo=echo)
+
+
+#: Of 2D scans, by ROS type, the function that makes the decoder of a serialisation and an echo (``first``, ``last`` or
+#: ``strongest``), which types with one range for each beam ignore.
+SCANS: dict[str, Callable[[str, str], DecodeScan]] = {
+    LASERSCAN: _laserscan,
+    "sensor_msgs/msg/MultiEchoLaserScan": _multi_echo,
+}
+
+
 def written_as_pointcloud2(connection: Connection) -> bool:
     """Return whether the messages of a connection are clouds that another message type can hold, PointCloud2."""
     return connection.ros_version is not None and connection.ros_type in CLOUDS and connection.ros_type != POINTCLOUD2
@@ -72,7 +96,9 @@ def to_pointcloud2(connection: Connection, serialization: str) -> Callable[[Buff
 
 
 #: Types of topics that are often recorded beside a PointCloud2 with the same points, or are no lidar's cloud.
-SECONDARY = frozenset(CLOUDS) - {POINTCLOUD2, "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg"}
+SECONDARY = frozenset(CLOUDS) - {POINTCLOUD2, "livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg"} | {
+    "sensor_msgs/msg/MultiEchoLaserScan"
+}
 
 
 def usual_topics(types: Mapping[str, Collection[str]], kinds: Collection[str]) -> list[str]:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pc2scan.errors import Pc2ScanError, name_list
 
-from .clouds import CLOUDS
-from .laserscan import LASERSCAN
+from .clouds import CLOUDS, SCANS
 from .wire import Cursor
 
 if TYPE_CHECKING:
@@ -73,11 +72,6 @@ _KINDS = (
     ),
     _Kind("octomap_msgs/Octomap(WithPose)?", "OctoMaps", _with("octomap_server")),
     _Kind(
-        "sensor_msgs/MultiEchoLaserScan",
-        "2D scans with several echoes",
-        "play the recording into laser_proc, and record the LaserScans that it makes",
-    ),
-    _Kind(
         r"\w*(lidar|laser)\w*/\w*(Packet|Udp|Raw)\w*", "packets of a lidar", _with("the driver that has these messages")
     ),
 )
@@ -139,8 +133,8 @@ def instead_of_clouds(connections: Sequence[Connection], reader: Source | None =
     names decide.
 
     >>> from pc2scan.model import Connection
-    >>> instead_of_clouds([Connection(0, "/laser", "sensor_msgs/msg/MultiEchoLaserScan", "cdr")])[0]
-    '2D scans with several echoes: /laser'
+    >>> instead_of_clouds([Connection(0, "/map", "octomap_msgs/msg/Octomap", "cdr")])[0]
+    'OctoMaps: /map'
     """
     found = list(_kinds(connections, _Images(reader)))
     if not found:
@@ -153,7 +147,8 @@ def instead_of_clouds(connections: Sequence[Connection], reader: Source | None =
 
 def _kinds(connections: Sequence[Connection], images: _Images) -> Iterator[tuple[_Kind, list[str]]]:
     """Yield the kinds that there are, with their topics; three at most."""
-    left = {connection.topic: connection for connection in reversed(connections) if _type(connection) not in CLOUDS}
+    others = [connection for connection in connections if _type(connection) not in (*CLOUDS, *SCANS)]
+    left = {connection.topic: connection for connection in reversed(others)}
     count = 0
     for kind in _KINDS:
         topics = []
@@ -194,7 +189,7 @@ def without(wanted: str, connections: Sequence[Connection], reader: Source | Non
     if not connections:
         return "the recording has no topics", ""
     missing = f"the recording has no {wanted} topic"
-    scans = sorted({each.topic for each in connections if _type(each) == LASERSCAN})
+    scans = sorted({each.topic for each in connections if _type(each) in SCANS})
     if scans and "LaserScan" not in wanted:
         return f"{missing}, but 2D scans: {name_list(scans, _MOST_TOPICS)}", ""
     if instead := instead_of_clouds(connections, reader):

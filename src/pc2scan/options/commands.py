@@ -289,7 +289,7 @@ class CheckRules(TypedDict, total=False):
         Names | None,
         Option(
             Texts("TOPIC"),
-            "LaserScan topic to check, or a glob. Default: all.",
+            "Topic of scans to check, or a glob. Default: all.",
             typed="--topic",
             short="-t",
             offers=("topics", "/LaserScan"),

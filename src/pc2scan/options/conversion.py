@@ -398,6 +398,19 @@ class CloudCombination(TypedDict, total=False):
     ]
 
 
+class EchoChoice(TypedDict, total=False):
+    """Which of several echoes is used."""
+
+    echo: Annotated[
+        str,
+        Option(
+            Text(words=("first", "last", "strongest")),
+            "Which echo of each beam of a MultiEchoLaserScan is used; strongest: the one with the highest intensity.",
+            default="first",
+        ),
+    ]
+
+
 class Reversal(TypedDict, total=False):
     """Whether scans are converted to clouds."""
 

@@ -38,6 +38,7 @@ from .conversion import (
     CloudCombination,
     CloudContent,
     ConversionFrames,
+    EchoChoice,
     FailureConditions,
     OtherTopics,
     PointSelection,
@@ -104,7 +105,7 @@ class _Clouds(
     """How a cloud becomes a scan, and what is read."""
 
 
-class _Scans(_Clouds, CloudCombination, total=False):
+class _Scans(_Clouds, CloudCombination, EchoChoice, total=False):
     """How clouds become scans, and what is read."""
 
 
@@ -149,7 +150,7 @@ class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, BadMessages, ThreadC
     """``map``."""
 
 
-class Check(CheckRules, TransformSources, total=False):
+class Check(CheckRules, EchoChoice, TransformSources, total=False):
     """``check``."""
 
 
@@ -216,6 +217,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     RobotMotion: (MOVING, ONE_OUTPUT),
     CloudCombination: (MOVING, ONE_OUTPUT),
     CloudContent: (REVERSE, SINGLE),
+    EchoChoice: (TOPICS, ONE_OUTPUT),
     OtherTopics: (TOPICS, CONVERSION),
     FailureConditions: (RUN, CONVERSION),
     Container: (OUTPUT, CONVERSION),

@@ -11,7 +11,7 @@ from pc2scan.bags.topics import is_glob, new_topic
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.conversion import CloudCombination, PointSelection
@@ -184,6 +184,8 @@ class ScanSpec:
         `pc2scan.pipeline.stages.beam_filters`.
     keep_used
         A topic for the points that give the scans their ranges; empty: none.
+    echo
+        Of 2D scans with several echoes of a beam: ``first``, ``last`` or ``strongest``.
     """
 
     topics: tuple[TopicRequest, ...] = ()
@@ -203,6 +205,7 @@ class ScanSpec:
     filters: tuple[Filter, ...] = ()
     remove: tuple[BeamFilter, ...] = ()
     keep_used: str = ""
+    echo: str = "first"
     imu_request: ImuRequest | None = field(default=None, init=False, repr=False)
 
     @classmethod
@@ -236,6 +239,8 @@ class ScanSpec:
             raise UsageError("`channels` and `range_cutoff` need `reverse`")
         if self.reverse:
             self._check_reverse()
+        elif self.echo != "first" and not self.may_combine:
+            raise UsageError("`echo` chooses among the echoes of 2D scans, which need `reverse` or `rebin`")
         for name in (each.name for each in self.filters):
             if name in PointCounts().as_dict() or not name.isidentifier():
                 raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
@@ -407,12 +412,12 @@ class ScanSpec:
     @property
     def source_types(self) -> tuple[str, ...]:
         """The types that are converted, in ROS 2's spelling."""
-        return (LASERSCAN,) if self.reverse or self.combining.rebin else tuple(CLOUDS)
+        return tuple(SCANS if self.reverse or self.combining.rebin else CLOUDS)
 
     @property
     def named_types(self) -> tuple[str, ...]:
         """The types that are converted if a topic is requested by name."""
-        return (*self.source_types, LASERSCAN) if self.may_combine and not self.combining.rebin else self.source_types
+        return (*self.source_types, *SCANS) if self.may_combine and not self.combining.rebin else self.source_types
 
     @property
     def made_type(self) -> str:

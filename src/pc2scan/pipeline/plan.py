@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
 from pc2scan.errors import NothingToConvertError, TopicError, name_list
-from pc2scan.messages.clouds import CLOUDS, usual_topics, written_as_pointcloud2
-from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics, written_as_pointcloud2
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
@@ -241,7 +240,7 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
     try:
         return find_topics(name, types, candidates, *spec.named_types)
     except TopicError as err:
-        if not spec.reverse and LASERSCAN in types.get(name, ()):
+        if not spec.reverse and not SCANS.keys().isdisjoint(types.get(name, ())):
             err.hint = f"`rebin=True` makes other scans of LaserScan, `reverse=True` makes clouds; {err.hint}"
         elif not candidates and name in types:
             from pc2scan.messages.other_clouds import instead_of_topic  # noqa: PLC0415  # only for errors
@@ -269,7 +268,7 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
         return f"it has {short_types(clouds)} topics; without `reverse` they become scans"
     if spec.combining.rebin and (clouds := [kind for kind in CLOUDS if kind in there]):
         return f"it has {short_types(clouds)} topics; without `rebin` they become scans"
-    if not spec.reverse and LASERSCAN in there:
+    if not spec.reverse and not SCANS.keys().isdisjoint(there):
         return (
             "its LaserScans can be used as they are, and pc2scan check judges them; `rebin=True` makes other scans of "
             "them, `reverse=True` clouds"

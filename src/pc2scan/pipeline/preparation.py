@@ -361,7 +361,7 @@ def _robot_transforms(
 def _to_clouds(spec: ScanSpec, placer: Placer) -> Conversion:
     from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
-    return ScanToCloud(spec.channels, placer, deskewed=spec.deskew)
+    return ScanToCloud(spec.channels, placer, deskewed=spec.deskew, echo=spec.echo)
 
 
 def _to_scans(

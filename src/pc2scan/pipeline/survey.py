@@ -13,8 +13,7 @@ from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.floor import MOST_CLOUDS, CloudSample
 from pc2scan.errors import TransformError
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.tf.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ class TopicFacts:
         self.topic = connections[0].topic
         self.connections = connections
         self._span = span
-        self._clouds = [each for each in connections if each.ros_type != LASERSCAN]
+        self._clouds = [each for each in connections if each.ros_type not in SCANS]
         self._decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in self._clouds}
         self._observers: dict[Hashable, Observer[Any]] = {}
 
@@ -192,7 +191,7 @@ class TopicFacts:
             points = self._points(message)
             stamp_ns = points.stamp_ns
             return Header(time_ns, stamp_ns, time_ns - stamp_ns, points.frame_id, tuple(points.fields))
-        scan = decode_laserscan(message.data, connection.serialization)
+        scan = SCANS[connection.ros_type](connection.serialization, "first")(message.data)
         increment = abs(scan.angle_increment)
         return Header(time_ns, scan.stamp_ns, time_ns - scan.stamp_ns, scan.frame_id, increment=increment)
 
@@ -213,7 +212,7 @@ class Survey:
 
     Attributes
     ----------
-    reader, span
+    reader, frames, span
         As given.
     transforms
         All transforms; None if they were not asked for.
@@ -225,7 +224,7 @@ class Survey:
 
     def __init__(self, reader: Reader, others: Sequence[Reader], frames: FrameOptions, span: Span) -> None:
         self.reader, self.span = reader, span
-        self._others, self._frames = others, frames
+        self._others, self.frames = others, frames
         self.transforms: TransformReading | None = None
         self.robot: RobotTransforms | None = None
         self.observers: list[Observer[Any]] = []
@@ -242,13 +241,13 @@ class Survey:
         needed, use
             Frames that are needed; see `TransformReading.supply`.
         """
-        self.transforms = TransformReading(self._frames)
+        self.transforms = TransformReading(self.frames)
         self._needed, self._use = tuple(needed), use
         return self.transforms
 
-    def ask_robot(self) -> RobotTransforms:
-        """Ask for the transforms between the robot's frames."""
-        self.robot = RobotTransforms(self.reader, self._frames, self.span.first_ns)
+    def ask_robot(self, moments: Sequence[int] = ()) -> RobotTransforms:
+        """Ask for the transforms between the robot's frames, and for how it moves at some further log times."""
+        self.robot = RobotTransforms(self.reader, self.frames, [self.span.first_ns, *moments])
         return self.robot
 
     def facts(self, connections: Sequence[Connection]) -> TopicFacts:

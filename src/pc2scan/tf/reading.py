@@ -6,6 +6,7 @@ import math
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.topics import is_static
@@ -117,6 +118,8 @@ class TransformReading:
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
         self._notes: list[str] = []
+        #: Topics with poses of frames that no transform has.
+        self._offers: dict[str, str] = {}
         self._poses: list[PoseReading] = []
         self._models: list[RobotModel] = [] if options.model is None else [options.model]
         # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
@@ -186,6 +189,7 @@ class TransformReading:
         if not missing:
             return
         from pc2scan.bags.observers import Observer, observe  # noqa: PLC0415  # only with transforms
+        from pc2scan.messages.poses import POSES  # noqa: PLC0415
 
         from .sources import PoseReading, PoseTopic  # noqa: PLC0415
 
@@ -194,7 +198,12 @@ class TransformReading:
         fitting = []
         for topic, trial in trials.items():
             pairs = [(each.parent, each.child) for each in trial.finish()[0]]
-            if any(frame in missing for pair in pairs for frame in pair):
+            there = [frame for pair in pairs for frame in pair if frame in missing]
+            # Without the name of the frame that has the poses, the user has to know it.
+            is_named = all(POSES[each.ros_type] for each in candidates[topic])
+            for frame in there:
+                self._offers.setdefault(frame, topic if is_named else f"{topic}:base_link")
+            if there and is_named:
                 fitting.append((topic, pairs[0]))
         if not use or len(fitting) > 1:
             self._notes += (
@@ -272,7 +281,7 @@ class TransformReading:
         if self._poses or self._options.trajectory is not None:
             poses, further = self._add_poses(notes)
             texts += further
-        buffer = builder.build()
+        buffer = replace(builder.build(), offers=self._offers)
         texts += [
             f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
             for r in buffer.rejections
@@ -325,11 +334,11 @@ def _are(items: Sequence[object]) -> str:
 
 
 def _pose_connections(connections: Sequence[Connection]) -> dict[str, list[Connection]]:
-    """Return the connections of topics whose messages name both frames of a pose."""
+    """Return the connections of topics with poses."""
     from pc2scan.bags.topics import by_topic  # noqa: PLC0415  # only with transforms
     from pc2scan.messages.poses import POSES  # noqa: PLC0415
 
-    return by_topic(c for c in connections if POSES.get(c.ros_type) and c.ros_version is not None)
+    return by_topic(c for c in connections if c.ros_type in POSES and c.ros_version is not None)
 
 
 def _model_connections(connections: Sequence[Connection], options: FrameOptions) -> list[Connection]:
@@ -381,7 +390,7 @@ def _differs(row: TransformRow, first: TransformRow) -> bool:
 
 
 class RobotTransforms:
-    """The transforms between a robot's frames: the static ones, and a second of the moving ones.
+    """The transforms between a robot's frames: the static ones, and a second of the moving ones, or several.
 
     Parameters
     ----------
@@ -389,8 +398,8 @@ class RobotTransforms:
         The recording.
     options
         The topics, and the transforms to add.
-    time_ns
-        The log time at which the second begins.
+    times_ns
+        The log times at which the seconds begin.
 
     Attributes
     ----------
@@ -398,7 +407,7 @@ class RobotTransforms:
         Take them from the recording; none if it is not clear which topics to use.
     """
 
-    def __init__(self, reader: Reader, options: FrameOptions, time_ns: int) -> None:
+    def __init__(self, reader: Reader, options: FrameOptions, times_ns: Sequence[int]) -> None:
         self._reader = reader
         self._options = options
         self._is_known = True
@@ -412,10 +421,15 @@ class RobotTransforms:
             return
         from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
 
-        for static, start_ns, stop_ns in ((True, None, None), (False, time_ns, time_ns + _SOME_NS)):
-            group = [connection for connection in connections if is_static(connection.topic) is static]
-            if group:
-                self.observers.append(Observer(group, copied_message, _SOME_MESSAGES, start_ns, stop_ns))
+        static, moving = (
+            [connection for connection in connections if is_static(connection.topic) is kind] for kind in (True, False)
+        )
+        if static:
+            self.observers.append(Observer(static, copied_message, _SOME_MESSAGES))
+        times_ns = sorted(set(times_ns)) if moving else []
+        for begin_ns, next_ns in zip_longest(times_ns, times_ns[1:]):
+            end_ns = begin_ns + _SOME_NS if next_ns is None else min(begin_ns + _SOME_NS, next_ns)
+            self.observers.append(Observer(moving, copied_message, _SOME_MESSAGES, begin_ns, end_ns))
         if models := _model_connections(reader.connections, options):
             self.observers.append(Observer(models, copied_message, 1))
 
@@ -439,6 +453,6 @@ def read_robot_transforms(reader: Reader, options: FrameOptions, time_ns: int) -
     """Read the transforms between a robot's frames; see `RobotTransforms`."""
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
 
-    robot = RobotTransforms(reader, options, time_ns)
+    robot = RobotTransforms(reader, options, [time_ns])
     observe(reader, robot.observers)
     return robot.finish()

@@ -352,13 +352,20 @@ def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
         ("range", ranges, "the range", "m", "range_min", "range_max"),
         ("angle", angles, "the angle", "rad", "angle_min", "angle_max"),
     )
+    # A limit that alone rejects every point is the cause, whatever is rejected before it.
+    alone = [
+        reason
+        for reason, values, _, _, low, high in observed
+        if len(values) and not ((values >= getattr(params, low)) & (values <= getattr(params, high))).any()
+    ]
+    reasons = alone or [each[0] for each in observed if counts.rejected[each[0]] >= _NOTABLE_SHARE * counts.total]
     parts = [
         f"{low} is {_limit(getattr(params, low), unit)} and {high} {_limit(getattr(params, high), unit)}, "
         f"but {name} is {_percentiles(values, unit)}"
         for reason, values, name, unit, low, high in observed
-        if len(values) and counts.rejected[reason] >= _NOTABLE_SHARE * counts.total
+        if len(values) and reason in reasons
     ]
-    if parts and clouds.advice and counts.height >= _NOTABLE_SHARE * counts.total:
+    if parts and clouds.advice and reasons[0] == "height":
         parts[0] += f": {clouds.advice}"
     # Without any, the reason is a filter, or NaN: the report has it at the end.
     if parts:

@@ -21,8 +21,8 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.files.source import ReadBuffer, retain
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
+from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.cloud_to_scan import Beams
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Motion
@@ -210,8 +210,8 @@ class MessagesToScan(Conversion):
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
         """Return the decoder of clouds or scans; see `Conversion`."""
-        if source_type == LASERSCAN:
-            return lambda data: decode_laserscan(data, source)
+        if source_type in SCANS:
+            return SCANS[source_type](source, self.spec.echo)
         return CLOUDS[source_type or POINTCLOUD2](source)
 
     def stages(self, topic: str) -> tuple[Step, ...]:
