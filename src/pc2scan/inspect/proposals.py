@@ -279,7 +279,7 @@ def _middle(directions: int) -> float:
 def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_] | None:
     """Return which beams of half a degree have points between two heights; None if there are hardly any points."""
     x, y, z = points.T
-    good = (z >= low) & (z <= high) & ((x != 0) | (y != 0))
+    good = (z >= low) & (z <= high) & ((x != 0) | (y != 0)) & np.isfinite(x) & np.isfinite(y)
     if good.sum() < 20:
         return None
     places = ((np.arctan2(y[good], x[good]) / math.tau + 0.5) * 720).astype(np.intp) % 720
