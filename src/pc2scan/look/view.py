@@ -190,6 +190,11 @@ def page_of(
         else:
             asked = [request.source for request in options.scan.topics]
             topics, buffer = scan_connections(reader, asked), _transforms(recording)
+            if options.clock:
+                from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
+
+                shown = [each for connections in topics.values() for each in connections]
+                reader, _ = corrected(reader, shown, options.clock, options.frames.tf_topics)
             described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)
             frames = replace(options.frames, static=(), source_frame="", write_static=False)
             described["findings"] = findings(check(sources, topics=asked, frames=frames))
