@@ -28,7 +28,7 @@ def test_noise_is_measured_whatever_the_motion_is(hertz: int, sign: int) -> None
     found[:, 0] += random.normal(0, 0.02, times.size)
     # A quaternion and its negative are one rotation, and single poses jump.
     found[::7, 3:] *= sign
-    found[::50, 0] += 5
+    found[::200, 0] += 5
     metres, radians = noise(stamps, found)
     assert (metres, radians) == pytest.approx((0.02, 0.01), rel=0.15)
     assert max(noise(stamps, poses(times, np.sin(2 * times), 3 * np.cos(times)))) < 0.002

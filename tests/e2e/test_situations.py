@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from support import RECORDINGS, ROOT, needs_shared
 from support.batches import in_this_process
 from support.command import Finished, run
 from support.situations import SITUATIONS, Situation
@@ -39,3 +40,28 @@ def test_a_mistake_is_said_and_its_sound_twin_is_silent(situation: Situation, tm
         assert (found.status, [word for word in ("warning:", "error:", "hint:") if word in found.stderr]) == (0, []), (
             found
         )
+
+
+#: What real recordings and fixtures may be told, and should be: the depth camera's frame is an optical one.
+REAL = [
+    *(
+        RECORDINGS / name
+        for name in ("luminar_highway.bag", "velodyne_vlp32.bag", "ouster_os1_32.mcap", "jarvis_two_lasers.bag")
+    ),
+    *(ROOT / "fixtures" / name for name in ("hall.bag", "hall.mcap", "hall")),
+]
+
+
+@needs_shared
+@pytest.mark.parametrize("source", REAL, ids=lambda path: path.name)
+def test_no_false_alarm_on_real_recordings(source: Path, tmp_path: Path) -> None:
+    """With the commands that `info` proposes, and with odometry where there is any."""
+    shown = run("info", source)
+    assert (shown.status, "warning" in shown.stderr) == (0, False)
+    lines = [line.split("#")[0] for line in shown.stdout.splitlines() if line.strip().startswith("pc2scan convert")]
+    assert lines
+    for number, line in enumerate(lines):
+        _, _, _, *words = shlex.split(line)
+        words = [word for word in words if word != source.name]
+        made = run("convert", source, *words, "-o", tmp_path / f"{number}.mcap")
+        assert (made.status, made.stderr) == (0, "")

@@ -369,6 +369,12 @@ SITUATIONS = (
         ((f"{_IN_BASE} --deskew --fixed-frame base_link", "--fixed-frame odom is a frame that does not move"),),
         (_DESKEW,),
     ),
+    Situation(
+        "a recording that is read twice",
+        hall(),
+        ((f"convert {{src}} {{src}} -o {{out}} {_HEIGHTS}", "twice"),),
+        (f"{_HALL} {_HEIGHTS}",),
+    ),
     # The cut.
     Situation(
         "a start after the end of the recording",

@@ -66,7 +66,8 @@ _DRIVER_POINT = np.dtype(
 #: Horizon, Tele-15, Mid-70 and Avia 1 and 2 mean probably noise, for HAP and Mid-360 2 means so, and 1 perhaps; 0 is a
 #: sound point everywhere. The next pair counts returns on the former, so it is not used. 1 in the highest pair is a
 #: return near to the lens that is distorted (Mid-70); the others reserve it.
-_IS_NOISE = np.array([tag & 3 in (1, 2) or tag >> 2 & 3 in (1, 2) or tag >> 6 == 1 for tag in range(256)])
+_IS_NOISE = bytes(tag & 3 in (1, 2) or tag >> 2 & 3 in (1, 2) or tag >> 6 == 1 for tag in range(256))
+_NOISE_BITS = 0b11001111
 
 
 class LivoxFields(CloudFields):
@@ -146,9 +147,25 @@ def decode_livox(data: Buffer, serialization: str) -> Points:
     is_bigendian, size = cursor.byte_order == ">", count * step
     header = sequence, stamp_ns, frame_id
     cloud = PointCloud2(*header, 1, count, _LAYOUTS[lead], is_bigendian, step, size, points, True)
-    x, y, z = cloud.field("x"), cloud.field("y"), cloud.field("z")
-    missing = _IS_NOISE[cloud.field("tag")]
-    missing |= (x == 0) & (y == 0) & (z == 0)
-    values: dict[str, NDArray[Any]] = {"x": np.where(missing, np.float32(np.nan), x)} if missing.any() else {}
+    missing = _missing(cloud)
+    replaced: dict[str, NDArray[Any]] = {}
+    if missing.size:
+        # All bytes are copied, so that x, y and z still follow each other, which the projection reads fastest.
+        copied = replace(cloud, data=memoryview(bytearray(points)))
+        replaced = {axis: copied.field(axis) for axis in "xyz"}
+        replaced["x"][missing] = np.nan
     further = {"timebase": timebase, "point_num": point_num, "lidar_id": lidar_id, "rsvd": tuple(reserved)}
-    return Points(sequence, stamp_ns, frame_id, LivoxFields(cloud, values, further))
+    return Points(sequence, stamp_ns, frame_id, LivoxFields(cloud, replaced, further))
+
+
+def _missing(cloud: PointCloud2) -> NDArray[np.intp]:
+    """Return the indices of the points that are no returns."""
+    # Contiguous values are compared in a fifth of the time.
+    missing = np.flatnonzero(np.ascontiguousarray(cloud.field("x"), np.float32) == 0)
+    if missing.size:
+        missing = missing[(cloud.field("y")[missing] == 0) & (cloud.field("z")[missing] == 0)]
+    tag = cloud.field("tag")
+    if np.bitwise_or.reduce(tag) & _NOISE_BITS:
+        noise = np.frombuffer(tag.tobytes().translate(_IS_NOISE), np.bool_)
+        missing = np.concatenate([missing, np.flatnonzero(noise)])
+    return missing

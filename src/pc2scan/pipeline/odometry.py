@@ -8,7 +8,9 @@ sharper by the poses of another time, or with the points in another order.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -50,18 +52,24 @@ _LEVEL_BESIDE = 0.3
 #: windows that are needed.
 _WINDOW_NS = 1_000_000_000
 _WINDOWS = 3
-_OF_CLOUD = 600
-_OF_WINDOW = 5_000
+_OF_CLOUD = 400
+_OF_WINDOW = 3_000
 _FEWEST = 300
 _MOST_CLOUDS = 2_000
+
+#: The places of the points of a cloud, as shares of all: spread evenly, following no ring and no column.
+_EVENLY = np.arange(_OF_CLOUD) * GOLDEN % 1.0
 
 #: The least share of points that has poses in both cases; the nearest and the farthest points, metres.
 _KNOWN = 0.8
 _NEAREST, _FARTHEST = 0.1, 1000.0
 
-#: How far times are shifted, seconds; between poses that are interpolated; and the smallest shift that is reported.
-_SHIFTS = (0.02, 0.04, 0.07, 0.11, 0.16, 0.22, 0.3)
+#: How far times are shifted, seconds: first these, then those between if one of these is a little sharper, then those
+#: around the sharpest; the distance of poses that are interpolated; and the smallest shift that is reported.
+_FIRST_SHIFTS = (0.03, 0.1, 0.25)
+_SHIFTS = (0.02, 0.05, 0.07, 0.13, 0.16, 0.2, 0.3)
 _FINE = (-0.02, -0.01, 0.01, 0.02)
+_A_LITTLE = 1.02
 _NODE_NS = 5_000_000
 _LEAST_SHIFT = 0.015
 
@@ -188,7 +196,8 @@ class _Path(NamedTuple):
         return placed
 
 
-class _Seen(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Seen:
     """What a topic shows in a window: (N, 3) points of walls in the sensor's frame, and (N,) times of each.
 
     ``stamps`` are those of their clouds, seconds after the window's begin, ``seconds`` are after the stamp, and
@@ -203,7 +212,17 @@ class _Seen(NamedTuple):
 
     def select(self, chosen: NDArray[np.intp]) -> _Seen:
         """Return some of the points."""
-        return _Seen(self.path, *(each[chosen] for each in self[1:]))
+        return _Seen(self.path, self.points[chosen], self.stamps[chosen], self.seconds[chosen], self.ends[chosen])
+
+    @cached_property
+    def here(self) -> NDArray[np.float64]:
+        """The points in the fixed frame, (N, 3)."""
+        return self.placed()
+
+    @cached_property
+    def width(self) -> float:
+        """Over how many cells they are spread."""
+        return spread(self.here[:, :2])
 
     def placed(self, later: NDArray[np.float64] | float = 0.0) -> NDArray[np.float64]:
         """Return the points in the fixed frame, by the poses of so many seconds later."""
@@ -266,13 +285,12 @@ class Surroundings:
         seconds = seconds or _times_of(points)
         if len(self._clouds.get(topic, ())) >= _MOST_CLOUDS or not x.size or seconds is None:
             return
-        # As in `core.floor`: no ring and no column is preferred.
-        places = np.unravel_index((np.arange(_OF_CLOUD) * GOLDEN % 1.0 * x.size).astype(np.intp), x.shape)
+        places = np.unravel_index((_EVENLY * x.size).astype(np.intp), x.shape)
         with np.errstate(all="ignore"):
             sample = np.stack([np.asarray(part[places], np.float64) for part in (x, y, z)], axis=1)
             times = seconds(places)
-            sizes = np.abs(sample).max(axis=1)
-            good = np.isfinite(times) & (sizes > _NEAREST) & (sizes < _FARTHEST)
+            squares = np.einsum("ni,ni->n", sample, sample)
+            good = np.isfinite(times) & (squares > _NEAREST**2) & (squares < _FARTHEST**2)
         if good.any():
             cloud = _Cloud(points.stamp_ns, self._source_frame or points.frame_id, sample[good], times[good])
             self._clouds.setdefault(topic, []).append(cloud)
@@ -312,7 +330,7 @@ class Surroundings:
             seen = _Seen(path, np.concatenate([each.points for each in own]), stamps, seconds, np.concatenate(both))
             seen = seen.select(np.arange(len(stamps))[:: 1 + len(stamps) // _OF_WINDOW])
             seen = seen.select(np.flatnonzero(self._within_heights(seen.points, own[0])))
-            seen = seen.select(np.flatnonzero(_are_walls(seen.placed())))
+            seen = seen.select(np.flatnonzero(_are_walls(seen.here)))
             if len(seen.points) >= _FEWEST:
                 found[window] = seen
         return found
@@ -346,10 +364,12 @@ class Surroundings:
     def _doubts(self, topic: str, windows: Mapping[Window, _Seen]) -> Iterator[str]:
         """Yield a warning if other times of the points of a topic fit the transforms better."""
         spec = self._spec
-        gain, shift = _best_shift(lambda seconds: _gain((each, each.placed(seconds)) for each in windows.values()))
+        gain, shift = _best_shift(
+            lambda seconds: _gain((each, each.placed(seconds), None) for each in windows.values())
+        )
         seen = f"in {counted(len(windows), 'second')} of the strongest motion, surroundings are"
         if spec.deskew and spec.point_time.startswith("azimuth"):
-            turned = _gain((each, each.reversed()) for each in windows.values())
+            turned = _gain((each, each.reversed(), None) for each in windows.values())
             if turned > max(gain, _SHARPER):
                 yield f"{topic}: {seen} {turned:.2g} times as sharp if {_other_way(spec.point_time, windows.values())}"
                 return
@@ -362,7 +382,7 @@ class Surroundings:
             )
             return
         if spec.deskew:
-            still = _gain((each, each.placed(-each.seconds)) for each in windows.values())
+            still = _gain((each, each.placed(-each.seconds), None) for each in windows.values())
             if still >= _SHARPER:
                 yield (
                     f"{topic}: {seen} {still:.2g} times as sharp without `deskew`: the transforms to "
@@ -374,10 +394,9 @@ class Surroundings:
     ) -> Iterator[str]:
         """Yield a warning if two topics fit each other better with a difference of their clocks."""
         pairs = [(first[window], second[window]) for window in first if window in second]
-        fixed = [each.placed() for each, _ in pairs]
 
         def gain(seconds: float) -> float:
-            return _gain((each, each.placed(seconds), known) for (_, each), known in zip(pairs, fixed, strict=True))
+            return _gain((each, each.placed(seconds), known) for known, each in pairs)
 
         found, shift = _best_shift(gain)
         if found >= _SHARPER and abs(shift) >= _LEAST_SHIFT:
@@ -426,36 +445,42 @@ def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     cells = np.floor(np.nan_to_num(points[:, :2]) / _COLUMN).astype(np.int64)
     _, columns = np.unique(cells[:, 0] << 32 ^ (cells[:, 1] & 0xFFFFFFFF), return_inverse=True)
     low, high = np.full(len(points), np.inf), np.full(len(points), -np.inf)
-    np.minimum.at(low, columns, points[:, 2])
-    np.maximum.at(high, columns, points[:, 2])
-    return np.asarray((high - low)[columns] >= _TALL)
+    np.fmin.at(low, columns, points[:, 2])
+    np.fmax.at(high, columns, points[:, 2])
+    return np.asarray(((high - low)[columns] >= _TALL) & np.isfinite(points[:, 2]))
 
 
-def _gain(windows: Iterable[tuple[Any, ...]]) -> float:
+def _gain(windows: Iterable[tuple[_Seen, NDArray[np.float64], _Seen | None]]) -> float:
     """Return how many times as sharp surroundings are in another way; 0 if they are not, in one of the windows.
 
     Parameters
     ----------
     windows
-        What is seen in each, where its points are otherwise, and points that are beside them in both cases.
+        What is seen in each, where its points are otherwise, and what is beside them in both cases.
     """
-    logarithms, weights = [0.0], [0.0]
-    for seen, otherwise, *beside in windows:
-        placed = seen.placed()
-        known = np.isfinite(placed[:, 0]) & np.isfinite(otherwise[:, 0])
+    logarithms, weights = 0.0, 0.0
+    for seen, otherwise, beside in windows:
+        known = np.isfinite(otherwise[:, 0])
         if known.mean() < _KNOWN:
             continue
-        now, then = (spread(np.concatenate([each[known], *beside])[:, :2]) for each in (placed, otherwise))
+        if beside is None and known.all():
+            now, then = seen.width, spread(otherwise[:, :2])
+        else:
+            others = [] if beside is None else [beside.here]
+            now, then = (spread(np.concatenate([each[known], *others])[:, :2]) for each in (seen.here, otherwise))
         if not then or now / then < _NOT_LESS:
             return 0.0
-        logarithms.append(math.log(now / then) * len(placed))
-        weights.append(float(len(placed)))
-    return math.exp(sum(logarithms) / sum(weights)) if any(weights) else 0.0
+        logarithms += math.log(now / then) * len(otherwise)
+        weights += len(otherwise)
+    return math.exp(logarithms / weights) if weights else 0.0
 
 
 def _best_shift(gain: Callable[[float], float]) -> tuple[float, float]:
     """Return by how much another time is sharper at most, and how many seconds later it is."""
-    best = max((gain(shift), shift) for seconds in _SHIFTS for shift in (seconds, -seconds))
+    best = max((gain(shift), shift) for seconds in _FIRST_SHIFTS for shift in (seconds, -seconds))
+    if best[0] < _A_LITTLE:
+        return best
+    best = max(best, *((gain(shift), shift) for seconds in _SHIFTS for shift in (seconds, -seconds)))
     if best[0] < _SHARPER:
         return best
     return max(best, *((gain(best[1] + more), best[1] + more) for more in _FINE))
