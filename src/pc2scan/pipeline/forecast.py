@@ -89,6 +89,8 @@ def forecast(
     if (levels := recording.levels) is not None:
         made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
         levels.report.messages_out = max(made, default=0)
+    for each in recording.trajectories:
+        each.report.messages_out = each.count
     report.bytes_written = _written_size(reader, target, routes, counts, sizes)
     return sum((counts.get(key) or 0) * (size.passed + size.made + _INDEXED) for key, size in sizes.items())
 
