@@ -84,6 +84,34 @@ def test_log_times_become_stamps(suffix: str, tmp_path: Path) -> None:
     ]
 
 
+def test_recorded_scans_are_corrected_too(tmp_path: Path) -> None:
+    """In loops, exports, maps and pages, on the way back, and where they are converted to scans."""
+    right = converted(
+        write_mcap(tmp_path / "right.mcap", recording("tf")), "r", target_frame="base_link", keep_clouds=False
+    )[0]
+    wrong = converted(
+        write_mcap(tmp_path / "wrong.mcap", recording("tf")), "w", target_frame="base_link", keep_clouds=False
+    )[0]
+    how: dict[str, Any] = {"time_offset": "/scan=-5s"}
+    pc2scan.export(right, tmp_path / "r.csv")
+    pc2scan.export(wrong, tmp_path / "w.csv", **how)
+    stamps = [
+        [int(line.split(",")[0]) for line in (tmp_path / name).read_text("utf-8").splitlines()[1:]]
+        for name in ("r.csv", "w.csv")
+    ]
+    assert [stamp + 5 * SECOND for stamp in stamps[1]] == stamps[0]
+    found = tmp_path / "o.mcap"
+    ways: dict[str, dict[str, Any]] = {
+        "/cloud": {"reverse": True},
+        "/new": {"rebin": True, "topics": "/scan:=/new", "min_height": -1.0},
+    }
+    for topic, options in ways.items():
+        pc2scan.convert(wrong, found, overwrite=True, time_offset="-5s", **options)
+        assert [stamp_in(each, "cdr") for _, each in messages(found, topic)] == stamps[1]
+    assert "22:13:15" in pc2scan.view(wrong, topics="/scan", **how).html
+    assert "22:13:15" not in pc2scan.view(wrong, topics="/scan").html
+
+
 def test_an_offset_is_measured_against_the_transforms(tmp_path: Path) -> None:
     """Clouds are logged 5 ms after their stamps, transforms 2 ms."""
     for text, offset_ns in OFFSETS.items():

@@ -16,7 +16,7 @@ from pc2scan.text import counted
 from .spread import Spread, count_range, finite, spread_of, spread_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -122,7 +122,7 @@ class CloudLook:
     Attributes
     ----------
     parts
-        These points once they are described, each (3, N), without those at (0, 0, 0).
+        These points once they are described, each (3, N), without those at (0, 0, 0) or with NaN.
     """
 
     def __init__(self, topic: str, most: int) -> None:
@@ -177,11 +177,9 @@ class CloudLook:
             result.shape, result.point_step, result.fields = first.shape, first.point_step, first.fields
             result.points_min = min(each.size for each in placed)
             result.points_max = max(each.size for each in placed)
-            self.parts = [each.points for each in placed]
-            # A signalling NaN is treated as any other NaN.
-            with np.errstate(invalid="ignore"):
-                every = np.concatenate(self.parts, axis=1, dtype=np.float64)
-            _measure(result, every, sum(each.zeros for each in placed))
+            self.parts = [each.points[:, ~np.isnan(each.points).any(axis=0)] for each in placed]
+            invalid = sum(each.points.shape[1] - part.shape[1] for each, part in zip(placed, self.parts, strict=True))
+            _measure(result, self.parts, invalid, sum(each.zeros for each in placed))
             result.mounting = mounting
         return result
 
@@ -230,27 +228,28 @@ def _describe(result: CloudInfo, points: Points, message: RawMessage) -> None:
     )
 
 
-def _measure(result: CloudInfo, points: NDArray[np.float64], zeros: int) -> None:
-    """Describe the points, and that there are so many more at (0, 0, 0)."""
-    total = points.shape[1] + zeros
+def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], invalid: int, zeros: int) -> None:
+    """Describe points, (3, N) of each cloud without NaN, and that there are so many more with NaN and at (0, 0, 0).
+
+    One axis is joined at a time, because all of them take as much memory as everything else.
+    """
+    count = sum(part.shape[1] for part in parts)
+    total = count + invalid + zeros
     if not total:
         return
-    x, y, z = points
-    invalid = np.isnan(points).any(axis=0)
-    result.nan_share = float(invalid.sum()) / total
+    result.nan_share = invalid / total
     result.zero_share = zeros / total
-    valid = ~invalid
-    result.above_zero_share = float((z[valid] > 0).mean()) if valid.any() else 0.0
-    result.x, result.y, result.z = (spread_of(axis[valid]) for axis in (x, y, z))
+    result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / count if count else 0.0
+    result.x, result.y, result.z = (spread_of(np.concatenate([part[axis] for part in parts])) for axis in range(3))
     with np.errstate(over="ignore"):
-        result.range = spread_of(np.hypot(x[valid], y[valid]))
-    heights = finite(z[valid])
+        result.range = spread_of(np.concatenate([np.hypot(x, y, dtype=np.float64) for x, y, _ in parts]))
+    heights = finite(np.concatenate([part[2] for part in parts])).astype(np.float64, copy=False)
     if heights.size:
-        low, high = percentiles(heights, 0.5, 99.5)
+        low, high = percentiles(heights, 0.5, 99.5, reorder=True)
         # Wide enough that the edges of the bars are different numbers.
         least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
         if high - low < least:
             low, high = low - least / 2, high + least / 2
-        counts, edges = np.histogram(np.clip(heights, low, high), _BINS, (low, high))
+        counts, edges = np.histogram(np.clip(heights, low, high, out=heights), _BINS, (low, high))
         result.height_edges = tuple(float(edge) for edge in edges)
-        result.height_counts = tuple(int(count) for count in counts)
+        result.height_counts = tuple(map(int, counts))

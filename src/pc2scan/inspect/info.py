@@ -59,7 +59,7 @@ _MOMENTS = 8
 _MAX_POINTS = 2_000_000
 
 #: ... and of all topics together.
-_MAX_POINTS_HELD = 4_000_000
+_MAX_POINTS_HELD = 2_700_000
 
 
 @dataclass(frozen=True, slots=True)

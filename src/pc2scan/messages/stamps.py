@@ -9,8 +9,8 @@ import numpy as np
 
 from pc2scan.core.timing import TIME_FIELDS, offset_and_unit
 
+from .clouds import SCANS
 from .imu import IMU
-from .laserscan import LASERSCAN
 from .pointcloud2 import POINTCLOUD2, decode_pointcloud2
 from .poses import POSES
 from .wire import Cursor
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
 
 #: Types besides clouds that begin with a header, in ROS 2's spelling.
-STAMPED = frozenset({IMU, LASERSCAN, *POSES})
+STAMPED = frozenset({IMU, *SCANS, *POSES})
 
 #: The layout of a stamp, and the largest number of its seconds.
 _STAMPS = {"ros1": ("<II", 2**32 - 1), "<": ("<iI", 2**31 - 1), ">": (">iI", 2**31 - 1)}
