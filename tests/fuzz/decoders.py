@@ -16,6 +16,7 @@ import gc
 import pkgutil
 import sys
 import tempfile
+from contextlib import suppress
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
@@ -28,7 +29,7 @@ import pc2scan
 from fuzz.clouds import project_cloud, project_moving
 from fuzz.rays import draw_rays
 from pc2scan.errors import Pc2ScanError
-from pc2scan.model import Connection, Definition
+from pc2scan.model import Connection, Definition, RawMessage
 from support.clouds import COMPRESSED, LIVOX, OLD_CLOUD, VELODYNE
 from support.memory_reader import MemoryReader
 
@@ -107,6 +108,55 @@ def _imu(data: bytes) -> None:
     found = read_up([MemoryReader(Path("made"), [connection], rows)], ImuRequest("/imu"))
     assert np.isfinite(found.directions).all()
     assert len(found.directions) == len(found.stamps_ns)
+
+
+def _poses(data: bytes) -> None:
+    """A pose of each type, and the transform that it becomes."""
+    from pc2scan.messages.poses import POSES, decode_pose
+    from pc2scan.messages.tfmessage import encode_transforms
+    from pc2scan.tf.builder import TransformBuilder
+    from pc2scan.tf.sources import PoseReading, PoseTopic
+
+    content, serialization = _serialization(data)
+    for kind in POSES:
+        connection = Connection(0, "/odom", kind, serialization)
+        reading = PoseReading(PoseTopic("/odom"), [connection])
+        reading.add(RawMessage(connection, 0, content, 0))
+        found, _ = reading.finish()
+        for each in found:
+            builder = TransformBuilder()
+            builder.add_poses(each.parent, each.child, each.stamps_ns, each.poses)
+            builder.build()
+    encode_transforms([decode_pose(content, serialization)], serialization)
+
+
+def _stamps(data: bytes) -> None:
+    """A message keeps everything but its times; what cannot be decoded is not changed in part."""
+    from pc2scan.messages.clouds import CLOUDS
+    from pc2scan.messages.stamps import move_times, set_stamp, stamp_in
+
+    content, serialization = _serialization(data)
+    for kind in CLOUDS:
+        copy = bytearray(content)
+        stamp_in(copy, serialization)
+        with suppress(Pc2ScanError):
+            move_times(copy, serialization, kind, 10**18, ("x",))
+        set_stamp(copy, serialization, 10**18)
+        assert len(copy) == len(content)
+        assert stamp_in(copy, serialization) == 10**18
+
+
+def _model(data: bytes) -> None:
+    from pc2scan.tf.robot_model import parse_model
+
+    parse_model(data.decode("utf-8", "surrogateescape"), "/robot_description")
+
+
+def _trajectory(data: bytes) -> None:
+    from pc2scan.tf.trajectory import load_trajectory
+
+    _file("a.tum", data, lambda path: _ignored(load_trajectory(path, ("odom", "base_link"))))
+    _file("times.txt", data, lambda path: _ignored(load_trajectory(path, ("odom", "base_link"), path)))
 
 
 def _wire(data: bytes) -> None:
@@ -235,6 +285,10 @@ DECODERS: dict[str, Callable[[bytes], None]] = {
     "multi-echo": _multi_echo,
     "transforms": _transforms,
     "imu": _imu,
+    "poses": _poses,
+    "stamps": _stamps,
+    "model": _model,
+    "trajectory": _trajectory,
     "wire": _wire,
     "schema": _schema,
     "transcoding": _transcoding,

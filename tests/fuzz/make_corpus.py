@@ -47,10 +47,18 @@ from support.clouds import (
     packet,
     velodyne,
 )
+from support.worlds import posed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+
+_MODEL = b"""<robot name="r">
+  <joint name="a" type="fixed"><parent link="b"/><child link="c"/><origin xyz="1 2 3" rpy="0 .1 0"/></joint>
+  <joint name="d" type="revolute"><parent link="b"/><child link="e"/><axis xyz="0 0 1"/></joint>
+</robot>
+"""
 
 
 def inputs() -> Iterator[tuple[str, str, bytes]]:
@@ -60,6 +68,10 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
         points = points_of(1, 3)
         yield "cloud", word, lead + cloud(points, ros_version)
         yield "wire", word, lead + cloud(points, ros_version)
+        yield "stamps", word, lead + cloud(points, ros_version, names=("x", "y", "t"))
+        for kind in ("odometry", "pose"):
+            pose = posed.message(kind, ros_version, 0, T0, ("odom", "base_link"), posed.pose_at(T0))
+            yield "poses", f"{word}-{kind}", lead + pose
         few = lidar_points(1, 4)
         for name in COMPRESSORS:
             yield "compressed", f"{word} {name}".replace(" ", "-"), lead + compressed(few, ros_version, name)
@@ -94,6 +106,9 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
     yield "rays", "line", rays.written(200, 0, 0, [((0, 0, n, 0), n) for n in range(9)])
     yield "rays", "outside", rays.written(5, 5, 1, [((0, 0, 5, 5), 1), ((6, 0, 0, -1), 1), ((2**31 - 1, 0, 0, 0), 0)])
     yield "scan-text", "messages", _scan_text().encode()
+    yield "model", "fixed", _MODEL
+    yield "trajectory", "tum", b"# stamp x y z qx qy qz qw\n1.5 0 1 2 0 0 0 1\n2.5 0 1 2 0.5 0.5 0.5 0.5\n"
+    yield "trajectory", "kitti", b"1 0 0 4 0 1 0 5 0 0 1 6\n0 -1 0 4 1 0 0 5 0 0 1 6\n"
     yield "qos", "profile", qos_text((POINTS,)).encode()
     yield "parameters", "ros2", (GOLDEN / "launch_sample" / "params.yaml").read_bytes()
     yield "parameters", "ros1", b"min_height: -0.5\nangle_min: rad(-pi/2)\nuse_inf: 1\n"

@@ -140,10 +140,16 @@ def scans_of(path: Path) -> list[LaserScan]:
 
 #: What `info` proposes for recordings that other people made, and for the fixtures, besides preset and heights.
 RECORDED: dict[str, dict[str, Any]] = {
-    "luminar_highway.bag": {},
+    # Its odometry is simulated, from the year 1970.
+    "luminar_highway.bag": {"time_offset": "auto"},
     "velodyne_vlp32.bag": {"angle_increment": "0.5deg"},
     "ouster_os1_32.mcap": {"angle_increment": "0.5deg"},
-    "d435_depth.mcap": {"static_tf": ..., "target_frame": "d435_depth_optical_frame_level"},
+    # A camera's clock counts from its start.
+    "d435_depth.mcap": {
+        "static_tf": ...,
+        "target_frame": "d435_depth_optical_frame_level",
+        "time_offset": "auto",
+    },
     "hall.bag": HALL,
     "hall.mcap": HALL,
     "hall": HALL,

@@ -94,6 +94,16 @@ def test_scans_are_those_of_the_same_points_as_pointcloud2(name: str, form: str,
     assert found == scans_of(recorded(tmp_path / "usual" / form, CLOUD, usual, ros_version), **options)
 
 
+@pytest.mark.parametrize("name", ["PointCloud", "zstd"])
+def test_info_describes_them_and_proposes_what_can_be_converted(name: str, tmp_path: Path) -> None:
+    kind, make = LOSSLESS[name]
+    messages = [make(clouds.lidar_points(step, 2_000), 2, T0 + step * SECOND // 10) for step in range(12)]
+    found = pc2scan.info(recorded(tmp_path / "a.mcap", kind, messages, 2))
+    (cloud,) = found.clouds
+    assert [field for field, *_ in cloud.fields] == ["x", "y", "z", "intensity", "ring"]
+    assert 0.01 < cloud.nan_share < 0.1
+
+
 @pytest.mark.parametrize("ros_version", [1, 2])
 @pytest.mark.parametrize("name", COMPRESSORS)
 def test_compressed_clouds_are_the_clouds_that_were_compressed(name: str, ros_version: int) -> None:

@@ -16,7 +16,7 @@ from pc2scan.messages.pointcloud2 import as_pointcloud2
 from support import builders
 from support.builders import CLOUD, SECOND, T0, Item, Mcap, Recording, Stream
 from support.clouds import LIVOX as KINDS
-from support.clouds import livox, livox_points
+from support.clouds import livox, livox_points, structured
 from support.outputs import opened
 
 if TYPE_CHECKING:
@@ -187,3 +187,37 @@ def test_diff_and_clouds_see_the_recorded_points_in_every_wire_format(tmp_path: 
         for name in points.dtype.names or ():
             np.testing.assert_array_equal(cloud[name], points[name])
         np.testing.assert_array_equal(cloud["intensity"], points["reflectivity"])
+
+
+def test_offset_time_deskews_like_the_times_of_a_pointcloud2(tmp_path: Path) -> None:
+    """A robot that drives: the scans of both are equal to the bit, and are not those without deskewing."""
+    at = [T0 + step * SECOND // 10 for step in range(3)]
+    driving = [
+        builders.odometry(T0 + step * SECOND // 50, T0 + step * SECOND // 50, 0.1 * step, step) for step in range(30)
+    ]
+    mount = builders.fixed(builders.MOUNT, T0, "livox_frame", 0.5)
+    steps = [points_of(step) for step in range(3)]
+    own = [
+        builders.Item(Stream("/lidar", KINDS[1]), t, {2: livox(p, 2, stamp_ns=t)})
+        for t, p in zip(at, steps, strict=True)
+    ]
+    usual = []
+    for t, points in zip(at, steps, strict=True):
+        table = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("reflectivity", "<f4"), ("t", "<u4")])
+        for place, name in enumerate(("x", "y", "z", "reflectivity")):
+            table[name] = returns(points)[:, place]
+        table["t"] = points["offset_time"]
+        data = structured(table, 2, stamp_ns=t, frame_id="livox_frame")
+        usual.append(builders.Item(Stream("/lidar", CLOUD), t, {2: data}))
+    scans = []
+    for folder, items, deskew in (("own", own, True), ("usual", usual, True), ("rigid", own, False)):
+        content = sorted([mount, *driving, *items], key=lambda item: item.log_time_ns)
+        streams = tuple({item.stream: None for item in content})
+        (tmp_path / folder).mkdir()
+        source = builders.write_mcap(tmp_path / folder / "a.mcap", Recording(streams, tuple(content)), Mcap())
+        motion: dict[str, Any] = {"deskew": True, "fixed_frame": "odom"} if deskew else {}
+        report = pc2scan.convert(source, target_frame="base_link", min_height=-9.0, range_min=0.1, **motion)
+        scans.append([each.data for each in opened(Path(report.destination)).of("/scan")])
+    assert len(scans[0]) == 3
+    assert scans[0] == scans[1]
+    assert scans[0] != scans[2]

@@ -84,6 +84,34 @@ def test_log_times_become_stamps(suffix: str, tmp_path: Path) -> None:
     ]
 
 
+def test_recorded_scans_are_corrected_too(tmp_path: Path) -> None:
+    """In loops, exports, maps and pages, on the way back, and where they are converted to scans."""
+    right = converted(
+        write_mcap(tmp_path / "right.mcap", recording("tf")), "r", target_frame="base_link", keep_clouds=False
+    )[0]
+    wrong = converted(
+        write_mcap(tmp_path / "wrong.mcap", recording("tf")), "w", target_frame="base_link", keep_clouds=False
+    )[0]
+    how: dict[str, Any] = {"time_offset": "/scan=-5s"}
+    pc2scan.export(right, tmp_path / "r.csv")
+    pc2scan.export(wrong, tmp_path / "w.csv", **how)
+    stamps = [
+        [int(line.split(",")[0]) for line in (tmp_path / name).read_text("utf-8").splitlines()[1:]]
+        for name in ("r.csv", "w.csv")
+    ]
+    assert [stamp + 5 * SECOND for stamp in stamps[1]] == stamps[0]
+    found = tmp_path / "o.mcap"
+    ways: dict[str, dict[str, Any]] = {
+        "/cloud": {"reverse": True},
+        "/new": {"rebin": True, "topics": "/scan:=/new", "min_height": -1.0},
+    }
+    for topic, options in ways.items():
+        pc2scan.convert(wrong, found, overwrite=True, time_offset="-5s", **options)
+        assert [stamp_in(each, "cdr") for _, each in messages(found, topic)] == stamps[1]
+    assert "22:13:15" in pc2scan.view(wrong, topics="/scan", **how).html
+    assert "22:13:15" not in pc2scan.view(wrong, topics="/scan").html
+
+
 def test_an_offset_is_measured_against_the_transforms(tmp_path: Path) -> None:
     """Clouds are logged 5 ms after their stamps, transforms 2 ms."""
     for text, offset_ns in OFFSETS.items():
@@ -209,3 +237,51 @@ def test_a_trajectory_of_another_time_is_refused_with_the_offset(tmp_path: Path)
     out, report = converted(path, "b", **how, time_offset=typed)
     assert len(messages(out, "/scan")) == 5
     assert not report.skipped
+
+
+# --- What info finds ---
+
+
+#: What a lidar's clock is ahead of the transforms, and what info says and proposes.
+CLOCKS = {
+    "since its start": (-1_699_999_000 * SECOND, "its clock counts from its start", "auto"),
+    "TAI": (37 * SECOND, "PTP counts TAI, which is 37 s ahead of UTC", "-37s"),
+    "GPS": (18 * SECOND, "GPS time is 18 s ahead of UTC", "-18s"),
+    "another year": (-315_360_000 * SECOND, "its clock says", "auto"),
+    "seconds": (-3 * SECOND, "3 s behind those of /tf", "auto"),
+}
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+def test_info_says_which_clock_a_lidar_has_and_proposes_the_option(name: str, tmp_path: Path) -> None:
+    offset_ns, said, proposed = CLOCKS[name]
+    path = write_mcap(tmp_path / "a.mcap", recording("tf", offset_ns=offset_ns))
+    found = pc2scan.info(path)
+    (warning,) = (text for text in found.warnings if "the stamps of" in text)
+    assert said in warning
+    assert f"`time_offset={proposed}`" in warning
+    (call,) = found.proposals
+    assert call.options["time_offset"] == proposed
+    # What is proposed is right.
+    out, report = converted(path, "b", **call.options)
+    assert len(messages(out, "/scan")) == 5
+    assert not any("clock" in text for text in report.warnings)
+
+
+@pytest.mark.parametrize("offset_ns", [0, -300_000_000])
+def test_a_sound_clock_is_no_finding(offset_ns: int, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", recording("tf", offset_ns=offset_ns))
+    found = pc2scan.info(path)
+    assert not found.warnings
+    assert all("time_offset" not in call.options for call in found.proposals)
+
+
+def test_a_recording_that_was_played_back_has_one_clock(tmp_path: Path) -> None:
+    """All its stamps are a year before its log times."""
+    made = recording("tf")
+    year_ns = 31_536_000 * SECOND
+    later = replace(made, items=tuple(replace(each, log_time_ns=each.log_time_ns + year_ns) for each in made.items))
+    assert not pc2scan.info(write_mcap(tmp_path / "a.mcap", later)).warnings
+    alone = recording("odometry", offset_ns=0)
+    later = replace(alone, items=tuple(replace(each, log_time_ns=each.log_time_ns + year_ns) for each in alone.items))
+    assert not pc2scan.info(write_mcap(tmp_path / "b.mcap", later)).warnings

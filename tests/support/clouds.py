@@ -78,13 +78,15 @@ def lidar_points(step: int, count: int = 300) -> NDArray[Any]:
     return points
 
 
-def _description(points: NDArray[Any], ros_version: int, seq: int, stamp_ns: int) -> dict[str, Any]:
+def _description(
+    points: NDArray[Any], ros_version: int, seq: int, stamp_ns: int, frame_id: str = "lidar"
+) -> dict[str, Any]:
     store = builders.typestore(ros_version)
     field = store.types["sensor_msgs/msg/PointField"]
     dtype = points.dtype
     fields = [field(name, dtype.fields[name][1], _CODES[dtype[name].str[1:]], 1) for name in dtype.names or ()]  # type: ignore[index]
     return {
-        "header": builders.header(store, ros_version, seq, stamp_ns, "lidar"),
+        "header": builders.header(store, ros_version, seq, stamp_ns, frame_id),
         "height": 1,
         "width": len(points),
         "fields": fields,
@@ -95,12 +97,19 @@ def _description(points: NDArray[Any], ros_version: int, seq: int, stamp_ns: int
 
 
 def structured(
-    points: NDArray[Any], ros_version: int, *, seq: int = 0, stamp_ns: int = T0, dense: bool = False
+    points: NDArray[Any],
+    ros_version: int,
+    *,
+    seq: int = 0,
+    stamp_ns: int = T0,
+    frame_id: str = "lidar",
+    dense: bool = False,
 ) -> bytes:
     """A PointCloud2."""
     store = builders.typestore(ros_version)
     data = np.frombuffer(points.tobytes(), np.uint8)
-    message = store.types[CLOUD](**_description(points, ros_version, seq, stamp_ns), data=data, is_dense=dense)
+    described = _description(points, ros_version, seq, stamp_ns, frame_id)
+    message = store.types[CLOUD](**described, data=data, is_dense=dense)
     return builders.serialized(store, message, CLOUD, ros_version)
 
 

@@ -126,8 +126,13 @@ def pc2scan_out(folder: Path, path: Path) -> Path:
 
 def test_two_topics_with_a_missing_frame_are_not_guessed_among(tmp_path: Path) -> None:
     path = written(tmp_path, recording("odometry", "transform"))
-    with pytest.raises(Pc2ScanError, match="no transform has the frame 'odom'"):
+    with pytest.raises(Pc2ScanError, match="no transform has the frame 'odom'") as caught:
         scans_of(path)
+    assert str(caught.value.hint).startswith("`odom_topic=/odometry` uses the poses")
+    unnamed = written(tmp_path, recording("pose"), "unnamed")
+    with pytest.raises(Pc2ScanError, match="no transform has the frame 'odom'") as caught:
+        scans_of(unnamed)
+    assert str(caught.value.hint).startswith("`odom_topic=/pose:base_link` uses the poses")
     tree = pc2scan.tf(path)
     assert tree.frames
     check = pc2scan.info(path, target_frame="odom")

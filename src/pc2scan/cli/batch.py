@@ -92,11 +92,10 @@ def _show_plan(plan: BatchPlan, *, quiet: bool) -> None:
 
 def _show_outcome(done: Outcome, *, quiet: bool, dry_run: bool) -> None:
     """Show a line for a recording that is finished."""
-    if done.error and not done.exit_status:
-        if not quiet:
-            say(f"{done.outcome}: {done.key}", err=True)
-        return
     if done.error:
+        # A recording without clouds is no failure; what it has instead may be a reason to look.
+        if quiet and not done.exit_status:
+            return
         hint = f" (hint: {done.hint})" if done.hint else ""
         say(as_typed(f"{done.outcome}: {done.key}: {done.error}{hint}"), err=True)
         return

@@ -16,7 +16,7 @@ from pc2scan.text import counted
 from .spread import Spread, count_range, finite, spread_of, spread_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -122,7 +122,7 @@ class CloudLook:
     Attributes
     ----------
     parts
-        These points, each (3, N), without those at (0, 0, 0).
+        These points, each (3, N), without those at (0, 0, 0) or with NaN.
     """
 
     def __init__(self, topic: str, most: int, places: Placer) -> None:
@@ -134,6 +134,7 @@ class CloudLook:
         self._problems: dict[str, None] = {}
         self._sizes: list[int] = []
         self._zeros = 0
+        self._invalid = 0
 
     def add(self, message: RawMessage) -> None:
         """Add a cloud."""
@@ -158,8 +159,10 @@ class CloudLook:
             _describe(self._result, cloud, message)
         self._frames[cloud.frame_id] = None
         self._sizes.append(count)
-        self.parts.append(points)
+        invalid = np.isnan(points).any(axis=0)
+        self.parts.append(points[:, ~invalid] if invalid.any() else points)
         self._zeros += int(zero.sum())
+        self._invalid += int(invalid.sum())
 
     def described(self, mounting: Mounting | None) -> CloudInfo:
         """Return the properties, with the mounting of the first clouds."""
@@ -167,10 +170,7 @@ class CloudLook:
         result.frames, result.problems = tuple(self._frames), tuple(self._problems)
         if self._sizes:
             result.points_min, result.points_max = min(self._sizes), max(self._sizes)
-            # A signalling NaN is treated as any other NaN.
-            with np.errstate(invalid="ignore"):
-                points = np.concatenate(self.parts, axis=1, dtype=np.float64)
-            _measure(result, points, self._zeros)
+            _measure(result, self.parts, self._invalid, self._zeros)
             result.mounting = mounting
         return result
 
@@ -204,27 +204,28 @@ def _describe(result: CloudInfo, points: Points, message: RawMessage) -> None:
     )
 
 
-def _measure(result: CloudInfo, points: NDArray[np.float64], zeros: int) -> None:
-    """Describe the points, and that there are so many more at (0, 0, 0)."""
-    total = points.shape[1] + zeros
+def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], invalid: int, zeros: int) -> None:
+    """Describe points, (3, N) of each cloud without NaN, and that there are so many more with NaN and at (0, 0, 0).
+
+    One axis is joined at a time, because all of them take as much memory as everything else.
+    """
+    count = sum(part.shape[1] for part in parts)
+    total = count + invalid + zeros
     if not total:
         return
-    x, y, z = points
-    invalid = np.isnan(points).any(axis=0)
-    result.nan_share = float(invalid.sum()) / total
+    result.nan_share = invalid / total
     result.zero_share = zeros / total
-    valid = ~invalid
-    result.above_zero_share = float((z[valid] > 0).mean()) if valid.any() else 0.0
-    result.x, result.y, result.z = (spread_of(axis[valid]) for axis in (x, y, z))
+    result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / count if count else 0.0
+    result.x, result.y, result.z = (spread_of(np.concatenate([part[axis] for part in parts])) for axis in range(3))
     with np.errstate(over="ignore"):
-        result.range = spread_of(np.hypot(x[valid], y[valid]))
-    heights = finite(z[valid])
+        result.range = spread_of(np.concatenate([np.hypot(x, y, dtype=np.float64) for x, y, _ in parts]))
+    heights = finite(np.concatenate([part[2] for part in parts])).astype(np.float64, copy=False)
     if heights.size:
-        low, high = percentiles(heights, 0.5, 99.5)
+        low, high = percentiles(heights, 0.5, 99.5, reorder=True)
         # Wide enough that the edges of the bars are different numbers.
         least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
         if high - low < least:
             low, high = low - least / 2, high + least / 2
-        counts, edges = np.histogram(np.clip(heights, low, high), _BINS, (low, high))
+        counts, edges = np.histogram(np.clip(heights, low, high, out=heights), _BINS, (low, high))
         result.height_edges = tuple(float(edge) for edge in edges)
-        result.height_counts = tuple(int(count) for count in counts)
+        result.height_counts = tuple(map(int, counts))

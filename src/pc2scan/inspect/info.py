@@ -17,6 +17,7 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.imu import IMU
+from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
+    from pc2scan.pipeline.clocks import ClockFinding
     from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.imu import ImuReading, UpEstimate
@@ -57,7 +59,7 @@ _MOMENTS = 8
 _MAX_POINTS = 2_000_000
 
 #: ... and of all topics together.
-_MAX_POINTS_HELD = 4_000_000
+_MAX_POINTS_HELD = 2_700_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,6 +334,7 @@ def info(
             [str(each.path) for each in readers],
             given or {},
             {topic: up for topic, up in found.ups.items() if not isinstance(up, UsageError)},
+            found.clocks,
             lambda topic: str(default_destination([each.path for each in readers], summaries, _mark(topic))),
             names_topics=len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1,
             has_scans=any(topic.topic == "/scan" for topic in topics),
@@ -364,14 +367,17 @@ class _Surveyed(NamedTuple):
         The transforms; None if there are none.
     ups
         The direction of up by each IMU, or why it is not known.
+    clocks
+        What is wrong with the clocks of topics.
     warnings
-        About transforms and units.
+        About transforms, clocks and units.
     """
 
     facts: Mapping[str, TopicFacts]
     places: Placer
     buffer: TransformBuffer | None
     ups: Mapping[str, UpEstimate | UsageError]
+    clocks: Mapping[str, ClockFinding]
     warnings: Sequence[str]
 
     def mountings(self) -> dict[str, Mounting | None]:
@@ -415,6 +421,7 @@ def _survey(
         ask_facts(each)
     for each in flat.values():
         each.ask_headers(HEADERS)
+    clocks = Clocks(survey, facts.values())
     readings = {topic: _imu_reading(survey, topic) for topic in imus}
     if reads_all:
         survey.ask_transforms((places.target_frame,))
@@ -427,9 +434,12 @@ def _survey(
         buffer, warnings = found.buffer, [*found.warnings, *found.notes]
     elif survey.robot is not None:
         buffer = survey.robot.finish()
+    wrong = clocks.findings()
+    warnings += (each.text for each in wrong.values())
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
     ups = {topic: _up(reading) for topic, reading in readings.items()}
-    return _Surveyed({**facts, **flat}, places._replace(buffer=buffer if moved else None), buffer, ups, warnings)
+    places = places._replace(buffer=buffer if moved else None)
+    return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings)
 
 
 def _with_own_rate(

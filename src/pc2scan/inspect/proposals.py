@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
+    from pc2scan.pipeline.clocks import ClockFinding
     from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.imu import UpEstimate
@@ -278,7 +279,7 @@ def _middle(directions: int) -> float:
 def _filled_beams(points: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_] | None:
     """Return which beams of half a degree have points between two heights; None if there are hardly any points."""
     x, y, z = points.T
-    good = (z >= low) & (z <= high) & ((x != 0) | (y != 0))
+    good = (z >= low) & (z <= high) & ((x != 0) | (y != 0)) & np.isfinite(x) & np.isfinite(y)
     if good.sum() < 20:
         return None
     places = ((np.arctan2(y[good], x[good]) / math.tau + 0.5) * 720).astype(np.intp) % 720
@@ -348,6 +349,7 @@ def proposals(
     sources: Sequence[str],
     given: Mapping[str, Any],
     ups: Mapping[str, UpEstimate],
+    clocks: Mapping[str, ClockFinding],
     destination: Callable[[str], str],
     *,
     names_topics: bool,
@@ -365,6 +367,8 @@ def proposals(
         Options about frames that were given; the conversion needs them, too.
     ups
         The direction of up by each IMU that shows it.
+    clocks
+        What is wrong with the clocks of topics.
     destination
         Names the destination of a topic, if there are several commands.
     names_topics
@@ -374,7 +378,7 @@ def proposals(
     """
     groups = list(_groups([each for each in lidars if each.mounting.heights is not None]))
     for group in groups:
-        choices = list(_choices(group, given, ups, names_topics=names_topics, has_scans=has_scans))
+        choices = list(_choices(group, given, ups, clocks, names_topics=names_topics, has_scans=has_scans))
         options: dict[str, Any] = {}
         if len(groups) > 1:
             options["destination"] = destination(group[0].topic)
@@ -421,6 +425,7 @@ def _choices(
     group: Sequence[Lidar],
     given: Mapping[str, Any],
     ups: Mapping[str, UpEstimate],
+    clocks: Mapping[str, ClockFinding],
     *,
     names_topics: bool,
     has_scans: bool,
@@ -444,6 +449,8 @@ def _choices(
         yield Choice(option, value[0] if isinstance(value, tuple) and len(value) == 1 else value, reason)
     if lidar.target:
         yield Choice("target_frame", lidar.target, "the robot's frame" if lidar.target in BODIES else "its z points up")
+    if (clock := clocks.get(lidar.topic)) is not None:
+        yield Choice("time_offset", clock.time_offset, clock.reason)
     yield from _heights(group)
     yield from _times(group, ups)
     yield from _exclusions(group)
@@ -568,5 +575,6 @@ def missing_mounts(lidars: Iterable[Lidar]) -> Iterator[str]:
         except TransformError:
             yield (
                 f"{lidar.topic}: no transform connects {frame!r} with {body}: complete "
-                f"`static_tf='{body} {frame} X Y Z ROLL PITCH YAW'` (metres and radians), with `target_frame={body}`"
+                f"`static_tf='{body} {frame} X Y Z ROLL PITCH YAW'` (metres and radians), or give the robot's model, "
+                f"`urdf=robot.urdf`; with `target_frame={body}`"
             )

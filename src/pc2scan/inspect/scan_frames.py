@@ -153,7 +153,10 @@ class ScanFrames:
         if namesake := named_in_namespace(name, self._trees):
             return f"`{option}={namesake}`"
         if role == "odometry" and all(info.static for info in self._buffer.infos):
-            return f"record the robot's odometry on /tf, or a SLAM that needs none; {_HINT}"
+            return (
+                "record the robot's odometry on /tf, or a SLAM that needs none; pc2scan convert `odom_topic=/odom` or "
+                f"`trajectory=poses.tum` writes it to /tf; {_HINT}"
+            )
         return f"`{option}` names the right one; {_HINT}"
 
     def _moved(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str, str]:

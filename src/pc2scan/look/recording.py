@@ -107,7 +107,13 @@ class ShownRecording:
         """
         options = self.options
         self.others = open_recordings(options.frames.tf_from, self.stack, verify=options.verify, strict=options.strict)
-        return read_transforms([self.reader, *self.others], options.frames, needed=needed)
+        reader = self.reader
+        if options.clock:
+            from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
+
+            # Of topics with poses that have an offset of their own.
+            reader, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
+        return read_transforms([reader, *self.others], options.frames, needed=needed)
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from pc2scan.text import counted
 from .recording import moment_text, spread_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -104,7 +104,13 @@ class Shots(NamedTuple):
 
 
 def take_shots(
-    recording: ShownRecording, options: ConvertOptions, *, count: int, at_ns: Sequence[int], level: bool
+    recording: ShownRecording,
+    options: ConvertOptions,
+    *,
+    count: int,
+    at_ns: Sequence[int],
+    level: bool,
+    keep: Callable[[Shot], Shot] | None = None,
 ) -> Shots:
     """Take some clouds of each topic that a conversion converts.
 
@@ -120,6 +126,8 @@ def take_shots(
         Log times: the first cloud of each topic at or after each of them is taken. Empty: ``count`` decides.
     level
         Whether clouds are placed in the frames of level scans; otherwise they are shown as recorded.
+    keep
+        Called with each cloud as soon as it is taken, and returns what is kept of it; None: all of it.
 
     Raises
     ------
@@ -149,7 +157,8 @@ def take_shots(
     failed: list[str] = []
     for message in _messages(reader, topics, options, count, at_ns):
         try:
-            shots.append(_shot(message, stages[message.connection.topic], samples))
+            shot = _shot(message, stages[message.connection.topic], samples)
+            shots.append(shot if keep is None else keep(shot))
         except MessageError as err:
             failed.append(f"{message.connection.topic} at {moment_text(message.log_time_ns)}: {err.message}")
     if not shots:

@@ -9,9 +9,9 @@ import numpy as np
 
 from pc2scan.core.timing import TIME_FIELDS, offset_and_unit
 
+from .clouds import SCANS
 from .imu import IMU
-from .laserscan import LASERSCAN
-from .pointcloud2 import decode_pointcloud2
+from .pointcloud2 import POINTCLOUD2, decode_pointcloud2
 from .poses import POSES
 from .wire import Cursor
 
@@ -24,10 +24,14 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
 
 #: Types besides clouds that begin with a header, in ROS 2's spelling.
-STAMPED = frozenset({IMU, LASERSCAN, *POSES})
+STAMPED = frozenset({IMU, *SCANS, *POSES})
 
 #: The layout of a stamp, and the largest number of its seconds.
 _STAMPS = {"ros1": ("<II", 2**32 - 1), "<": ("<iI", 2**31 - 1), ">": (">iI", 2**31 - 1)}
+
+#: Velodyne's packets, which have a time each, and the size of one.
+_PACKETS = "velodyne_msgs/msg/VelodyneScan"
+_PACKET_BYTES = 1206
 
 #: Of how many points the times are looked at to see whether they are absolute.
 _SOME = 64
@@ -60,6 +64,42 @@ def set_stamp(data: bytearray, serialization: str, stamp_ns: int) -> bool:
     fitting_ns = min(max(stamp_ns, 1), most * 1_000_000_000 + 999_999_999)
     struct.pack_into(layout, data, cursor.position - 8, *divmod(fitting_ns, 1_000_000_000))
     return fitting_ns == stamp_ns
+
+
+def move_times(data: bytearray, serialization: str, ros_type: str, shift_ns: int, names: Iterable[str] = ()) -> None:
+    """Move the absolute times in a message in place, besides its stamp: those of points, and of packets.
+
+    Parameters
+    ----------
+    data
+        The message, with its own stamp.
+    shift_ns
+        What is added, nanoseconds.
+    names
+        Fields with times besides `TIME_FIELDS`.
+
+    Raises
+    ------
+    DecodeError
+        If the message cannot be decoded.
+    """
+    if ros_type == POINTCLOUD2:
+        move_point_times(data, serialization, shift_ns, names)
+    elif ros_type == _PACKETS:
+        _move_packet_times(data, serialization, shift_ns)
+
+
+def _move_packet_times(data: bytearray, serialization: str, shift_ns: int) -> None:
+    """Move the times of the packets of a VelodyneScan in place."""
+    cursor = Cursor(memoryview(data), serialization)
+    cursor.header()
+    (count,) = cursor.read("I")
+    layout, most = _STAMPS["ros1" if cursor.ros1 else cursor.byte_order]
+    for _ in range(count):
+        seconds, nanoseconds = cursor.read("II" if cursor.ros1 else "iI")
+        moved_ns = min(max(seconds * 1_000_000_000 + nanoseconds + shift_ns, 0), most * 1_000_000_000)
+        struct.pack_into(layout, data, cursor.position - 8, *divmod(moved_ns, 1_000_000_000))
+        cursor.take(_PACKET_BYTES)
 
 
 def move_point_times(data: bytearray, serialization: str, shift_ns: int, names: Iterable[str] = ()) -> None:

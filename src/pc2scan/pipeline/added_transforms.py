@@ -46,8 +46,8 @@ class TrajectoryWriter:
 
     Attributes
     ----------
-    rows
-        The transforms, by stamp.
+    rows, count
+        The transforms, by stamp, and how many they are.
     handle
         The writer's handle of their topic.
     serialization
@@ -59,6 +59,7 @@ class TrajectoryWriter:
     """
 
     rows: Iterator[TransformRow]
+    count: int
     handle: int
     serialization: str
     report: TopicReport
@@ -116,7 +117,7 @@ def add_poses(
             rows = _rows_in(each, span, reader.summary.end_ns)
             entry = TopicReport(name, "tf2_msgs/msg/TFMessage", name, "added", f"from {each.name}")
             opened.entries.append(entry)
-            files.append(TrajectoryWriter(iter(rows), place, target.serialization, entry, span.first_ns))
+            files.append(TrajectoryWriter(iter(rows), len(rows), place, target.serialization, entry, span.first_ns))
             continue
         for connection in each.reading.connections:
             entry = TopicReport(connection.topic, connection.ros_type, name, "added", "its poses as transforms")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -49,6 +49,17 @@ _OTHER_CLOCK_NS = 500_000_000
 _BEFORE_NS = -20_000_000
 _SMALL_NS = 100_000_000
 
+
+#: Messages with simulated time.
+_CLOCK = "rosgraph_msgs/msg/Clock"
+
+#: How far time scales are ahead of UTC, seconds.
+_TIME_SCALES = {
+    37: "PTP counts TAI, which is 37 s ahead of UTC",
+    18: "GPS time is 18 s ahead of UTC",
+}
+
+_DAY_NS = 86_400_000_000_000
 
 #: Earlier times do not count from 1970, nanoseconds.
 _LONG_AGO_NS = 1_000_000_000_000_000
@@ -117,8 +128,107 @@ def clock_warnings(topics: Iterable[TopicFacts], motion: Mapping[str, Observer[D
                 yield (
                     f"the stamps of {facts.topic} are {abs(behind_ns) / 1e9:.3g} s "
                     f"{'behind' if behind_ns > 0 else 'ahead of'} those of {other}, compared with their log times: if "
-                    "their clocks differ, points are placed as if they were measured at another time"
+                    "their clocks differ, points are placed as if they were measured at another time; "
+                    f"`time_offset={offset_text(delay_ns, nearest_ns)}` corrects that"
                 )
+
+
+class ClockFinding(NamedTuple):
+    """A topic with another clock than the rest of its recording.
+
+    Attributes
+    ----------
+    text
+        What is wrong, for users.
+    time_offset
+        The value of the option ``time_offset`` that corrects it.
+    reason
+        Why, in a few words.
+    """
+
+    text: str
+    time_offset: str
+    reason: str
+
+
+class Clocks:
+    """The clocks of a recording's topics, compared in their first messages.
+
+    Parameters
+    ----------
+    survey
+        Asked for the messages.
+    topics
+        Facts of the topics with clouds, of which headers are asked for.
+    """
+
+    def __init__(self, survey: Survey, topics: Iterable[TopicFacts]) -> None:
+        self._topics = list(topics)
+        for facts in self._topics:
+            facts.ask_headers(CLOCK_HEADERS)
+        connections = survey.reader.connections
+        self._is_simulated = any(each.ros_type == _CLOCK for each in connections)
+        self._motion = self._observers(survey, _moving(connections, survey.frames.tf_topics))
+        own = {facts.topic for facts in self._topics}
+        others = (each for each in connections if each.ros_type in STAMPED and each.ros_version is not None)
+        self._others = self._observers(survey, (each for each in others if each.topic not in own))
+
+    def _observers(self, survey: Survey, connections: Iterable[Connection]) -> dict[str, Observer[Delays]]:
+        limits = survey.span.start_ns, survey.span.stop_ns
+        found = {topic: Observer(own, _delays, _MOTIONS, *limits) for topic, own in by_topic(connections).items()}
+        survey.observers += found.values()
+        return found
+
+    def findings(self) -> dict[str, ClockFinding]:
+        """Return what is wrong with the clocks of topics, once the survey was read.
+
+        Stamps are compared with those of moving transforms; without any, with those of other topics. If all stamps are
+        far from the log times (a simulation, or a recording that was played back), none are wrong.
+        """
+        found = {}
+        motion = {topic: _nearest(each.found) for topic, each in self._motion.items() if each.found}
+        others = [median_low(_nearest(each.found)) for each in self._others.values() if each.found]
+        for facts in self._topics:
+            if not facts.headers:
+                continue
+            delay_ns = median_low([each.delay_ns for each in facts.headers[:CLOCK_HEADERS]])
+            known = {topic: median_low(delays) for topic, delays in motion.items() if delays}
+            topic = min(known, key=lambda name: abs(delay_ns - known[name]), default="")
+            reference_ns = known.get(topic, 0)
+            if not are_doubtful(delay_ns, reference_ns):
+                continue
+            if not known and (self._is_simulated or not all(are_doubtful(delay_ns, each) for each in others)):
+                continue
+            against = f"those of {topic}, compared with their log times" if topic else "their log times"
+            behind_ns = delay_ns - reference_ns
+            how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
+            offset = offset_text(delay_ns, reference_ns)
+            cause = _cause(facts.headers[0].stamp_ns, behind_ns)
+            text = f"the stamps of {facts.topic} are {how}{cause}; `time_offset={offset}` corrects them"
+            short = f"its stamps are {_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead'}"
+            found[facts.topic] = ClockFinding(text, offset, short + cause)
+        return found
+
+
+def offset_text(delay_ns: int, reference_ns: int) -> str:
+    """Return the value of ``time_offset`` that corrects a clock, given the delays of its stamps and of others."""
+    known = next((s for s in _TIME_SCALES if abs(reference_ns - delay_ns - s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
+    return "auto" if known is None else f"-{known}s"
+
+
+def _cause(stamp_ns: int, behind_ns: int) -> str:
+    """Return why a clock probably differs, as a part of a sentence."""
+    ahead = next((s for s in _TIME_SCALES if abs(-behind_ns - s * 1_000_000_000) < _OTHER_CLOCK_NS), None)
+    if ahead is not None:
+        return f" ({_TIME_SCALES[ahead]})"
+    if behind_ns > _DAY_NS and 0 <= stamp_ns < _LONG_AGO_NS:
+        return " (its clock counts from its start)"
+    return f" (its clock says {stamp(stamp_ns)})" if abs(behind_ns) > _DAY_NS else ""
+
+
+def _duration_text(duration_ns: int) -> str:
+    seconds = abs(duration_ns) / 1e9
+    return f"{seconds / 86400:,.0f} days" if seconds > 2 * 86400 else f"{seconds:.3g} s"
 
 
 def _medians(messages: Iterable[Delays]) -> dict[str, int]:
@@ -206,12 +316,7 @@ def measure_offsets(
     dict[str, (int, str)]
         What has to be added to the stamps of each topic, whole milliseconds in nanoseconds, and a note.
     """
-    moving: list[Connection] = []
-    with suppress(UsageError):
-        moving = [each for each in tf_connections(reader.connections, tf_topics) if not is_static(each.topic)]
-    if not moving:
-        moving = [each for each in reader.connections if each.ros_type in POSES and each.ros_version is not None]
-        moving = [each for each in moving if each.topic not in topics]
+    moving = [each for each in _moving(reader.connections, tf_topics) if each.topic not in topics]
     ends = {topic: Observer(own, _delay_of_end, _MEASURED, start_ns, stop_ns) for topic, own in topics.items()}
     references = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(moving).items()}
     observe(reader, [*ends.values(), *references.values()])
@@ -234,6 +339,14 @@ def measure_offsets(
         )
         found[topic] = offset_ns, note
     return found
+
+
+def _moving(connections: Sequence[Connection], tf_topics: Sequence[str]) -> list[Connection]:
+    """Return the connections with moving transforms; without any, or if it is not clear which, those with poses."""
+    moving: list[Connection] = []
+    with suppress(UsageError):
+        moving = [each for each in tf_connections(connections, tf_topics) if not is_static(each.topic)]
+    return moving or [each for each in connections if each.ros_type in POSES and each.ros_version is not None]
 
 
 def _nearest(messages: Iterable[Delays]) -> list[int]:

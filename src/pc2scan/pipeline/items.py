@@ -71,7 +71,8 @@ class OpenRoute:
     @property
     def reports(self) -> Sequence[TopicReport]:
         """The report's entries that count its messages."""
-        return [output.report for output in self.outputs] if self.report is None else [self.report]
+        own = [output.report for output in self.outputs]
+        return own if self.report is None else [self.report, *own]
 
     @property
     def writes(self) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,10 +12,10 @@ from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.tf.placing import Placer
 
 from .first_clouds import FirstClouds
-from .items import Span
+from .items import Span, Tally
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Generator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.observers import Observer
@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     from .clocks import Delays
     from .combine.measurements import SourceFacts
     from .conversion import Conversion, Measurements
+    from .items import OpenRoute
     from .odometry import Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
+    from .report import Report
     from .stages.deskew import Deskew, PointTime
     from .survey import Survey, TopicFacts
 
@@ -65,6 +67,18 @@ class Preparation(NamedTuple):
     def transforms(self) -> TransformBuffer | None:
         """All transforms, for lookups; None if they were not read."""
         return None if self.found is None else self.found.buffer
+
+    @contextmanager
+    def counting(self, routes: Mapping[int, OpenRoute], on_error: str, report: Report) -> Generator[Tally]:
+        """Count the items of the conversion; the report then has what the first clouds show, also after an error."""
+        tally = Tally(routes, on_error, self.firsts.warn)
+        report.skipped = tally.skipped
+        try:
+            yield tally
+            tally.finish()
+            self.firsts.finish()
+        finally:
+            report.add(self.firsts.warnings, self.firsts.notes, self.firsts.advice)
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:

@@ -34,7 +34,6 @@ from pc2scan.threads import Threads, cores
 
 from .checks import request_warnings, result_findings
 from .engine import items_of
-from .items import Tally
 from .plan import make_plan
 from .preparation import prepare, span_of
 from .recording import open_recording, write_items
@@ -117,12 +116,10 @@ def run(
                 jobs = options.jobs or cores()
                 threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
                 recording = open_recording(reader, plan, prepared, target, options, cut, writer)
-                report.topics, firsts = recording.entries, prepared.firsts
+                report.topics = recording.entries
                 report.add(recording.warnings)
                 if threads is not None:
                     writer.compress_ahead(threads)
-                tally = Tally(recording.routes, options.on_error, firsts.warn)
-                report.skipped = tally.skipped
                 items = items_of(
                     reader,
                     recording.routes,
@@ -133,14 +130,11 @@ def run(
                     window=options.window,
                     progress=progress,
                 )
-                try:
-                    with closing(items):
+                with prepared.counting(recording.routes, options.on_error, report) as tally, closing(items):
+                    try:
                         write_items(items, writer, tally, recording)
-                    tally.finish()
-                    firsts.finish()
-                finally:
-                    report.messages_read = tally.messages
-                    report.add(firsts.warnings, firsts.notes, firsts.advice)
+                    finally:
+                        report.messages_read = tally.messages
                 report.add(reader.remarks)
                 files.refuse_changed()
                 report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]

@@ -13,8 +13,7 @@ from pc2scan.bags.changed import ChangedReader
 from pc2scan.bags.topics import by_topic, find_topic
 from pc2scan.errors import DecodeError
 from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
-from pc2scan.messages.stamps import STAMPED, move_point_times, set_stamp, stamp_in
+from pc2scan.messages.stamps import STAMPED, move_times, set_stamp, stamp_in
 
 from .clocks import measure_offsets
 from .options import TRAJECTORY
@@ -66,9 +65,9 @@ class _Clock:
         try:
             own_ns = stamp_in(copy, connection.serialization)
             stamp_ns = message.log_time_ns if self._offset_ns is None else own_ns + self._offset_ns
-            if connection.ros_type == POINTCLOUD2 and stamp_ns != own_ns:
+            if connection.ros_type in CLOUDS and stamp_ns != own_ns:
                 # Before the stamp changes, which tells their unit.
-                move_point_times(copy, connection.serialization, stamp_ns - own_ns, self._fields)
+                move_times(copy, connection.serialization, connection.ros_type, stamp_ns - own_ns, self._fields)
             fits = set_stamp(copy, connection.serialization, stamp_ns)
         except DecodeError:
             return message

@@ -212,7 +212,7 @@ class Survey:
 
     Attributes
     ----------
-    reader, span
+    reader, frames, span
         As given.
     transforms
         All transforms; None if they were not asked for.
@@ -224,7 +224,7 @@ class Survey:
 
     def __init__(self, reader: Reader, others: Sequence[Reader], frames: FrameOptions, span: Span) -> None:
         self.reader, self.span = reader, span
-        self._others, self._frames = others, frames
+        self._others, self.frames = others, frames
         self.transforms: TransformReading | None = None
         self.robot: RobotTransforms | None = None
         self.observers: list[Observer[Any]] = []
@@ -241,13 +241,13 @@ class Survey:
         needed, use
             Frames that are needed; see `TransformReading.supply`.
         """
-        self.transforms = TransformReading(self._frames)
+        self.transforms = TransformReading(self.frames)
         self._needed, self._use = tuple(needed), use
         return self.transforms
 
     def ask_robot(self, moments: Sequence[int] = ()) -> RobotTransforms:
         """Ask for the transforms between the robot's frames, and for how it moves at some further log times."""
-        self.robot = RobotTransforms(self.reader, self._frames, [self.span.first_ns, *moments])
+        self.robot = RobotTransforms(self.reader, self.frames, [self.span.first_ns, *moments])
         return self.robot
 
     def facts(self, connections: Sequence[Connection]) -> TopicFacts:

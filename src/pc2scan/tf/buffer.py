@@ -53,7 +53,7 @@ from .lookup_errors import (
 from .summary import frame_info, trees_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -77,11 +77,14 @@ class TransformBuffer:
         The rejected transforms, in the order of occurrence; at most 100 entries.
     rejected
         Number of all rejected transforms.
+    offers
+        Values of `odom_topic`: topics with poses of frames that no transform has, by frame.
     """
 
     frames: tuple[str, ...]
     rejections: tuple[RejectedTransforms, ...]
     rejected: int
+    offers: Mapping[str, str] = field(default_factory=dict, kw_only=True)
     _stamps_ns: NDArray[np.int64] = field(repr=False)
     _poses: NDArray[np.float64] = field(repr=False)
     _parents: NDArray[np.int32] = field(repr=False)
@@ -294,7 +297,7 @@ class TransformBuffer:
         number = self._numbers.get(name)
         if number is not None:
             return number
-        raise unknown_frame_error(name, role, stamp_ns, self.frames, self.rejections, target)
+        raise unknown_frame_error(name, role, stamp_ns, self.frames, self.rejections, target, self.offers.get(name, ""))
 
     def _chain(self, query: Query, time_ns: int | None) -> Chain:
         """Return the chain between the two frames; raise if one of them has no transform at the time."""

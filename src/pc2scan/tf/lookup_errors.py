@@ -136,8 +136,17 @@ def unknown_frame_error(
     frames: Sequence[str],
     rejections: Sequence[RejectedTransforms],
     target: str = "",
+    offered: str = "",
 ) -> TransformError:
-    """Return the error for a frame that no transform has; ``target`` is the frame that points are transformed to."""
+    """Return the error for a frame that no transform has.
+
+    Parameters
+    ----------
+    target
+        The frame that points are transformed to.
+    offered
+        The value of `odom_topic` for a topic with poses that has the frame; empty: there is none.
+    """
     there_are = frames_text(frames)
     rejected = next((entry for entry in rejections if name in (entry.child, entry.parent)), None)
     if rejected is not None:
@@ -148,6 +157,8 @@ def unknown_frame_error(
         "`static_tf`, `urdf` or `tf_from` adds a transform, `odom_topic` or `trajectory` poses; `source_frame` "
         "corrects a wrong frame_id"
     )
+    if offered:
+        advice = f"`odom_topic={offered}` uses the poses of this topic, which have it"
     # A target of a lookup may be a target frame, a fixed frame or a level one, so the message does not call it one.
     kind = "source frame" if role == "source_frame" else "frame"
     if role == "source_frame" and frames and not near:
@@ -212,7 +223,7 @@ def unconnected_error(
     return kind(
         f"no transforms connect [{query.source}] with [{query.target}]: {where}",
         stamp_ns=query.stamp_ns,
-        hint=f"`static_tf` or `tf_from` adds what connects them; {_SEE_TF}",
+        hint=f"`static_tf`, `urdf`, `odom_topic` or `tf_from` adds what connects them; {_SEE_TF}",
     )
 
 

@@ -118,6 +118,8 @@ class TransformReading:
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
         self._notes: list[str] = []
+        #: Topics with poses of frames that no transform has.
+        self._offers: dict[str, str] = {}
         self._poses: list[PoseReading] = []
         self._models: list[RobotModel] = [] if options.model is None else [options.model]
         # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
@@ -187,6 +189,7 @@ class TransformReading:
         if not missing:
             return
         from pc2scan.bags.observers import Observer, observe  # noqa: PLC0415  # only with transforms
+        from pc2scan.messages.poses import POSES  # noqa: PLC0415
 
         from .sources import PoseReading, PoseTopic  # noqa: PLC0415
 
@@ -195,7 +198,12 @@ class TransformReading:
         fitting = []
         for topic, trial in trials.items():
             pairs = [(each.parent, each.child) for each in trial.finish()[0]]
-            if any(frame in missing for pair in pairs for frame in pair):
+            there = [frame for pair in pairs for frame in pair if frame in missing]
+            # Without the name of the frame that has the poses, the user has to know it.
+            is_named = all(POSES[each.ros_type] for each in candidates[topic])
+            for frame in there:
+                self._offers.setdefault(frame, topic if is_named else f"{topic}:base_link")
+            if there and is_named:
                 fitting.append((topic, pairs[0]))
         if not use or len(fitting) > 1:
             self._notes += (
@@ -273,7 +281,7 @@ class TransformReading:
         if self._poses or self._options.trajectory is not None:
             poses, further = self._add_poses(notes)
             texts += further
-        buffer = builder.build()
+        buffer = replace(builder.build(), offers=self._offers)
         texts += [
             f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
             for r in buffer.rejections
@@ -326,11 +334,11 @@ def _are(items: Sequence[object]) -> str:
 
 
 def _pose_connections(connections: Sequence[Connection]) -> dict[str, list[Connection]]:
-    """Return the connections of topics whose messages name both frames of a pose."""
+    """Return the connections of topics with poses."""
     from pc2scan.bags.topics import by_topic  # noqa: PLC0415  # only with transforms
     from pc2scan.messages.poses import POSES  # noqa: PLC0415
 
-    return by_topic(c for c in connections if POSES.get(c.ros_type) and c.ros_version is not None)
+    return by_topic(c for c in connections if c.ros_type in POSES and c.ros_version is not None)
 
 
 def _model_connections(connections: Sequence[Connection], options: FrameOptions) -> list[Connection]:
