@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from benchmarks.clouds import FORMS, write_recording
+from benchmarks.clouds import CLOUD_BYTES, FORMS, write_recording
 from pc2scan import threads
 from pc2scan.cli import main
 
@@ -38,6 +38,18 @@ def faults(prepare: str, *args: object) -> int:
     return int(subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout)
 
 
+#: Peak memory of a command, KiB. What `getrusage` says includes the process that began this one.
+PEAK = """
+import sys
+from pc2scan.cli import main
+try:
+    main()
+finally:
+    with open("/proc/self/status") as file:
+        (peak,) = (line.split()[1] for line in file if line.startswith("VmHWM:"))
+    print(peak, file=sys.stderr)
+"""
+
 on_glibc = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc is told")
 
 
@@ -51,6 +63,26 @@ def test_freed_memory_is_used_again() -> None:
 def test_a_hosts_allocator_stays_as_it_is(tmp_path: Path) -> None:
     source = write_recording(tmp_path, FORMS["ROS 1, lz4"], 10_000_000)
     assert faults(CONVERTS, source, tmp_path / "scans.mcap") > 0.9 * faults("")
+
+
+@on_glibc
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["ROS 1, lz4", "MCAP, none"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("info", "SOURCE"),
+        ("view", "SOURCE", "-o", "page.html"),
+        ("convert", "SOURCE", "-o", "scans.mcap", "--keep-clouds", "--compression", "lz4", "--jobs", "2"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_100_mb_are_enough_at_any_length(words: tuple[str, ...], form: str, tmp_path: Path) -> None:
+    # Forty clouds of 131,072 points: four times as many as are sampled and shown, far more than are read ahead.
+    source = write_recording(tmp_path, FORMS[form], 40 * CLOUD_BYTES)
+    command = [sys.executable, "-c", PEAK, *(str(source) if word == "SOURCE" else word for word in words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True, cwd=tmp_path)
+    assert int(done.stderr.splitlines()[-1]) < 100 * 1024
 
 
 def test_the_command_keeps_freed_memory(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -282,7 +282,7 @@ def map(  # noqa: A001  # the command's name
 
     This is a preview, not SLAM: no scans are matched, and no poses corrected. It shows whether heights, mounting,
     stamps and odometry fit together. A scan has the pose at its stamp; with a ``time_increment``, each beam has the
-    pose at its own time. ``topics`` are LaserScan or PointCloud2 topics; by default all scans, or all clouds if there
+    pose at its own time. ``topics`` are topics of scans or clouds; by default all scans, or all clouds if there
     are no scans, or if an option is given that converts clouds. Of several outputs, the first is drawn.
 
     Parameters
@@ -454,7 +454,7 @@ def export(
     """Write scans with poses, trajectories or clouds for learning and evaluation, as ``pc2scan export`` does.
 
     With any parameter of the projection, clouds are converted first. Without ``topics``, all LaserScan topics are
-    exported; if clouds are exported or converted, all PointCloud2 topics. Options about transforms are also used for
+    exported; if clouds are exported or converted, all topics of clouds. Options about transforms are also used for
     poses.
 
     Parameters

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .errors import Pc2ScanError
-from .requests import conversion_of, destination_of, first_output, frames_of, named_files, output_of
+from .requests import OF_FRAMES, conversion_of, destination_of, first_output, frames_of, named_files, output_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
 
 
 _Shown = TypeVar("_Shown", "Page", "Plotted", "Map")
-
-#: The options about frames that a conversion which `info` proposes needs, too.
-_OF_FRAMES = ("tf_topics", "tf_from", "static_tf", "source_frame")
 
 
 def convert(
@@ -194,7 +191,7 @@ def info(sources: Sequence[Path], options: Options) -> Info:
         described=options.topics,
         target_frame=options.target_frame,
         frames=frames_of(options),
-        given={name: options.given[name] for name in _OF_FRAMES if name in options.given},
+        given={name: options.given[name] for name in options.given if name in OF_FRAMES},
     )
 
 
@@ -208,6 +205,7 @@ def check(sources: Sequence[Path], options: Options, *, progress: Progress | Non
         topics=options.topics,
         odom_frame=options.odom_frame,
         base_frame=options.base_frame,
+        echo=options.echo,
         frames=frames_of(options),
         progress=progress,
     )

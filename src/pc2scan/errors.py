@@ -220,6 +220,10 @@ class TopicError(UsageError):
     """A topic is missing, has another type, or its name is taken."""
 
 
+class NothingToConvertError(TopicError):
+    """The recording has no topic of a type that can be converted: no clouds, or no scans."""
+
+
 class DestinationError(UsageError):
     """The destination exists, is a source, or cannot be written as requested."""
 

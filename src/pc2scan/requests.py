@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from .arguments import refuse_unknown
 from .core.params import ProjectionParams
-from .errors import SeveralNodesError, UsageError
+from .errors import SeveralNodesError, UsageError, name_list
 from .files.urls import path_of, path_or_url, path_text, paths_in
 from .options.call import CALL, Options
-from .options.table import PARAMETERS
-from .pipeline.options import ConvertOptions, ScanSpec, TopicRequest
+from .options.conversion import ConversionFrames, StampCorrection
+from .options.table import PARAMETERS, options_about_scans
+from .pipeline.options import ConvertOptions, ScanSpec, StampOptions, TopicRequest
 from .pipeline.param_sources import resolve_sources
 from .pipeline.parameters import ResolvedParams, Setting, refuse_degrees
 from .tf.placing import FrameOptions
@@ -26,15 +27,21 @@ if TYPE_CHECKING:
     from .files.urls import PathText
     from .pipeline.run_files import OutputOptions
     from .streams.stream import Selection
+    from .tf.robot_model import RobotModel
+    from .tf.sources import PoseTopic
     from .tf.static import StaticTransform
+    from .tf.trajectory import Trajectory
 
     Warn: TypeAlias = Callable[[str], None]
 
 #: Options that are attributes of a conversion, as they are.
-_OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames"}
+_OF_ALL = ConvertOptions.__dataclass_fields__.keys() - {"scans", "frames", "clock"}
 
 #: The options that are attributes of `FrameOptions`.
-_OF_FRAMES = ("static_tf", "static_tf_file", "write_static_tf", "tf_from", "tf_topics", "source_frame")
+OF_FRAMES = {*ConversionFrames.__annotations__, "write_static_tf"} - {"frames"}
+
+#: The options that name files which are read.
+NAMED_FILES = ("params_file", "static_tf_file", "trajectory", "trajectory_times", "urdf", "scans")
 
 
 class ConversionRequest(NamedTuple):
@@ -64,11 +71,13 @@ def frames_of(options: Options) -> FrameOptions:
         If a transform cannot be read, or if there are options besides ``frames``, which has all of them.
     """
     if options.frames is not None:
-        if options.given.keys() & set(_OF_FRAMES):
+        if options.given.keys() & OF_FRAMES:
             raise UsageError("give frames, or the arguments about frames one by one, not both")
         if not isinstance(options.frames, FrameOptions):
             raise TypeError(f"frames is {type(options.frames).__name__}, it must be FrameOptions")
         return options.frames
+    if not options.given.keys() & OF_FRAMES:
+        return FrameOptions()
     static: tuple[StaticTransform, ...] = ()
     if options.static_tf_file or options.static_tf:
         from .tf.static import added_transforms  # noqa: PLC0415  # few conversions add any
@@ -78,9 +87,51 @@ def frames_of(options: Options) -> FrameOptions:
         tf_topics=options.tf_topics,
         tf_from=options.tf_from,
         static=static,
+        odometry=_odometry(options.odom_topic),
+        trajectory=_trajectory(options),
+        model=_model(options.urdf),
         source_frame=options.source_frame,
         write_static=options.write_static_tf,
     )
+
+
+def _odometry(texts: tuple[str, ...]) -> tuple[PoseTopic, ...]:
+    """Return the topics whose poses are used as transforms."""
+    if not texts:
+        return ()
+    from .tf.sources import PoseTopic  # noqa: PLC0415  # few conversions add poses
+
+    return tuple(map(PoseTopic.parse, texts))
+
+
+def _trajectory(options: Options) -> Trajectory | None:
+    """Return the poses of a file that are used as transforms."""
+    if options.trajectory is None:
+        if options.trajectory_frames or options.trajectory_times is not None:
+            raise UsageError("`trajectory_frames` and `trajectory_times` need `trajectory`")
+        return None
+    from .tf.trajectory import frames_of_trajectory, load_trajectory  # noqa: PLC0415  # few conversions add poses
+
+    frames = frames_of_trajectory(options.trajectory_frames)
+    found = load_trajectory(options.trajectory, frames, options.trajectory_times)
+    clock = clock_of(options)
+    return found if clock is None else found.moved(clock.trajectory_ns)
+
+
+def clock_of(options: Options) -> StampOptions | None:
+    """Return how stamps are corrected; None if they are not."""
+    if options.stamps == "header" and not options.time_offset:
+        return None
+    return StampOptions.of(options.stamps, options.time_offset)
+
+
+def _model(path: Path | None) -> RobotModel | None:
+    """Return the robot's model in a file."""
+    if path is None:
+        return None
+    from .tf.robot_model import model_in_file  # noqa: PLC0415  # few conversions have one
+
+    return model_in_file(path)
 
 
 def first_output(request: ConversionRequest, verb: str, warn: Warn | None) -> ConversionRequest:
@@ -108,6 +159,8 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConversionReque
     UsageError
         If an option has a wrong value, or contradicts another one.
     """
+    if options.no_scans:
+        _refuse_scans(options)
     given = options.among(PARAMETERS)
     settings = [Setting(name, value, options.origins.get(name, CALL)) for name, value in given.items()]
     if options.scans is not None:
@@ -118,6 +171,16 @@ def conversion_of(options: Options, warn: Warn | None = None) -> ConversionReque
         if options.reverse or options.params_file is None:
             raise
         return _of_nodes(options, settings, err.nodes, options.params_file, warn)
+
+
+def _refuse_scans(options: Options) -> None:
+    """Raise if there are options about scans, of which none are made."""
+    about_scans = options_about_scans()
+    if idle := [name for name in options.given if name in about_scans]:
+        raise UsageError(
+            f"{name_list([f'`{name}`' for name in idle])} would have no effect: `no_scans` makes no scans",
+            hint="`keep` and `drop` choose among topics" if "topics" in idle else None,
+        )
 
 
 def _of_nodes(
@@ -151,7 +214,9 @@ def _several_scans(options: Options, settings: list[Setting], warn: Warn | None)
     notes = tuple(_IGNORED + place for place in found.ignored)
     _pass_on(notes, warn)
     files = {f"{path.name} (from `scans`)": path for path in found.files}
-    conversion = ConvertOptions(scans=found.specs, frames=frames_of(options), **options.among(_OF_ALL))
+    conversion = ConvertOptions(
+        scans=found.specs, frames=frames_of(options), clock=clock_of(options), **options.among(_OF_ALL)
+    )
     return ConversionRequest(conversion, named_files(options) | files, notes)
 
 
@@ -208,7 +273,9 @@ def _of_node(
         more["channels"] = _channels(options.channels, options.range_cutoff)
     scan = ScanSpec.of(options.given, resolved, topics=tuple(map(TopicRequest.parse, topics)), **more)
     files = named_files(options) | {f"{path.name} (from `params_file`)": path for path in resolved.files}
-    return ConversionRequest(ConvertOptions(scans=(scan,), frames=frames, **options.among(_OF_ALL)), files, notes)
+    clock = clock_of(options) if options.given.keys() & StampCorrection.__annotations__.keys() else None
+    conversion = ConvertOptions(scans=(scan,), frames=frames, clock=clock, **options.among(_OF_ALL))
+    return ConversionRequest(conversion, files, notes)
 
 
 def _remapped(options: Options) -> set[str]:
@@ -224,7 +291,7 @@ _IGNORED = "ignored, because it is not a parameter of the projection: "
 
 def named_files(options: Options) -> dict[str, Path]:
     """Return the files that options name and that are read, by option."""
-    named = {name: getattr(options, name) for name in ("params_file", "static_tf_file", "scans")}
+    named = {name: getattr(options, name) for name in NAMED_FILES}
     return {f"`{name}`": path for name, path in named.items() if isinstance(path, Path)}
 
 
@@ -305,4 +372,5 @@ def selection_of(sources: PathText | Iterable[PathText], topics: tuple[str, ...]
         on_error=options.on_error,
         verify=options.verify,
         strict=options.strict,
+        clock=clock_of(options),
     )

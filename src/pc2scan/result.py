@@ -43,6 +43,9 @@ class Remark(NamedTuple):
         return f"{self.label}: {self.text}"
 
 
+_NO_REASONS: dict[str, str] = {}
+
+
 class Call(NamedTuple):
     """A call of pc2scan that a result proposes; shown as Python, or as a command line.
 
@@ -54,11 +57,14 @@ class Call(NamedTuple):
         The recordings.
     options
         Its options, by their names in Python.
+    reasons
+        Why options are there, by their names.
     """
 
     command: str
     sources: Sequence[str]
     options: Mapping[str, Any]
+    reasons: Mapping[str, str] = _NO_REASONS
 
     def __str__(self) -> str:
         sources = list(self.sources)

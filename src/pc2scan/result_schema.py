@@ -89,6 +89,7 @@ _OWN: dict[type, dict[str, Any]] = {
             "command": _TEXT,
             "sources": {"type": "array", "items": _TEXT},
             "options": {"description": "By name.", **_OBJECT},
+            "reasons": {"description": "Why options are there, by name.", **_OBJECT},
         }
     ),
 }

@@ -24,6 +24,7 @@ _Arguments = ParamSpec("_Arguments")
 _M_TRIM_THRESHOLD = -1
 _M_TOP_PAD = -2
 _M_MMAP_THRESHOLD = -3
+_M_ARENA_MAX = -8
 
 #: Freed buffers up to this size are kept: most clouds and chunks are smaller. To keep larger ones would fragment the
 #: memory.
@@ -223,7 +224,8 @@ def keep_freed_memory() -> bool:
 
     This changes the allocator of the whole process. So only the command does it, and never the library, which may run
     in another program's process. By default malloc returns a buffer of a chunk's size to the system when it is freed,
-    and the system has to provide and clear every page of the next one.
+    and the system has to provide and clear every page of the next one. All threads share one arena: a buffer that one
+    of them frees is the next one of another.
 
     Returns
     -------
@@ -242,5 +244,6 @@ def keep_freed_memory() -> bool:
         (_M_MMAP_THRESHOLD, _MMAP_FROM_BYTES),
         (_M_TRIM_THRESHOLD, _KEPT_BYTES),
         (_M_TOP_PAD, _GROWN_BY_BYTES),
+        (_M_ARENA_MAX, 1),
     )
     return all(mallopt(name, value) == 1 for name, value in settings)

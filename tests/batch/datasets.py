@@ -25,7 +25,8 @@ OUTCOMES = {
     "nameless": "converted",
     "cut.bag": "incomplete",
     "cut.mcap": "incomplete",
-    **dict.fromkeys(("without.mcap", "empty.bag", "text.mcap"), "failed"),
+    **dict.fromkeys(("empty.bag", "text.mcap"), "failed"),
+    "without.mcap": "no clouds",
     "thumbs.db": "-",
     "README.txt": "-",
 }

@@ -46,9 +46,22 @@ from pc2scan.batch.processes import run_jobs
 from pc2scan.batch.run import BatchOptions, run_batch
 from pc2scan.core.kernel import COMPILED
 from pc2scan.core.project import Projector
-from pc2scan.messages.pointcloud2 import decode_pointcloud2
+from pc2scan.files.compression import decompress_within
+from pc2scan.messages.livox import decode_livox
+from pc2scan.messages.pointcloud2 import as_pointcloud2, decode_pointcloud2
 from pc2scan.threads import keep_freed_memory
-from support.builders import write_mcap
+from support.builders import CLOUD, T0, Item, Mcap, Recording, Stream, write_mcap
+from support.clouds import (
+    COMPRESSED,
+    COMPRESSORS,
+    LIVOX,
+    OLD_CLOUD,
+    compressed,
+    livox,
+    livox_points,
+    old_cloud,
+    structured,
+)
 from support.worlds.drives import drive_recording
 
 if TYPE_CHECKING:
@@ -445,6 +458,76 @@ def combining(place: Path, _size: int, repeat: int) -> None:
     )
 
 
+# --- Kinds of clouds ---
+
+#: Points of a message of a Livox Mid-360 at 10 Hz, and of each how many messages are converted.
+LIVOX_POINTS, LIVOX_CLOUDS = 20_000, 1_000
+
+
+def kinds(place: Path, _size: int, repeat: int) -> None:
+    made = list(map(livox_yard, range(4)))
+    sound = [livox_yard(number, lost=0.0) for number in range(4)]
+    driver = [as_pointcloud2(decode_livox(livox(points, 2), "cdr")) for points in made]
+    tables = [cloud.structured_points() for cloud in driver]
+    messages = {
+        "PointCloud2 of Livox's driver, 26 bytes": (CLOUD, [structured(each, 2, dense=True) for each in tables]),
+        "Livox CustomMsg, 5 % at the origin": (LIVOX[1], [livox(each, 2) for each in made]),
+        "Livox CustomMsg, all points sound": (LIVOX[1], [livox(each, 2) for each in sound]),
+        "CompressedPointCloud2, zstd": (COMPRESSED, [compressed(each, 2, "zstd") for each in tables]),
+        "CompressedPointCloud2, zlib": (COMPRESSED, [compressed(each, 2, "zlib") for each in tables]),
+        "PointCloud": (OLD_CLOUD, [old_cloud(each, 2) for each in tables]),
+    }
+    sources = {}
+    for number, (name, (kind, each)) in enumerate(messages.items()):
+        stream = Stream("/points", kind)
+        items = [Item(stream, T0 + step * 100_000_000, {2: each[step % len(each)]}) for step in range(LIVOX_CLOUDS)]
+        sources[name] = write_mcap(
+            place / f"kind{number}.mcap",
+            Recording((stream,), tuple(items)),
+            Mcap(compression="none", chunk_size=1 << 20),
+        )
+
+    def used(work: Callable[[], object]) -> float:
+        return timed(work)[1] / LIVOX_CLOUDS * 1000
+
+    options: dict[str, Any] = {"params": PARAMS, "jobs": 1, "only_scans": True, "overwrite": True}
+
+    def conversion(name: str) -> float:
+        return used(lambda: pc2scan.convert(sources[name], place / "out.mcap", **options))
+
+    def decompression(name: str) -> float:
+        word = name.rpartition(" ")[2]
+        if word not in ("zstd", "zlib"):
+            return 0.0
+        packed = COMPRESSORS[word][1](tables[0].tobytes())
+        return used(lambda: [decompress_within(word, packed, 1 << 20) for _ in range(LIVOX_CLOUDS)])
+
+    def rows() -> Iterable[Sequence[str]]:
+        found = rounds(repeat, *(partial(work, name) for name in sources for work in (conversion, decompression)))
+        for place_of, name in enumerate(sources):
+            whole, alone = (median(row[2 * place_of + part] for row in found) for part in (0, 1))
+            multiple = median((row[2 * place_of] - row[2 * place_of + 1]) / row[0] for row in found)
+            yield name, f"{whole:.3f}", f"{alone:.3f}" if alone else "", f"{multiple:.2f}"
+
+    table(
+        f"Kinds of clouds:** {LIVOX_CLOUDS:,} clouds of {LIVOX_POINTS:,} points, uncompressed MCAP, one thread, "
+        "processor time of a conversion in ms a cloud, and as a multiple of PointCloud2's without the decompression",
+        ("message", "conversion", "decompression alone", "a multiple"),
+        rows(),
+    )
+
+
+def livox_yard(number: int, lost: float = 0.05) -> Any:
+    """A Livox's points in a yard, some at the origin: without a return."""
+    rng = np.random.default_rng(number)
+    points = livox_points(number, LIVOX_POINTS)
+    for axis, far in zip("xyz", (20, 12, 3), strict=True):
+        points[axis] = rng.uniform(-far, far, LIVOX_POINTS)
+        points[axis][:: round(1 / lost) if lost else LIVOX_POINTS + 1] *= 0
+    points["tag"] = rng.choice((0, 0x10), LIVOX_POINTS)
+    return points
+
+
 # --- Datasets ---
 
 
@@ -661,6 +744,7 @@ TABLES: dict[str, Callable[[Path, int, int], None]] = {
     "python": in_python,
     "outputs": outputs,
     "combining": combining,
+    "kinds": kinds,
     "batch": datasets,
     "passing": passing,
     "maps": maps,

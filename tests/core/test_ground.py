@@ -45,6 +45,8 @@ def verdict(found: Ground, sensor: str, roll: float, pitch: float) -> str:
     if found.kind == "level":
         # Nothing is said of it.
         return "alone"
+    if found.kind == "slanted":
+        return "named" if 10 < tilt < 170 else "wrong: slanted"
     if tilt < 3 or optical:
         return f"wrong: {found.kind}"
     upside_down = tilt > 90
@@ -104,6 +106,13 @@ def test_a_tilted_lidar_is_named(name: str, roll: float) -> None:
     # Forward stays forward.
     assert level.matrix[1, 0] == pytest.approx(0, abs=1e-9)
     assert np.degrees(found.level_from_frame[:2]) == pytest.approx([roll, 10], abs=1)
+
+
+@pytest.mark.parametrize("name", ["hall", "office", "street"])
+@pytest.mark.parametrize(("roll", "pitch"), [(60, 0), (0, 65), (70, 10)])
+def test_a_lidar_that_is_tilted_too_far_to_know_its_floor_is_slanted(name: str, roll: float, pitch: float) -> None:
+    found = common_ground([seen(PLACES[name], "32 rings", roll, pitch, 0.6, stand) for stand in range(3)])
+    assert (found.kind, found.off, found.up) == ("slanted", True, None)
 
 
 @pytest.mark.parametrize(("name", "height"), [("hall", 0.6), ("field", 1.8), ("wood", 0.6)])

@@ -124,7 +124,7 @@ def test_a_frame_of_the_transforms_that_is_level_is_the_cure(
     assert "frame 'lidar' is tilted by 17.9 deg" in done.stderr
     assert done.stderr.endswith(f". --target-frame {body} makes it level\n")
     command = ready(done.stdout)
-    assert command[-6:] == ["--target-frame", body, "--min-height", "0.1", "--max-height", "1.5"]
+    assert f"--target-frame {body} --min-height 0.1 --max-height 1.5" in " ".join(command)
     assert run(*command, "-o", tmp_path / "out.mcap").stderr == ""
     assert f"heights (z) in {body}" in run("info", source, "--target-frame", body).stdout
 
@@ -142,12 +142,12 @@ def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path:
     done = run("info", HALL)
     assert done.stderr == ""
     assert "floor at z = 0.00 m in frame 'base_link'; the sensor is 0.60 m above the floor" in done.stdout
-    assert ready(done.stdout)[1:4] == [str(HALL), "--target-frame", "base_link"]
+    assert ready(done.stdout)[1:6] == [str(HALL), "--preset", "slam_toolbox", "--target-frame", "base_link"]
     source = recorded(sensor="128 rings")
     done = run("info", source)
     assert done.stderr == ""
     assert "floor at z = -0.60 m in frame 'lidar', ceiling at 2.40 m; the sensor is 0.60 m above" in done.stdout
-    assert ready(done.stdout) == ["convert", str(source), "--min-height", "-0.5", "--max-height", "0.9"]
+    assert "--preset slam_toolbox --min-height -0.5 --max-height 0.9" in " ".join(ready(done.stdout))
     # A topic that is taken is avoided, and several are named.
     kept = tmp_path / "b.mcap"
     assert run("convert", source, "-o", kept, "--keep-clouds", "--min-height", "-0.5").status == 0
@@ -316,7 +316,10 @@ def test_points_at_the_sensor(tf: Sequence[Any], tmp_path: Path) -> None:
     # The command that `info` proposes excludes them, too, and counts them in any frame.
     shown = run("info", source, *args[: 2 if tf else 0]).stdout
     assert "(0, 0, 0) 2.0%" in shown
-    assert shown.endswith(f"{shlex.join(words)}\n")
+    proposed = run(*ready(shown), "-o", tmp_path / "d.mcap")
+    assert (proposed.status, proposed.stderr) == (0, "")
+    # In the lidar's own frame the preset does.
+    assert not tf or shlex.join(words) in shown
 
 
 def test_the_warning_comes_after_the_first_clouds(tmp_path: Path) -> None:

@@ -20,6 +20,9 @@ from pc2scan.core.presets import PRESETS
 from pc2scan.golden.case import KEYS
 from pc2scan.options.table import PARAMETERS, output_options
 from support import ROOT
+from support.builders import T0, Item, Recording, Stream, write_rosbag1
+from support.clouds import LIVOX, livox_points
+from support.clouds import livox as livox_message
 from support.command import environment, run
 from support.worlds.moving import Lidar, write_world
 
@@ -220,6 +223,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
         [Lidar("/front", "front"), Lidar("/rear", "rear", phase=0.037), Lidar("/flat", "flat", kind="flat")],
         seconds=0.5,
     )
+    livox = Stream("/livox/lidar", LIVOX[1])
+    data = {version: livox_message(livox_points(1), version) for version in (1, 2)}
+    write_rosbag1(folder / "livox.bag", Recording((livox,), (Item(livox, T0, data),)))
     # A recording is found by its content.
     (folder / "robot.mcap").rename(folder / "robot.bag")
     options = ("--min-height", "-0.3", "--start", "0.1")

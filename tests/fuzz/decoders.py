@@ -16,6 +16,7 @@ import gc
 import pkgutil
 import sys
 import tempfile
+from contextlib import suppress
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
@@ -28,7 +29,8 @@ import pc2scan
 from fuzz.clouds import project_cloud, project_moving
 from fuzz.rays import draw_rays
 from pc2scan.errors import Pc2ScanError
-from pc2scan.model import Connection, Definition
+from pc2scan.model import Connection, Definition, RawMessage
+from support.clouds import COMPRESSED, LIVOX, OLD_CLOUD, VELODYNE
 from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
@@ -46,7 +48,8 @@ def _serialization(data: bytes) -> tuple[bytes, str]:
     return data[1:], "ros1" if data[:1] < b"\x80" else "cdr"
 
 
-def _cloud(data: bytes) -> None:
+def _cloud(data: bytes, kind: str = "") -> None:
+    """To a scan; messages of other kinds also to a PointCloud2."""
     from pc2scan import ProjectionParams
     from pc2scan.pipeline.cloud_to_scan import CloudToScan
     from pc2scan.pipeline.conversion import steps_of
@@ -55,8 +58,22 @@ def _cloud(data: bytes) -> None:
     content, serialization = _serialization(data)
     conversion = CloudToScan(ProjectionParams(min_height=-9.0), Placer())
     value: object = content
-    for step in steps_of([conversion], "/points", serialization, "", [partial(conversion.serialise, "cdr")]):
+    for step in steps_of([conversion], "/points", serialization, kind, [partial(conversion.serialise, "cdr")]):
         value = step(value)
+    if kind:
+        from pc2scan.messages.clouds import CLOUDS
+        from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_cloud, recorded_cloud
+
+        points = CLOUDS[kind](serialization)(content)
+        recorded_cloud(points).structured_points()
+        encode_cloud(as_pointcloud2(points), serialization)
+
+
+def _multi_echo(data: bytes) -> None:
+    from pc2scan.messages.multi_echo import decode_multi_echo
+
+    for echo in ("first", "last", "strongest"):
+        decode_multi_echo(*_serialization(data), echo)
 
 
 def _scan(data: bytes) -> None:
@@ -91,6 +108,55 @@ def _imu(data: bytes) -> None:
     found = read_up([MemoryReader(Path("made"), [connection], rows)], ImuRequest("/imu"))
     assert np.isfinite(found.directions).all()
     assert len(found.directions) == len(found.stamps_ns)
+
+
+def _poses(data: bytes) -> None:
+    """A pose of each type, and the transform that it becomes."""
+    from pc2scan.messages.poses import POSES, decode_pose
+    from pc2scan.messages.tfmessage import encode_transforms
+    from pc2scan.tf.builder import TransformBuilder
+    from pc2scan.tf.sources import PoseReading, PoseTopic
+
+    content, serialization = _serialization(data)
+    for kind in POSES:
+        connection = Connection(0, "/odom", kind, serialization)
+        reading = PoseReading(PoseTopic("/odom"), [connection])
+        reading.add(RawMessage(connection, 0, content, 0))
+        found, _ = reading.finish()
+        for each in found:
+            builder = TransformBuilder()
+            builder.add_poses(each.parent, each.child, each.stamps_ns, each.poses)
+            builder.build()
+    encode_transforms([decode_pose(content, serialization)], serialization)
+
+
+def _stamps(data: bytes) -> None:
+    """A message keeps everything but its times; what cannot be decoded is not changed in part."""
+    from pc2scan.messages.clouds import CLOUDS
+    from pc2scan.messages.stamps import move_times, set_stamp, stamp_in
+
+    content, serialization = _serialization(data)
+    for kind in CLOUDS:
+        copy = bytearray(content)
+        stamp_in(copy, serialization)
+        with suppress(Pc2ScanError):
+            move_times(copy, serialization, kind, 10**18, ("x",))
+        set_stamp(copy, serialization, 10**18)
+        assert len(copy) == len(content)
+        assert stamp_in(copy, serialization) == 10**18
+
+
+def _model(data: bytes) -> None:
+    from pc2scan.tf.robot_model import parse_model
+
+    parse_model(data.decode("utf-8", "surrogateescape"), "/robot_description")
+
+
+def _trajectory(data: bytes) -> None:
+    from pc2scan.tf.trajectory import load_trajectory
+
+    _file("a.tum", data, lambda path: _ignored(load_trajectory(path, ("odom", "base_link"))))
+    _file("times.txt", data, lambda path: _ignored(load_trajectory(path, ("odom", "base_link"), path)))
 
 
 def _wire(data: bytes) -> None:
@@ -211,9 +277,18 @@ DECODERS: dict[str, Callable[[bytes], None]] = {
     "clouds": project_cloud,
     "moving": project_moving,
     "rays": draw_rays,
+    "livox": partial(_cloud, kind=LIVOX[1]),
+    "compressed": partial(_cloud, kind=COMPRESSED),
+    "pointcloud": partial(_cloud, kind=OLD_CLOUD),
+    "velodyne": partial(_cloud, kind=VELODYNE),
     "scan": _scan,
+    "multi-echo": _multi_echo,
     "transforms": _transforms,
     "imu": _imu,
+    "poses": _poses,
+    "stamps": _stamps,
+    "model": _model,
+    "trajectory": _trajectory,
     "wire": _wire,
     "schema": _schema,
     "transcoding": _transcoding,

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import base64
 import bz2
 import struct
 from typing import TYPE_CHECKING
@@ -33,10 +34,31 @@ from support.builders import (
     qos_text,
     scan,
 )
+from support.clouds import (
+    COMPRESSORS,
+    DRACO,
+    compressed,
+    draco_points,
+    lidar_points,
+    livox,
+    livox_points,
+    multi_echo,
+    old_cloud,
+    packet,
+    velodyne,
+)
+from support.worlds import posed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+
+_MODEL = b"""<robot name="r">
+  <joint name="a" type="fixed"><parent link="b"/><child link="c"/><origin xyz="1 2 3" rpy="0 .1 0"/></joint>
+  <joint name="d" type="revolute"><parent link="b"/><child link="e"/><axis xyz="0 0 1"/></joint>
+</robot>
+"""
 
 
 def inputs() -> Iterator[tuple[str, str, bytes]]:
@@ -46,6 +68,21 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
         points = points_of(1, 3)
         yield "cloud", word, lead + cloud(points, ros_version)
         yield "wire", word, lead + cloud(points, ros_version)
+        yield "stamps", word, lead + cloud(points, ros_version, names=("x", "y", "t"))
+        for kind in ("odometry", "pose"):
+            pose = posed.message(kind, ros_version, 0, T0, ("odom", "base_link"), posed.pose_at(T0))
+            yield "poses", f"{word}-{kind}", lead + pose
+        few = lidar_points(1, 4)
+        for name in COMPRESSORS:
+            yield "compressed", f"{word} {name}".replace(" ", "-"), lead + compressed(few, ros_version, name)
+        for line in DRACO.read_text("ascii").splitlines():
+            name, _, encoded = line.partition(" ")
+            packed = compressed(draco_points(), ros_version, data=base64.b64decode(encoded), form="draco")
+            yield "compressed", f"{word}-draco-{name}", lead + packed
+        yield "pointcloud", word, lead + old_cloud(few, ros_version)
+        yield "livox", word, lead + livox(livox_points(1, 4), ros_version)
+        yield "velodyne", word, lead + velodyne([(T0, packet(0, range(400, 432), 7))] * 2, ros_version)
+        yield "multi-echo", word, lead + multi_echo(ros_version)
         yield "scan", word, lead + scan(points[:, 0], ros_version)
         yield "transforms", word, lead + CONTENT.of("/tf")[0].data[ros_version]
         yield "imu", word, lead + b"".join(imu_message(ros_version, stamp_ns=T0 + place * 10**7) for place in range(4))
@@ -69,6 +106,9 @@ def inputs() -> Iterator[tuple[str, str, bytes]]:
     yield "rays", "line", rays.written(200, 0, 0, [((0, 0, n, 0), n) for n in range(9)])
     yield "rays", "outside", rays.written(5, 5, 1, [((0, 0, 5, 5), 1), ((6, 0, 0, -1), 1), ((2**31 - 1, 0, 0, 0), 0)])
     yield "scan-text", "messages", _scan_text().encode()
+    yield "model", "fixed", _MODEL
+    yield "trajectory", "tum", b"# stamp x y z qx qy qz qw\n1.5 0 1 2 0 0 0 1\n2.5 0 1 2 0.5 0.5 0.5 0.5\n"
+    yield "trajectory", "kitti", b"1 0 0 4 0 1 0 5 0 0 1 6\n0 -1 0 4 1 0 0 5 0 0 1 6\n"
     yield "qos", "profile", qos_text((POINTS,)).encode()
     yield "parameters", "ros2", (GOLDEN / "launch_sample" / "params.yaml").read_bytes()
     yield "parameters", "ros1", b"min_height: -0.5\nangle_min: rad(-pi/2)\nuse_inf: 1\n"

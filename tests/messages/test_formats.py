@@ -13,8 +13,8 @@ from export.driving import ODOMETRY_TYPE, START, by_odometry, odometry
 from pc2scan.errors import DecodeError
 from pc2scan.messages.imu import decode_imu
 from pc2scan.messages.laserscan import decode_laserscan
-from pc2scan.messages.odometry import decode_odometry
 from pc2scan.messages.pointcloud2 import PointField, decode_pointcloud2
+from pc2scan.messages.poses import decode_pose
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
 from support.builders import CLOUD, IMU, SCAN, T0, TF, cloud, deserialized, imu_message, scan, typestore
 
@@ -67,7 +67,7 @@ KINDS = {
     "odometry": Kind(
         ODOMETRY_TYPE,
         lambda version, frame: odometry(START, version, parent=2 * frame, child=frame),
-        decode_odometry,
+        decode_pose,
         lambda frame: (2 * frame, frame, START, *by_odometry(START)[:2], 0.0, 0.0, 0.0, math.sin(HALF), math.cos(HALF)),
         needed=120,
     ),

@@ -12,48 +12,23 @@ import pytest
 import pc2scan
 from pc2scan.errors import DecodeError
 from pc2scan.messages.livox import decode_livox
+from pc2scan.messages.pointcloud2 import as_pointcloud2
 from support import builders
 from support.builders import CLOUD, SECOND, T0, Item, Mcap, Recording, Stream
+from support.clouds import LIVOX as KINDS
+from support.clouds import livox, livox_points, structured
 from support.outputs import opened
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-KINDS = ("livox_ros_driver/msg/CustomMsg", "livox_ros_driver2/msg/CustomMsg")
-
 #: Tags of sound points, one of them a second return of an Avia; and of noise.
-SOUND, NOISE = (0, 3, 0x10, 0x20, 0x0C), (1, 2, 0x04, 0x08, 0x15)
+SOUND, NOISE = (0, 3, 0x10, 0x20, 0x0C, 0x80), (1, 2, 0x04, 0x08, 0x15, 0x40)
 
 
 def points_of(step: int, count: int = 300) -> NDArray[Any]:
     """A Livox cloud's points: some at the origin, some that are noise."""
-    random = np.random.default_rng(step)
-    kind = [("offset_time", "<u4"), ("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-    points = np.zeros(count, [*kind, ("reflectivity", "u1"), ("tag", "u1"), ("line", "u1")])
-    for axis in "xyz":
-        points[axis] = random.uniform(-8, 8, count)
-    points["offset_time"] = np.arange(count) * 100_000_000 // max(count, 1)
-    points["reflectivity"] = random.integers(0, 256, count)
-    points["tag"] = random.choice([*SOUND] * 5 + [*NOISE], count)
-    points["line"] = np.arange(count) % 4
-    for axis in "xyz":
-        points[axis][::17] = 0
-    return points
-
-
-def livox(points: NDArray[Any], ros_version: int, kind: str = KINDS[1], *, seq: int = 0, stamp_ns: int = T0) -> bytes:
-    """A CustomMsg as rosbags serialises it; ``point_num`` is wrong."""
-    store = builders.typestore(ros_version)
-    point = store.types[kind.replace("CustomMsg", "CustomPoint")]
-    message = store.types[kind](
-        header=builders.header(store, ros_version, seq, stamp_ns, "livox_frame"),
-        timebase=stamp_ns,
-        point_num=len(points) + 7,
-        lidar_id=3,
-        rsvd=np.zeros(3, np.uint8),
-        points=[point(*each) for each in points.tolist()],
-    )
-    return builders.serialized(store, message, kind, ros_version)
+    return livox_points(step, count, [*SOUND] * 5 + [*NOISE])
 
 
 def returns(points: NDArray[Any]) -> NDArray[np.float32]:
@@ -165,5 +140,84 @@ def test_info_describes_them_and_their_times_deskew(tmp_path: Path) -> None:
     source = written(tmp_path / "a.mcap", stream, items, 2)
     (cloud,) = pc2scan.info(source).clouds
     assert cloud.frames == ("livox_frame",)
-    assert [name for name, *_ in cloud.fields] == ["x", "y", "z", "offset_time", "reflectivity", "tag", "line"]
+    assert [name for name, *_ in cloud.fields] == [
+        "x",
+        "y",
+        "z",
+        "offset_time",
+        "reflectivity",
+        "tag",
+        "line",
+        "intensity",
+    ]
     assert cloud.nan_share > 0.1
+
+
+@pytest.mark.parametrize("ros_version", [1, 2])
+@pytest.mark.parametrize("count", [0, 1, 300])
+def test_as_pointcloud2_it_is_what_the_driver_publishes(count: int, ros_version: int) -> None:
+    """``xfer_format`` 0 of livox_ros_driver2: LivoxPointXyzrtlt, 26 bytes without padding."""
+    points = points_of(3, count)
+    cloud = as_pointcloud2(decode_livox(livox(points, ros_version), "ros1" if ros_version == 1 else "cdr"))
+    assert (cloud.point_step, cloud.width, cloud.height, cloud.is_bigendian) == (26, count, 1, False)
+    assert [(f.name, f.offset, f.datatype, f.count) for f in cloud.fields] == [
+        *(("x", 0, 7, 1), ("y", 4, 7, 1), ("z", 8, 7, 1), ("intensity", 12, 7, 1)),
+        *(("tag", 16, 2, 1), ("line", 17, 2, 1), ("timestamp", 18, 8, 1)),
+    ]
+    expected = b"".join(
+        struct.pack("<ffffBBd", x, y, z, reflectivity, tag, line, float(T0 + offset))
+        for offset, x, y, z, reflectivity, tag, line in points.tolist()
+    )
+    assert bytes(cloud.data) == expected
+
+
+def test_diff_and_clouds_see_the_recorded_points_in_every_wire_format(tmp_path: Path) -> None:
+    points = points_of(4)
+    stream = Stream("/livox", KINDS[1])
+    paths = []
+    for name, lidar_id in (("a.bag", 3), ("b.mcap", 3), ("c.mcap", 4)):
+        data = {ros: livox(points, ros, lidar_id=lidar_id) for ros in (1, 2)}
+        paths.append(written(tmp_path / name, stream, [builders.Item(stream, T0, data)], 2 if ".mcap" in name else 1))
+    assert pc2scan.diff(paths[0], paths[1], ignore="seq").same
+    (topic,) = pc2scan.diff(paths[1], paths[2]).topics
+    assert list(topic.changes) == ["lidar_id"]
+    for path in paths:
+        (cloud,) = pc2scan.clouds(path)
+        assert len(cloud) == 300
+        for name in points.dtype.names or ():
+            np.testing.assert_array_equal(cloud[name], points[name])
+        np.testing.assert_array_equal(cloud["intensity"], points["reflectivity"])
+
+
+def test_offset_time_deskews_like_the_times_of_a_pointcloud2(tmp_path: Path) -> None:
+    """A robot that drives: the scans of both are equal to the bit, and are not those without deskewing."""
+    at = [T0 + step * SECOND // 10 for step in range(3)]
+    driving = [
+        builders.odometry(T0 + step * SECOND // 50, T0 + step * SECOND // 50, 0.1 * step, step) for step in range(30)
+    ]
+    mount = builders.fixed(builders.MOUNT, T0, "livox_frame", 0.5)
+    steps = [points_of(step) for step in range(3)]
+    own = [
+        builders.Item(Stream("/lidar", KINDS[1]), t, {2: livox(p, 2, stamp_ns=t)})
+        for t, p in zip(at, steps, strict=True)
+    ]
+    usual = []
+    for t, points in zip(at, steps, strict=True):
+        table = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("reflectivity", "<f4"), ("t", "<u4")])
+        for place, name in enumerate(("x", "y", "z", "reflectivity")):
+            table[name] = returns(points)[:, place]
+        table["t"] = points["offset_time"]
+        data = structured(table, 2, stamp_ns=t, frame_id="livox_frame")
+        usual.append(builders.Item(Stream("/lidar", CLOUD), t, {2: data}))
+    scans = []
+    for folder, items, deskew in (("own", own, True), ("usual", usual, True), ("rigid", own, False)):
+        content = sorted([mount, *driving, *items], key=lambda item: item.log_time_ns)
+        streams = tuple({item.stream: None for item in content})
+        (tmp_path / folder).mkdir()
+        source = builders.write_mcap(tmp_path / folder / "a.mcap", Recording(streams, tuple(content)), Mcap())
+        motion: dict[str, Any] = {"deskew": True, "fixed_frame": "odom"} if deskew else {}
+        report = pc2scan.convert(source, target_frame="base_link", min_height=-9.0, range_min=0.1, **motion)
+        scans.append([each.data for each in opened(Path(report.destination)).of("/scan")])
+    assert len(scans[0]) == 3
+    assert scans[0] == scans[1]
+    assert scans[0] != scans[2]

@@ -72,7 +72,8 @@ def test_a_check_of_the_first_clouds(roll: float, options: dict[str, Any], used:
     static, target = request.frames.static, request.scan.params.target_frame
     moved = Rigid.from_pose((0, 0, -0.6, 0, 0, 0, 1)) if target else None
     points = cloud(PLACES["hall"], "32 rings", mounted(roll, 0), 0.6)
-    sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True)))).placed_in(
+    lossy = "made lossy" if name == "lossy_clouds" else ""
+    sample = CloudSample.of(Points(0, 0, "lidar", dict(zip("xyz", points.T, strict=True)), lossy)).placed_in(
         target or "lidar", moved
     )
     counts = PointCounts(len(points), used, height=len(points) - used)

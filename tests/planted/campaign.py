@@ -10,6 +10,10 @@ none of them notices is missed. A fault whose line no test runs is missed withou
 modules, which no test is recorded for, are held against all the tests that run a line of the same module, for C of
 the modules that call the compiled loops.
 
+Without ``--lines``, the tests are chosen by their place: those named like the module, then all quick ones of its room,
+then those of the command. Nothing is recorded before, which takes as long as all tests. What only other rooms catch is
+missed.
+
 ``--again planted.json`` plants the faults of an earlier run, as far as the source still has them: a fault is found
 again by its text.
 """
@@ -35,6 +39,9 @@ from planted.faults import Fault, faults_in, plant, sample
 
 ROOT = Path(__file__).resolve().parents[2]
 
+#: Tests that run most modules, by the command and by the public functions.
+_EVERYWHERE = ("transcripts", "e2e/test_golden.py", "test_api.py")
+
 #: The beginning of what pytest says if it does not find tests.
 _UNKNOWN = "tests are not found"
 
@@ -48,7 +55,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--again", type=Path, help="the faults of this earlier run")
-    parser.add_argument("--lines", type=Path, required=True, help="coverage's data, recorded with --cov-context=test")
+    parser.add_argument("--lines", type=Path, help="coverage's data, recorded with --cov-context=test")
     parser.add_argument("--json", type=Path, required=True, help="write the result of each fault here; continues a run")
     parser.add_argument("--most", type=int, default=400, help="run at most this many tests for a fault")
     parser.add_argument(
@@ -57,7 +64,7 @@ def main() -> None:
     parser.add_argument("--workers", default="0", help="pytest-xdist's -n")
     arguments = parser.parse_args()
     faults = _again(arguments.again) if arguments.again else sample(ROOT, arguments.count, arguments.seed)
-    tests = _Tests(arguments.lines)
+    tests = _Tests(arguments.lines) if arguments.lines else _Neighbours()
     results = json.loads(arguments.json.read_text()) if arguments.json.exists() else []
     done = {_key(result) for result in results}
     with tempfile.TemporaryDirectory(prefix="pc2scan-planted-") as name:
@@ -114,6 +121,20 @@ class _Tests:
         return sorted(named, key=lambda test: (self._lines[f"{test}|run"] or self._lines[test], test))
 
 
+class _Neighbours:
+    """Which tests stand where a module stands."""
+
+    def of(self, fault: Fault) -> list[str]:
+        """Return the files and folders of tests to run for a fault, the nearest first."""
+        module = Path(fault.path).relative_to("src/pc2scan").with_suffix("")
+        tests, room = ROOT / "tests", ROOT / "tests" / module.parent
+        words = [word for word in module.name.split("_") if word not in {"", "init"}]
+        named = [path for word in words for path in sorted(tests.rglob(f"test_*{word.rstrip('s')}*.py"))]
+        named.sort(key=lambda path: path.parent != room)
+        rooms = [each for each in (room, *room.parents) if each.is_dir() and tests in each.parents]
+        return [str(path) for path in dict.fromkeys([*named, *rooms, *(tests / name for name in _EVERYWHERE)])]
+
+
 def _caught(copy: Path, fault: Fault, tests: list[str], timeout: float, workers: str) -> str:
     """Return the first test that notices the fault, and that passes without it; empty if none does."""
     path = copy / fault.path
@@ -137,6 +158,7 @@ def _caught(copy: Path, fault: Fault, tests: list[str], timeout: float, workers:
                 raise SystemExit(f"these tests are not those of the recorded lines: {unknown}")
             return "a module of tests cannot be imported"
         name = failed.partition(" - ")[0]
+        # A whole file or folder is not taken up again behind a test that fails without the fault, too.
         if name not in left or not _failed(copy, [name], timeout, "0"):
             return failed
         left = left[left.index(name) + 1 :]
@@ -148,7 +170,9 @@ def _failed(copy: Path, tests: list[str], timeout: float, workers: str) -> str:
     env = {**os.environ, "PYTHONPATH": str(copy / "src"), "CI": "true", "PYTHONDONTWRITEBYTECODE": "1"}
     ids = copy / "tests.txt"
     ids.write_text("".join(f"{test}\n" for test in tests), "utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-m", ""]
+    # Single tests are run whatever their marks, files and folders without their long tests.
+    marks = "" if all("::" in test for test in tests) else "not slow"
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-n", workers, "-m", marks]
     command += ["-p", "no:cacheprovider", f"@{ids}"]
     done = subprocess.run(command, cwd=copy, env=env, capture_output=True, text=True, timeout=timeout, check=False)
     if done.returncode == pytest.ExitCode.USAGE_ERROR:

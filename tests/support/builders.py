@@ -50,6 +50,12 @@ _BATTERY_TEXTS = {
 _LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n"
 _LIVOX_CLOUD = "uint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points\n"
 
+#: CompressedPointCloud2 of point_cloud_interfaces, as its definition has it.
+_COMPRESSED_CLOUD = (
+    "uint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\nuint32 point_step\n"
+    "uint32 row_step\nuint8[] compressed_data\nbool is_dense\nstring format\n"
+)
+
 # --- Messages ---
 
 
@@ -64,6 +70,11 @@ def typestore(ros_version: int) -> Any:
         added |= get_types_from_msg(_LIVOX_POINT, f"{package}/msg/CustomPoint")
         head = "Header header\n" if ros_version == 1 else "std_msgs/Header header\n"
         added |= get_types_from_msg(head + _LIVOX_CLOUD, f"{package}/msg/CustomMsg")
+    head = "Header header\n" if ros_version == 1 else "std_msgs/Header header\n"
+    added |= get_types_from_msg(head + _COMPRESSED_CLOUD, "point_cloud_interfaces/msg/CompressedPointCloud2")
+    stamp = "time" if ros_version == 1 else "builtin_interfaces/Time"
+    added |= get_types_from_msg(f"{stamp} stamp\nuint8[1206] data\n", "velodyne_msgs/msg/VelodynePacket")
+    added |= get_types_from_msg(head + "VelodynePacket[] packets\n", "velodyne_msgs/msg/VelodyneScan")
     store.register(added)
     return store
 

@@ -36,5 +36,5 @@ def row(parent: str, child: str, stamp_ns: int, x: float) -> tuple[Any, ...]:
 
 def frames(recordings: list[Any], options: FrameOptions | None = None, **kwargs: Any) -> tuple[Placer, list[str]]:
     options = options or FrameOptions()
-    buffer, warnings = read_transforms(recordings, options)
+    buffer, warnings, *_ = read_transforms(recordings, options)
     return Placer(kwargs.get("target", "base"), options.source_frame, buffer, kwargs.get("tolerance_ns", 0)), warnings

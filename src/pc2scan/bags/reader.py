@@ -37,12 +37,15 @@ class Reader(ABC):
         The summary, made without reading messages.
     has_chunks
         Whether messages of several topics are stored together, so that reading one topic reads others, too.
+    remarks
+        What was noticed about the messages that were read, for users.
     """
 
     path: Path
     connections: Sequence[Connection]
     summary: Summary
     has_chunks: bool = False
+    remarks: Sequence[str] = ()
     _log: DamageLog
     _bytes_read: int = 0
 

@@ -127,15 +127,19 @@ def fill_glob(topic: str, pattern: str, target: str) -> str:
     return pieces[0] + "".join(text + piece for text, piece in zip(found.groups(), pieces[1:], strict=False))
 
 
+#: The types of most clouds and scans.
+_USUAL_TYPES = ("sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan")
+
+
 def short_types(kinds: Iterable[str]) -> str:
     """Return types without their packages, for a message; see `usual_types`."""
     return " or ".join(dict.fromkeys(kind.rsplit("/", 1)[-1] for kind in usual_types(kinds)))
 
 
 def usual_types(kinds: Iterable[str]) -> list[str]:
-    """Return the types of ROS itself, or all if there are none: messages would be long with those of each vendor."""
+    """Return the usual types, or all if there are none: messages would be long with all kinds of clouds."""
     kinds = list(kinds)
-    return [kind for kind in kinds if kind.startswith("sensor_msgs/")] or kinds
+    return [kind for kind in kinds if kind in _USUAL_TYPES] or kinds
 
 
 def by_topic(connections: Iterable[Connection]) -> dict[str, list[Connection]]:

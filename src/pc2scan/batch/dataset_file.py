@@ -21,6 +21,7 @@ from pc2scan.options.values import Flag, PathName, Texts
 from pc2scan.pipeline.parameters import RIVALS, plain_scalar
 from pc2scan.pipeline.redaction import may_quote, redact_file
 from pc2scan.pipeline.yaml_nodes import compose, is_empty, is_mapping, is_scalar
+from pc2scan.requests import NAMED_FILES
 from pc2scan.text import did_you_mean
 
 from .jobs import Request, request_of
@@ -299,7 +300,7 @@ class Choices:
 
     def _refuse_to_quote(self, err: UsageError, keywords: Mapping[str, Any], origins: Mapping[str, str]) -> None:
         """Raise another error if one is about a file that the dataset file names, and may quote it."""
-        for name in ("params_file", "static_tf_file", "scans"):
+        for name in NAMED_FILES:
             if name in keywords and name not in self._call.keywords and may_quote(err, keywords[name]):
                 raise redact_file(err, keywords[name], origins[name], name) from None
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
+from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.records import Record
 from pc2scan.files.urls import absolute, path_or_url
 from pc2scan.options.call import Options
@@ -23,11 +23,12 @@ from pc2scan.pipeline.run import run
 from pc2scan.requests import conversion_of, output_of
 from pc2scan.result import json_value
 
-from .manifest import Identity, ManifestRecord, checksum_of, identity_of
+from .manifest import NO_CLOUDS, Identity, ManifestRecord, checksum_of, identity_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Sequence
 
+    from pc2scan.bags.damage import Damage
     from pc2scan.export.report import ExportReport
     from pc2scan.export.run import ExportOptions
     from pc2scan.pipeline.options import ConvertOptions
@@ -125,7 +126,7 @@ def digest_of(request: Request) -> str:
 def _check_export(options: Options) -> None:
     """Raise if an option of exports is given without ``export``, or one of recordings besides it."""
     name, given = options.export, options.given
-    poses = given.keys() & {"pose_frame", "base_frame", "odom_topic"}
+    poses = given.keys() & {"pose_frame", "base_frame"}
     if name is None:
         if poses:
             raise UsageError(f"`{min(poses)}` goes with `export`", hint="such as `export=npz`")
@@ -134,7 +135,7 @@ def _check_export(options: Options) -> None:
         raise UsageError(f"{', '.join(idle)} would have no effect: `export` writes no recordings")
     from pc2scan.export.formats import FORMATS  # noqa: PLC0415  # most batches write recordings
 
-    if FORMATS[name].needs_poses and not poses & {"pose_frame", "odom_topic"}:
+    if FORMATS[name].needs_poses and not given.keys() & {"pose_frame", "odom_topic"}:
         raise UsageError(f"`export={name}` needs poses", hint="give `pose_frame=odom`, or `odom_topic=/odom`")
 
 
@@ -328,6 +329,11 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
             text=str(done) if job.shown else "",
             **known,
         )
+    except NothingToConvertError as err:
+        # Datasets have recordings of other kinds, too. A damaged one may have lost its clouds.
+        if not _damage_of(job, sources):
+            known |= {"outcome": NO_CLOUDS, "exit_status": 0}
+        record = job.failure(err, **known)
     except Pc2ScanError as err:
         record = job.failure(err, **known)
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
@@ -369,12 +375,17 @@ def _inspect_export(job: Job, sources: list[Path]) -> ExportReport:
     """Open a recording whose scans or clouds would be exported without conversion, and report what would be read."""
     from pc2scan.export.report import ExportReport  # noqa: PLC0415  # most batches write recordings
 
+    assert job.request.export is not None
+    form = str(job.request.export.format)
+    return ExportReport(list(job.sources), job.destination, form, damage=_damage_of(job, sources))
+
+
+def _damage_of(job: Job, sources: list[Path]) -> tuple[Damage, ...]:
+    """Open a recording, and return the damage that is found by that."""
     options = job.request.options
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
-        damage = tuple(place for reader in readers for place in reader.damage)
-    assert job.request.export is not None
-    return ExportReport(list(job.sources), job.destination, str(job.request.export.format), damage=damage)
+        return tuple(place for reader in readers for place in reader.damage)
 
 
 def _output_identity(destination: Path, report: Mapping[str, Any] | None) -> Identity:

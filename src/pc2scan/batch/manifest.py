@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
+#: The outcome of a recording without a topic of the types to convert. It is no failure.
+NO_CLOUDS = "no clouds"
+
 #: The name of the manifest in the folder of a batch.
 MANIFEST = "manifest.jsonl"
 
@@ -229,11 +232,12 @@ class ManifestRecord:
         The version of pc2scan that converted it.
     outcome
         ``converted``, ``incomplete`` (messages skipped, or a damaged source), ``empty`` (no scan has a return),
-        ``failed``, or ``died`` (the process that converted it ended unexpectedly).
+        ``no clouds`` (nor other topics of the types to convert), ``failed``, or ``died`` (the process that converted it
+        ended unexpectedly).
     exit_status
-        The exit status that `pc2scan convert` would have had.
+        The exit status that `pc2scan convert` would have had; 0 for ``no clouds``.
     error
-        Why it failed: ``class``, ``message``, ``place``, ``hint``, ``exit_status``; None if it did not.
+        Why there is no result: ``class``, ``message``, ``place``, ``hint``, ``exit_status``; None if there is one.
     output
         The path of the result, relative to the folder of the batch; if the conversion failed, where an earlier result
         may be. Empty if nothing was ever written.
@@ -273,6 +277,11 @@ class ManifestRecord:
     def is_written(self) -> bool:
         """Whether there is a result."""
         return bool(self.output_identity.files)
+
+    @property
+    def has_nothing(self) -> bool:
+        """Whether the recording has nothing to convert."""
+        return self.outcome == NO_CLOUDS
 
     def as_dict(self) -> dict[str, Any]:
         """Return the line as JSON's types."""

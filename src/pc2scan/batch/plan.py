@@ -238,6 +238,8 @@ def _reason(
         return "other options"
     if changed := _change_of(found, record, checksum):
         return changed
+    if record.has_nothing:
+        return ""
     if not record.is_written:
         message = str((record.error or {}).get("message", ""))
         return f"{record.outcome} before{f': {message}' if message else ''}"

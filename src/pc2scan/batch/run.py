@@ -30,7 +30,7 @@ from .processes import available_bytes, run_jobs, workers_for
 from .summary import BEGINNINGS, BatchReport, Outcome, report_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pc2scan.options.call import Options
 
@@ -198,10 +198,21 @@ def run_batch(
             workers=batch.workers,
             estimate_seconds=batch.estimate_seconds,
             warnings=[*choices.warnings(keys), *plan.warnings],
+            gone=_gone(folder.history.records, keys),
         )
         if write_report is not None and options.report is not None:
             write_report(report_text(report, options.report.suffix.lower()))
     return report
+
+
+def _gone(records: Mapping[str, ManifestRecord], keys: Iterable[str]) -> tuple[str, ...]:
+    """Return the recordings of earlier runs whose files do not exist any more; those in stores are not looked up."""
+    others = (records[key] for key in sorted(records.keys() - set(keys)))
+    return tuple(
+        each.key
+        for each in others
+        if not any(is_url(source) or os.path.exists(source) for source in each.sources)  # noqa: PTH110
+    )
 
 
 def _open_report(options: BatchOptions, folder: BatchFolder, stack: ExitStack) -> Callable[[str], None] | None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.errors import leading, visible
 from pc2scan.result import BEGINNING, Part, Result
@@ -12,21 +13,32 @@ from pc2scan.tables import Table, csv_cell
 from pc2scan.text import count, counted, duration, size
 from pc2scan.version import __version__
 
+from .manifest import NO_CLOUDS
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from .manifest import ManifestRecord
     from .plan import Step
 
 #: Outcomes from bad to good. Recordings are shown in this order.
-_ORDER = ("died", "failed", "not begun", "empty", "incomplete", "converted", "skipped")
+_ORDER = ("died", "failed", "not begun", "empty", "incomplete", NO_CLOUDS, "converted", "skipped")
 
 #: Outcomes that make the exit status 1, and 3.
 _BAD, _ODD = frozenset({"died", "failed", "not begun"}), frozenset({"empty", "incomplete"})
 
-#: Maximum number of recordings in the table on the screen. The report's file and the manifest have all of them.
+#: Maximum number of recordings that are listed one by one. Of more, what is said of them is listed instead.
 _MAX_SHOWN = 30
+
+#: What is said of recordings of earlier runs whose files do not exist any more.
+_GONE = "no longer there"
+
+#: How many recordings are named as examples, and the length of their names together.
+_EXAMPLES, _LONGEST = 3, 60
+
+#: What differs between texts that say the same of different recordings: quoted names, topics, numbers.
+_VARIABLE = re.compile(r"'[^']*'|(?<![\w.])/[\w./-]+|-?\d[\d,.]*(?:e[+-]?\d+)?")
 
 #: Columns of the report's table.
 _COLUMNS = (
@@ -46,14 +58,50 @@ _COLUMNS = (
     ("attempts", "attempts"),
     ("why", "why"),
     ("error", "error"),
+    ("before", "before"),
+    ("remarks", "remark_text"),
 )
 
 #: The first bytes of reports, by suffix. Only a file that begins with them is replaced by another report.
 BEGINNINGS = {
     ".json": BEGINNING,
-    ".csv": (",".join(heading for heading, _ in _COLUMNS)).encode(),
+    # The first columns, which also earlier versions have written.
+    ".csv": (",".join(heading for heading, _ in _COLUMNS[:4])).encode(),
     ".md": b"# Batch of pc2scan",
 }
+
+
+class Group(NamedTuple):
+    """Recordings of which the same is said, with other names or numbers.
+
+    Attributes
+    ----------
+    kind
+        ``warning``, ``damaged``, ``skipped``, or the outcome of which it is the reason.
+    text
+        What is said of the first of them.
+    recordings
+        Their names in the dataset.
+    """
+
+    kind: str
+    text: str
+    recordings: tuple[str, ...]
+
+
+class Change(NamedTuple):
+    """Recordings of which the same has changed since the last run.
+
+    Attributes
+    ----------
+    what
+        ``new``; ``no longer there``; or the outcomes, such as ``converted, failed before``.
+    recordings
+        Their names in the dataset.
+    """
+
+    what: str
+    recordings: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,14 +124,18 @@ class Outcome:
         The path of the result, relative to the folder of the batch; empty for none.
     scans, empty_scans
         Messages that were converted, and how many of them have no return.
-    skipped, warnings
-        Numbers of messages that are missing in the result, and of warnings.
+    skipped
+        The number of messages that are missing in the result.
+    warning_texts
+        The warnings.
     damage
         What is damaged in the source.
     bytes_read, bytes_written, seconds, attempts
         As the conversion reports them.
     error, hint
-        Why it failed, and what helps; empty if it did not.
+        Why it failed, or has nothing to convert, and what helps; empty if there is a result.
+    before
+        The outcome of the last run that began this recording; empty if there was none.
     """
 
     key: str
@@ -96,13 +148,14 @@ class Outcome:
     empty_scans: int = 0
     skipped: int = 0
     damage: tuple[str, ...] = ()
-    warnings: int = 0
+    warning_texts: tuple[str, ...] = ()
     bytes_read: int = 0
     bytes_written: int = 0
     seconds: float = 0.0
     attempts: int = 0
     error: str = ""
     hint: str = ""
+    before: str = ""
 
     @classmethod
     def of(cls, step: Step, record: ManifestRecord | None) -> Outcome:
@@ -110,7 +163,10 @@ class Outcome:
         if step.action == "skip":
             return cls(key=step.found.key, action="skip", why=step.why, outcome="skipped")
         if record is None:
-            return cls(key=step.found.key, action=step.action, why=step.why, outcome="not begun", exit_status=1)
+            before = "" if step.record is None else step.record.outcome
+            return cls(
+                key=step.found.key, action=step.action, why=step.why, outcome="not begun", exit_status=1, before=before
+            )
         report: Mapping[str, Any] = record.report or {}
         error: Mapping[str, Any] = record.error or {}
         topics = report.get("topics", ())
@@ -130,14 +186,20 @@ class Outcome:
             empty_scans=empty,
             skipped=report.get("skipped_count", 0),
             damage=tuple(place["what"] for place in report.get("damage", ())),
-            warnings=len(report.get("warnings", ())),
+            warning_texts=tuple(map(str, report.get("warnings", ()))),
             bytes_read=record.identity.size_bytes,
             bytes_written=report.get("bytes_written", record.output_identity.size_bytes),
             seconds=record.seconds,
             attempts=record.attempts,
             error=str(error.get("message", "")),
             hint=str(error.get("hint") or ""),
+            before="" if step.record is None else step.record.outcome,
         )
+
+    @property
+    def warnings(self) -> int:
+        """How many warnings there are."""
+        return len(self.warning_texts)
 
     @property
     def damaged(self) -> int:
@@ -153,9 +215,62 @@ class Outcome:
     def remark(self) -> str:
         """A short text on what is special: skipped messages, damage, warnings."""
         if self.error:
-            return self.error
-        counted = ((self.skipped, "skipped"), (self.damaged, "damaged"), (self.warnings, "warnings"))
-        return ", ".join(f"{number:,} {what}" for number, what in counted if number)
+            return self.error if self.outcome != NO_CLOUDS else ""
+        numbers = ((self.skipped, "skipped"), (self.damaged, "damaged"))
+        told = [f"{number:,} {what}" for number, what in numbers if number]
+        return ", ".join([*told, counted(self.warnings, "warning")] if self.warnings else told)
+
+    def remarks(self) -> Iterator[tuple[str, str]]:
+        """Yield what is said of it: of which kind (see `Group`), and the text."""
+        if self.error:
+            yield self.outcome, f"{self.error} ({self.hint})" if self.hint else self.error
+        if self.skipped:
+            yield "skipped", counted(self.skipped, "message")
+        yield from (("damaged", text) for text in self.damage)
+        yield from (("warning", text) for text in self.warning_texts)
+
+    @property
+    def remark_text(self) -> str:
+        """What is said of it besides the error, as one text."""
+        return "; ".join(f"{kind}: {text}" for kind, text in self.remarks() if kind != self.outcome)
+
+
+def groups_of(outcomes: Iterable[Outcome]) -> list[Group]:
+    """Return what is said of several recordings, the worst first, then what is said of most."""
+    found: dict[tuple[str, str], tuple[str, dict[str, None]]] = {}
+    for each in outcomes:
+        for kind, text in each.remarks():
+            _, keys = found.setdefault((kind, _VARIABLE.sub("#", text)), (text, {}))
+            keys[each.key] = None
+    kinds = [*_ORDER, "skipped", "damaged", "warning"]
+    groups = [Group(kind, text, tuple(keys)) for (kind, _), (text, keys) in found.items()]
+    return sorted(groups, key=lambda group: (kinds.index(group.kind), -len(group.recordings)))
+
+
+def changes_of(outcomes: Iterable[Outcome], gone: Sequence[str]) -> list[Change]:
+    """Return what has changed since the last run; nothing if there was none. ``gone`` do not exist any more."""
+    begun = sorted((each for each in outcomes if each.action != "skip"), key=lambda each: each.rank)
+    if not gone and not any(each.before for each in begun):
+        return []
+    found: dict[str, list[str]] = {}
+    for each in begun:
+        if each.before != each.outcome:
+            what = f"{each.outcome}, {each.before} before" if each.before else "new"
+            found.setdefault(what, []).append(each.key)
+    if gone:
+        found[_GONE] = list(gone)
+    return [Change(what, tuple(keys)) for what, keys in found.items()]
+
+
+def _examples(names: Sequence[str]) -> str:
+    """Return some names, and how many more there are."""
+    shown = [names[0]]
+    for name in names[1:_EXAMPLES]:
+        if len(", ".join((*shown, name))) > _LONGEST:
+            break
+        shown.append(name)
+    more = len(names) - len(shown)
+    return ", ".join(shown) + (f" and {more:,} more" if more else "")
 
 
 @dataclass(slots=True, repr=False)
@@ -178,11 +293,14 @@ class BatchReport(Result):
         For a dry run: how long the conversions would take on this machine; None if that cannot be estimated.
     warnings
         Warnings.
+    gone
+        Recordings of earlier runs whose files do not exist any more. Their results stay.
     """
 
     kind: ClassVar[str] = "batch"
     json_names: ClassVar[tuple[str, ...]] = (
-        *("destination", "dry_run", "counts", "unchanged", "workers", "seconds", "estimate_seconds", "recordings"),
+        *("destination", "dry_run", "counts", "unchanged", "workers", "seconds", "estimate_seconds"),
+        *("changes", "groups", "recordings"),
     )
 
     destination: Path | str
@@ -192,6 +310,7 @@ class BatchReport(Result):
     workers: int = 0
     estimate_seconds: float | None = None
     warnings: list[str] = field(default_factory=list)
+    gone: tuple[str, ...] = ()
 
     @property
     def exit_status(self) -> int:
@@ -210,6 +329,16 @@ class BatchReport(Result):
         """How many recordings had been converted before."""
         return sum(outcome.action == "keep" for outcome in self.outcomes)
 
+    @property
+    def groups(self) -> list[Group]:
+        """What is said of several recordings, the worst first, then what is said of most."""
+        return groups_of(self._ordered())
+
+    @property
+    def changes(self) -> list[Change]:
+        """What has changed since the last run; empty for the first one."""
+        return changes_of(self.outcomes, self.gone)
+
     def __repr__(self) -> str:
         counts = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
         return f"<BatchReport on {str(self.destination)!r}: {counts or 'nothing'}, exit status {self.exit_status}>"
@@ -223,31 +352,21 @@ class BatchReport(Result):
         return sorted(self.outcomes, key=lambda outcome: outcome.rank)
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
-        """Yield the recordings, bad outcomes first, and the total; ``verbose``: all recordings."""
+        """Yield the recordings, bad outcomes first, what is said of several, and the total.
+
+        Of more than thirty recordings, those that need attention are only listed by what is said of them;
+        ``verbose``: all recordings.
+        """
         if self.dry_run:
             yield "dry run, nothing is written"
-        ordered = self._ordered()
-        listed = ordered if verbose else ordered[:_MAX_SHOWN]
+        listed = self._ordered() if verbose or len(self.outcomes) <= _MAX_SHOWN else []
         if listed:
-            yield Table(
-                ("recording", "outcome", "scans", "empty", "written", "why", "remark"),
-                [
-                    (
-                        each.key,
-                        each.outcome,
-                        count(each.scans),
-                        count(each.empty_scans),
-                        size(each.bytes_written) if each.bytes_written else "-",
-                        each.why if each.action != "refuse" else "",
-                        each.remark,
-                    )
-                    for each in listed
-                ],
-                left=("recording", "outcome", "why", "remark"),
-            )
-            if more := len(ordered) - len(listed):
-                worst = ordered[len(listed)].outcome
-                yield f"and {more:,} more, {worst} or better (`report` lists all)"
+            yield _table_of(listed)
+            yield ""
+        # Errors are in the table already.
+        groups = [group for group in self.groups if not listed or group.kind not in _ORDER]
+        if groups:
+            yield _table_of_groups(groups)
             yield ""
         yield from self.total()
 
@@ -275,6 +394,31 @@ class BatchReport(Result):
             )
         else:
             yield f"{leading(str(self.destination))}: nothing to do ({duration(self.seconds)})"
+        for change in self.changes:
+            since = "of earlier runs" if change.what == _GONE else "since the last run"
+            yield f"{since}, {len(change.recordings):,} {change.what}: {_examples(change.recordings)}"
+
+
+def _table_of(outcomes: Iterable[Outcome]) -> Table:
+    rows = [
+        (
+            each.key,
+            each.outcome,
+            count(each.scans),
+            count(each.empty_scans),
+            size(each.bytes_written) if each.bytes_written else "-",
+            each.why if each.action != "refuse" else "",
+            each.remark,
+        )
+        for each in outcomes
+    ]
+    headings = ("recording", "outcome", "scans", "empty", "written", "why", "remark")
+    return Table(headings, rows, left=("recording", "outcome", "why", "remark"))
+
+
+def _table_of_groups(groups: Iterable[Group]) -> Table:
+    rows = [(f"{len(each.recordings):,}", each.kind, each.text, _examples(each.recordings)) for each in groups]
+    return Table(("recordings", "what", "text", "such as"), rows, left=("what", "text", "such as"))
 
 
 def report_text(report: BatchReport, suffix: str) -> str:
@@ -293,6 +437,14 @@ def _markdown(report: BatchReport, headings: Sequence[str], rows: Sequence[Seque
     yield f"{BEGINNINGS['.md'].decode()} {__version__}"
     yield ""
     yield from (f"{visible(line)}\n" for line in report.total())
+    if groups := report.groups:
+        table = _table_of_groups(groups)
+        yield from _markdown_table(table.columns, table.rows)
+        yield ""
+    yield from _markdown_table(headings, rows)
+
+
+def _markdown_table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> Iterator[str]:
     yield f"| {' | '.join(headings)} |"
     yield f"|{'---|' * len(headings)}"
     for row in rows:

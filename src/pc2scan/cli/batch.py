@@ -11,7 +11,7 @@ import typer
 from pc2scan.options.call import Options
 from pc2scan.text import counted, size
 
-from .render import as_typed, progress_bar, say, show, warn
+from .render import as_typed, limit_width, progress_bar, say, show, warn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -51,6 +51,7 @@ def batch(
     from pc2scan.commands import batch as run
 
     quiet, verbose = options.quiet, options.verbose
+    limit_width()
     with _progress_bar(enabled=not quiet) as progress:
         watch = BatchCallbacks(
             planned=lambda plan: _show_plan(plan, quiet=quiet),
@@ -92,6 +93,9 @@ def _show_plan(plan: BatchPlan, *, quiet: bool) -> None:
 def _show_outcome(done: Outcome, *, quiet: bool, dry_run: bool) -> None:
     """Show a line for a recording that is finished."""
     if done.error:
+        # A recording without clouds is no failure; what it has instead may be a reason to look.
+        if quiet and not done.exit_status:
+            return
         hint = f" (hint: {done.hint})" if done.hint else ""
         say(as_typed(f"{done.outcome}: {done.key}: {done.error}{hint}"), err=True)
         return

@@ -80,7 +80,7 @@ def next_command(report: Report) -> str:
     consumer = next(filter(None, map(preset_of, report.origins.values())), "")
     if consumer:
         return f"pc2scan check {destination} --for {consumer}"
-    converted = [topic.spec for topic in report.topics if topic.action == "converted"]
+    converted = [topic.spec for topic in report.converted]
     if any(spec is not None and not spec.reverse for spec in converted):
         return f"pc2scan check {destination}"
     entry = FORMATS[report.container]

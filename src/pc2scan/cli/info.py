@@ -22,7 +22,7 @@ def info(
 ) -> None:
     """Describe a recording, its clouds and its scans.
 
-    For each PointCloud2 topic, it shows fields, points, frame, NaN, the spread of x, y, z and range, and a histogram of
+    For each topic with clouds, it shows fields, points, frame, NaN, the spread of x, y, z and range, and a histogram of
     heights, which helps to choose --min-height and --max-height. For each LaserScan topic: beams, sector and
     increment, limits, the share of returns, and the consumers that accept them. Then the heights of floor and ceiling,
     whether the clouds are tilted, upside down or in a camera's optical frame, and a convert command for them.

@@ -2,7 +2,8 @@
 
 All text of the commands is printed here, so that it is safe to show. On a terminal, lines are wrapped at its width, and
 coloured if it shows colours, as they are written, so that no command has to deal with it. Pipes and files get every
-line unchanged, even if COLUMNS is set: shells and Python's readline also set it for programs whose output others read.
+line unchanged (except of `limit_width`), even if COLUMNS is set: shells and Python's readline also set it for programs
+whose output others read.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
     from pc2scan.errors import Pc2ScanError
     from pc2scan.result import Part, Result
+
+#: The width of lines in pipes and files, where a command limits it.
+_IN_PIPES = 120
 
 #: The smallest width that is used, because no table fits into less.
 _NARROWEST = 40
@@ -62,6 +66,13 @@ def _ascii_only() -> bool:
     """Whether the output file or terminal cannot show every character."""
     encodings = (getattr(stream, "encoding", None) or "ascii" for stream in (sys.stdout, sys.stderr))
     return any(not encoding.lower().startswith("utf") for encoding in encodings)
+
+
+def limit_width() -> None:
+    """Fit lines in pipes and files, too: of results whose lines would be as long as a user's folders and names."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, Screen) and stream.width is None:
+            stream.width = _IN_PIPES
 
 
 def show_error(err: Pc2ScanError) -> None:

@@ -174,7 +174,7 @@ def diff_sources(
         result.left_aside = len(others)
     if not result.topics:
         raise TopicError(
-            "nothing to compare: neither recording has a LaserScan or PointCloud2 topic",
+            "nothing to compare: neither recording has a topic of scans or clouds",
             path=a.path,
             hint="`all_topics=True` compares the other topics too, `topics` one of them",
         )

@@ -10,13 +10,14 @@ import numpy as np
 
 from pc2scan.core.compare import compare_arrays
 from pc2scan.errors import DecodeError
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
-from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, PointCloud2, decode_pointcloud2
+from pc2scan.messages.pointcloud2 import DATATYPES, CloudFields, PointCloud2, recorded_cloud
 
 from .rules import GEOMETRY
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -138,11 +139,12 @@ def _layout_text(cloud: PointCloud2) -> str:
 
 
 def _readable_fields(cloud: PointCloud2) -> list[PointField]:
-    """Return the fields with a known datatype; of several with one name the first."""
+    """Return the fields with a known datatype; of several with one name, or of the same bytes, the first."""
     first: dict[str, PointField] = {}
     for field in cloud.fields:
         first.setdefault(field.name, field)
-    return [field for field in first.values() if field.datatype in DATATYPES]
+    places = {(field.offset, field.datatype, field.count): field for field in reversed(first.values())}
+    return [field for field in first.values() if field.datatype in DATATYPES and field in places.values()]
 
 
 def field_elements(cloud: PointCloud2, field: PointField) -> NDArray[Any]:
@@ -179,7 +181,7 @@ def _differing_padding(a: PointCloud2, b: PointCloud2) -> int:
 
 
 #: The types that are compared field by field, in ROS 2's spelling.
-DECODED_TYPES = frozenset({LASERSCAN, POINTCLOUD2})
+DECODED_TYPES = frozenset({LASERSCAN, *CLOUDS})
 
 
 def compare_messages(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDifference:
@@ -214,9 +216,18 @@ def _compare_fields(a: RawMessage, b: RawMessage, rules: Rules) -> MessageDiffer
         changes = (*_header_changes(scan, other, numbered=numbered), *scan_changes(scan, other))
         values = tuple(scan_values(scan, other, rules))
         return MessageDifference(len(scan.ranges), changes, values)
-    cloud, second = (decode_pointcloud2(m.data, m.connection.serialization) for m in (a, b))
-    changes = (*_header_changes(cloud, second, numbered=numbered), *cloud_changes(cloud, second))
+    points = [CLOUDS[m.connection.ros_type](m.connection.serialization)(m.data) for m in (a, b)]
+    cloud, second = map(recorded_cloud, points)
+    further = _further_changes(*(p.fields.further if isinstance(p.fields, CloudFields) else {} for p in points))
+    changes = (*_header_changes(cloud, second, numbered=numbered), *further, *cloud_changes(cloud, second))
     return MessageDifference(cloud.points, changes, tuple(cloud_values(cloud, second, rules)))
+
+
+def _further_changes(a: Mapping[str, object], b: Mapping[str, object]) -> Iterator[Change]:
+    """Yield differences of what messages of one type have besides their points."""
+    for name, value in a.items():
+        if value != b[name]:
+            yield Change(name, str(value), str(b[name]))
 
 
 def _header_changes(a: LaserScan | PointCloud2, b: LaserScan | PointCloud2, *, numbered: bool) -> Iterator[Change]:

@@ -31,6 +31,9 @@ IGNORABLE: Mapping[str, str] = {
     "layout": "offsets, steps and byte order of a cloud",
     "padding": "bytes of a cloud that belong to no field",
     "is_dense": "of a cloud",
+    "format": "of a CompressedPointCloud2",
+    "packets": "of a VelodyneScan",
+    **dict.fromkeys(("timebase", "point_num", "lidar_id", "rsvd"), "of Livox's CustomMsg"),
 }
 
 

@@ -17,10 +17,10 @@ from pc2scan.errors import DecodeError, RecordingError, UsageError, stamp_text
 from pc2scan.files.compression import allowed_bytes
 from pc2scan.files.source import open_bytes, open_text
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
-from pc2scan.messages.pointcloud2 import DATATYPES, PointField, decode_pointcloud2, encode_pointcloud2
+from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.model import Connection, RawMessage
 
-from .messages import DECODED_TYPES, compare_messages, field_elements
+from .messages import compare_messages, field_elements
 from .rules import GEOMETRY, Rules
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ _HEADER_LINES = (
     "# Every message to the bit. A scan's lines are beams: the first one's number, then the ranges in metres.",
     "# Written by pc2scan golden --update: read it, compare it, but do not edit it.",
 )
+#: The types that have a text, in ROS 2's spelling: those of messages that conversions make.
+TEXT_TYPES = frozenset({LASERSCAN, POINTCLOUD2})
 _VALUES_A_LINE = 10
 _NAMES = {number: np.dtype(kind).name for number, kind in DATATYPES.items()}
 #: The errors of reading values that `render_messages` does not write.
@@ -88,7 +90,7 @@ def render_messages(messages: Iterable[RawMessage]) -> str:
     Parameters
     ----------
     messages
-        Of types of `pc2scan.compare.messages.DECODED_TYPES`, in the order of log time.
+        Of types of `TEXT_TYPES`, in the order of log time.
 
     Raises
     ------
@@ -101,7 +103,7 @@ def render_messages(messages: Iterable[RawMessage]) -> str:
     declared: set[tuple[str, str, str]] = set()
     for message in messages:
         connection = message.connection
-        if connection.ros_type not in DECODED_TYPES:
+        if connection.ros_type not in TEXT_TYPES:
             raise UsageError(f"{connection.msgtype} cannot be written as text", topic=connection.topic)
         key = (connection.topic, connection.ros_type, connection.serialization)
         if key not in declared:
@@ -233,7 +235,7 @@ def open_scan_text(path: Path) -> ScanText:
                 topic, end = json.JSONDecoder().raw_decode(rest)
                 topic = _string(topic)
                 msgtype, serialization = rest[end:].split()
-                if msgtype not in DECODED_TYPES or serialization not in ("ros1", "cdr"):
+                if msgtype not in TEXT_TYPES or serialization not in ("ros1", "cdr"):
                     raise ValueError(f"a topic of {msgtype} in {serialization}")
                 connection = Connection(len(by_topic), topic, msgtype, serialization)
                 by_topic[topic] = connection

@@ -7,8 +7,8 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import leading, stamp_text, visible
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.text import counted
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ _LONGEST = 100
 #: The largest share of beams that the angles of another C library change.
 _FEW = 0.25
 #: The words for an element of a message, and for the message.
-_WORDS = {LASERSCAN: ("beam", "scan"), POINTCLOUD2: ("point", "cloud")}
+_WORDS = {LASERSCAN: ("beam", "scan"), **dict.fromkeys(CLOUDS, ("point", "cloud"))}
 
 
 def summary(topics: Sequence[TopicDifference], left_aside: int, names: tuple[str, str] = ("A", "B")) -> Iterator[str]:

@@ -39,7 +39,8 @@ _LEVEL_BESIDE = 0.3
 #: Points with a larger median distance, metres, are probably in millimetres: lidars do not see as far.
 FARTHEST_MEDIAN = 400.0
 
-_GOLDEN = 0.6180339887498949
+#: The golden ratio's inverse.
+GOLDEN = 0.6180339887498949
 
 #: The conditions of a floor: the least share of the cells on it, the largest share below it, and metres below the
 #: sensor.
@@ -73,6 +74,8 @@ class CloudSample:
         How many points of the whole cloud are at the sensor itself.
     distance
         The median distance of the points, metres; 0 if there are too few.
+    lossy
+        See `pc2scan.core.points.Points`.
     """
 
     frame_id: str
@@ -82,6 +85,7 @@ class CloudSample:
     transform: Rigid | None = None
     zeros: int = 0
     distance: float = 0.0
+    lossy: str = ""
 
     @classmethod
     def of(cls, cloud: Points) -> CloudSample:
@@ -91,7 +95,8 @@ class CloudSample:
             zeros = int(np.count_nonzero((x == 0) & (y == 0) & (z == 0)))
         points = thin_points(x, y, z)
         distance = _median_distance(points) if len(points) >= FEWEST_POINTS else 0.0
-        return cls(cloud.frame_id, cloud.stamp_ns, cloud.frame_id, points, zeros=zeros, distance=distance)
+        header = cloud.frame_id, cloud.stamp_ns, cloud.frame_id
+        return cls(*header, points, zeros=zeros, distance=distance, lossy=cloud.lossy)
 
     def placed_in(self, frame: str, transform: Rigid | None) -> CloudSample:
         """Return the sample in another frame, in which it is judged; without a transform, only the name differs."""
@@ -160,7 +165,7 @@ def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = M
     """
     count = x.size
     # Multiples of the golden ratio never coincide with rings or columns.
-    order = np.arange(count) if count <= most else (np.arange(most) * _GOLDEN % 1.0 * count).astype(np.intp)
+    order = np.arange(count) if count <= most else (np.arange(most) * GOLDEN % 1.0 * count).astype(np.intp)
     with np.errstate(all="ignore"):
         # Without a copy of an organised cloud, whose rows may be padded.
         places = np.unravel_index(order, x.shape)

@@ -82,8 +82,11 @@ def _unit(direction: Sequence[float]) -> Up:
 #: The longest time between two samples, nanoseconds, for which the turn in between can be computed.
 LONGEST_GAP_NS = 250_000_000
 
-#: The gains: the accelerometer has a time constant of 20 s, and the bias is critically damped.
-_PROPORTIONAL = 0.05
+#: How long the accelerometer needs to correct the direction of up, seconds.
+TIME_CONSTANT = 20.0
+
+#: The gains; the bias is critically damped.
+_PROPORTIONAL = 1 / TIME_CONSTANT
 _INTEGRAL = _PROPORTIONAL**2 / 4
 
 #: Deviations of the length of the acceleration from gravity, as a share of it: the gain is full up to the first, and 0

@@ -14,6 +14,9 @@ and pitch from -90 to 180 degrees. For each, the result is right to within 3 deg
 called anything else (``tests/core/test_ground.py`` repeats a part). It is also right for every cloud of the real
 recordings that were available (a highway, a lidar close to the floor, a car park, a depth camera).
 
+If no plane can be called the ground, two planes at right angles that are neither level nor upright still show that z is
+not up: the frame is slanted.
+
 Two cases cannot be distinguished by a cloud: a low ceiling of a hall whose floor is not visible is the mirror image of
 open ground, and a lidar that hangs upside down just below a ceiling is that of a lidar just above the floor. Transforms
 can distinguish them; see `pc2scan.tf.mounting`.
@@ -22,6 +25,7 @@ can distinguish them; see `pc2scan.tf.mounting`.
 from __future__ import annotations
 
 import math
+from itertools import combinations
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -34,13 +38,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-Kind = Literal["level", "tilted", "upside-down", "optical", "unknown"]
+Kind = Literal["level", "tilted", "upside-down", "optical", "slanted", "unknown"]
 
 _Points: TypeAlias = "NDArray[np.float64]"
 _Direction: TypeAlias = tuple[float, float, float]
 
 #: A plane whose normal is this far from the frame's z axis, radians, is as likely a wall as the ground.
 _STEEPEST = math.radians(50.0)
+
+#: Planes with this share of a cloud, and at most this share behind them, show how a room is turned. Those that are
+#: slanted are this far from z, radians; two of them are at right angles within so many degrees.
+_LARGE, _MOST_BEYOND = 0.08, 0.3
+_SLANTED = (math.radians(12.0), math.radians(78.0))
+_RIGHT_ANGLE = 3.0
 
 #: body_from_optical: REP 103's optical frames have x to the right, y down and z forward.
 _BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -93,8 +103,8 @@ class Ground(NamedTuple):
     Attributes
     ----------
     kind
-        ``level``; ``tilted``; ``upside-down``; ``optical`` (z is forward, as in a camera's optical frame);
-        ``unknown``: there is not enough evidence.
+        ``level``; ``tilted``; ``upside-down``; ``optical`` (z is forward, as in a camera's optical frame); ``slanted``:
+        z is not up, but which plane is the ground is not known; ``unknown``: there is not enough evidence.
     up
         The direction of up in the frame, a unit vector; None if no ground is visible.
     height
@@ -115,7 +125,7 @@ class Ground(NamedTuple):
     @property
     def off(self) -> bool:
         """Whether z is not up in this frame, so that heights in it have no meaning."""
-        return self.kind in {"tilted", "upside-down", "optical"}
+        return self.kind in {"tilted", "upside-down", "optical", "slanted"}
 
     @property
     def level_from_frame(self) -> tuple[float, float, float]:
@@ -356,7 +366,17 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
         upside_down = plane.tilt >= math.pi - _STEEPEST
         if (upside_down or plane.tilt <= _STEEPEST) and not _doubt(plane, planes, view):
             return _ground_of("upside-down" if upside_down else "tilted", plane, planes)
-    return Ground("unknown")
+    return Ground("slanted" if _are_slanted(planes) else "unknown")
+
+
+def _are_slanted(planes: Sequence[Plane]) -> bool:
+    """Whether two planes at right angles, such as floor and wall, are neither level nor upright, and none is level."""
+    large = [plane for plane in planes if plane.share >= _LARGE and plane.beyond < _MOST_BEYOND]
+    tilts = [min(plane.tilt, math.pi - plane.tilt) for plane in large]
+    slanted = [plane for plane, tilt in zip(large, tilts, strict=True) if _SLANTED[0] < tilt < _SLANTED[1]]
+    return min(tilts, default=0.0) >= 2 * LEVEL and any(
+        abs(_angle_between(one, other) - 90) < _RIGHT_ANGLE for one, other in combinations(slanted, 2)
+    )
 
 
 def _ground_of(kind: Kind, floor: Plane, planes: Sequence[Plane]) -> Ground:

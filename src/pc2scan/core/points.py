@@ -49,12 +49,15 @@ class Points:
     fields
         Every field of the points by name, ``x``, ``y`` and ``z`` (metres) among them: arrays of one shape, (M,) or
         (H, W), of any of PointField's datatypes. May be decoded on request.
+    lossy
+        What was lost before the points were recorded, for a warning; empty: nothing.
     """
 
     sequence: int
     stamp_ns: int
     frame_id: str
     fields: Mapping[str, NDArray[Any]]
+    lossy: str = ""
 
     def field(self, name: str) -> NDArray[Any]:
         """Return one field of every point.

@@ -98,7 +98,7 @@ NO_TIME = Rejection(
 NO_TRANSFORM = Rejection(
     "no_transform",
     "measured when there was no transform to `fixed_frame`",
-    remedy="`tf_from` adds the transforms of another recording, `start` and `end` leave out clouds without any",
+    remedy="`tf_from` or `trajectory` adds transforms; if the clocks differ, `time_offset=auto` measures by how much",
 )
 
 

@@ -150,7 +150,7 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
     -----
     Lasers of one column point a little to the side, so the azimuth of some points is before that of the first point,
     and that of some of the last points is after it. If points are stored column by column, their order shows which turn
-    it is.
+    it is; not if they are stored in the other direction, as by drivers that sort them by azimuth.
     """
     with np.errstate(all="ignore"):
         angles = np.arctan2(y.astype(np.float64), x.astype(np.float64)).ravel()
@@ -167,7 +167,9 @@ def azimuth_times(x: NDArray[Any], y: NDArray[Any], period: float, direction: in
         direction = 1 if turns > 0 else -1
     share = np.remainder((known - known[0]) * direction, TURN) / TURN
     in_rows = x.ndim == 2 and abs(turns) > _ONE_TURN
-    if in_rows:
+    if turns * direction < 0:
+        pass
+    elif in_rows:
         share += np.round(places % x.shape[1] / x.shape[1] * abs(turns) / x.shape[0] - share)
     elif abs(turns) <= _ONE_TURN:
         share += np.round(places / angles.size * abs(turns) - share)

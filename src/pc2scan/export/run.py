@@ -20,8 +20,8 @@ from pc2scan.errors import (
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.records import read_record, write_record
 from pc2scan.files.staging import staged_output
+from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.options import TopicRequest
 from pc2scan.result import Skipped
 from pc2scan.streams.clouds import Clouds
@@ -169,7 +169,12 @@ def run(
         poses = None
         if form.poses.is_requested:
             others = open_recordings(options.frames.tf_from, stack, verify=options.verify, strict=options.strict)
-            poses, texts = open_poses([reader, *others], options.frames, form.poses)
+            posing = reader
+            if options.clock:
+                from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
+
+                posing, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
+            poses, texts = open_poses([posing, *others], options.frames, form.poses)
             report.warnings += texts
         # Scans that are made of clouds have the right frame in their headers.
         frame = "" if form.converting else options.frames.source_frame
@@ -242,8 +247,11 @@ def _topics(
                 hint=f"`topics={renamed[0].source}`",
             )
         return [topic.source for topic in requested]
-    kinds = options.scan.source_types if form.converting else (POINTCLOUD2,) if file_format.clouds else (LASERSCAN,)
-    return sorted({each.topic for each in connections if each.ros_type in kinds})
+    kinds = options.scan.source_types if form.converting else CLOUDS if file_format.clouds else (LASERSCAN,)
+    types: dict[str, set[str]] = {}
+    for each in connections:
+        types.setdefault(each.topic, set()).add(each.ros_type)
+    return sorted(usual_topics(types, kinds))
 
 
 def _stream(
@@ -261,6 +269,7 @@ def _stream(
         on_error=options.on_error,
         verify=options.verify,
         strict=options.strict,
+        clock=options.clock,
     )
     if file_format.clouds:
         return Clouds(selection)

@@ -20,6 +20,9 @@ LZ4_MAGIC = b"\x04\x22\x4d\x18"
 #: The first bytes of every zstd frame.
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
+#: Bytes that are decompressed at a time if the size of the result is not known; see `Decoder.feed`.
+_PIECE = 1 << 11
+
 #: Size to which any chunk or message may be decompressed, even if it is stored in few bytes.
 MAX_UNPACKED = 32 << 20
 
@@ -74,6 +77,29 @@ def decompress(compression: str, data: Buffer, size: int) -> DecompressedData:
         If the result does not fit into memory.
     """
     return _DECOMPRESS[compression](data, size)
+
+
+def decompress_within(compression: str, data: Buffer, limit: int) -> Buffer:
+    """Decompress to a size that is not known.
+
+    Parameters
+    ----------
+    compression
+        ``zlib`` (also with gzip's header) or ``zstd``.
+    data
+        All of the compressed data.
+    limit
+        Largest size of the result, bytes. Little more memory is used.
+
+    Raises
+    ------
+    CompressionError
+        If the data have another format, are damaged or cut off, or the result is larger.
+    """
+    found = _DECOMPRESS_WITHIN[compression](data, limit)
+    if len(found) > limit:
+        raise CompressionError(f"the data are larger than {limit:,} bytes, which is the limit for {len(data):,} bytes")
+    return found
 
 
 def compress(compression: str, data: Buffer, level: int | None = None) -> Buffer:
@@ -205,6 +231,47 @@ def _from_zstd(data: Buffer, size: int) -> DecompressedData:
         raise CompressionError(str(err)) from err
 
 
+def _zlib_within(data: Buffer, limit: int) -> Buffer:
+    library = _zlib_library()
+    # With a header of gzip or of zlib.
+    inflate = library.decompressobj(31 if bytes(data[:2]) == b"\x1f\x8b" else 15)
+    try:
+        found: bytes = inflate.decompress(data, limit + 1)
+    except (zlib.error, library.error) as err:
+        raise CompressionError(str(err)) from err
+    if not inflate.eof and len(found) <= limit:
+        raise CompressionError("the data are cut off")
+    return found
+
+
+@cache
+def _zlib_library() -> Any:
+    """Return zlib, or a library that takes half the time."""
+    try:
+        from isal import isal_zlib  # noqa: PLC0415  # few recordings have clouds in this format
+    except ImportError:  # the library has no build for this processor
+        return zlib
+    return isal_zlib
+
+
+def _zstd_within(data: Buffer, limit: int) -> Buffer:
+    size = zstd_content_size(data)
+    if size > limit:
+        raise CompressionError(f"the compressed data declare {size:,} bytes, at most {limit:,} are allowed")
+    if size >= 0:
+        return _from_zstd(data, size).data
+    # Frames without their size, which streaming compressors write.
+    pieces, total, unzstd = list[bytes](), 0, decoder("zstd")
+    for start in range(0, len(data), _PIECE):
+        pieces.append(unzstd.feed(data[start : start + _PIECE]))
+        total += len(pieces[-1])
+        if total > limit or unzstd.eof:
+            break
+    if total <= limit and not unzstd.eof:
+        raise CompressionError("the data are cut off")
+    return b"".join(pieces)
+
+
 def _not_compressed(data: Buffer, _level: int | None) -> Buffer:
     return data
 
@@ -234,6 +301,8 @@ _DECOMPRESS: dict[str, Callable[[Buffer, int], DecompressedData]] = {
     "lz4": _from_lz4,
     "zstd": _from_zstd,
 }
+
+_DECOMPRESS_WITHIN: dict[str, Callable[[Buffer, int], Buffer]] = {"zlib": _zlib_within, "zstd": _zstd_within}
 
 _COMPRESS: dict[str, Callable[[Buffer, int | None], Buffer]] = {
     "none": _not_compressed,

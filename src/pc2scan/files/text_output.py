@@ -15,15 +15,24 @@ from .staging import commit, temporary_path
 from .urls import UrlPath
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
+
+#: Characters of a text that are encoded at a time.
+_PIECE = 1 << 20
 
 
 @contextmanager
 def text_output(path: Path, *, beginning: bytes, overwrite: bool) -> Iterator[Callable[[str], None]]:
     """Check that a text can be written, and yield the function that writes it; see `file_output`."""
-    with file_output(path, beginning=beginning, overwrite=overwrite) as write:
-        yield lambda text: write(text.encode("utf-8"))
+    with _staged_file(path, beginning, overwrite=overwrite) as (put, rename):
+
+        def write(text: str) -> None:
+            # Piece by piece: a page is large.
+            put(text[start : start + _PIECE].encode("utf-8") for start in range(0, len(text), _PIECE))
+            rename()
+
+        yield write
 
 
 @contextmanager
@@ -54,7 +63,7 @@ def file_output(path: Path, *, beginning: bytes | None, overwrite: bool) -> Iter
     with _staged_file(path, beginning, overwrite=overwrite) as (put, rename):
 
         def write(data: bytes) -> None:
-            put(data)
+            put((data,))
             rename()
 
         yield write
@@ -71,7 +80,7 @@ def files_output(paths: Sequence[Path], *, overwrite: bool) -> Iterator[Callable
 
         def write(contents: Sequence[bytes]) -> None:
             for (put, _), data in zip(staged, contents, strict=True):
-                put(data)
+                put((data,))
             for _, rename in staged:
                 rename()
 
@@ -81,7 +90,7 @@ def files_output(paths: Sequence[Path], *, overwrite: bool) -> Iterator[Callable
 @contextmanager
 def _staged_file(
     path: Path, beginning: bytes | None, *, overwrite: bool
-) -> Iterator[tuple[Callable[[bytes], None], Callable[[], object]]]:
+) -> Iterator[tuple[Callable[[Iterable[bytes]], None], Callable[[], object]]]:
     """Yield a function that writes the file under a temporary name, and one that renames it to its final name."""
     with ExitStack() as stack:
         rename: Callable[[], object]
@@ -100,9 +109,10 @@ def _staged_file(
         except OSError as err:
             raise _unwritable(path, err) from err
 
-        def put(data: bytes) -> None:
+        def put(pieces: Iterable[bytes]) -> None:
             try:
-                file.put(data)
+                for data in pieces:
+                    file.put(data)
                 file.finish()
             except OutputError as err:
                 # The error names the final path, which the user knows.

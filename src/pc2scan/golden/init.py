@@ -13,8 +13,7 @@ from pc2scan.bags.topics import find_topics
 from pc2scan.errors import DestinationError, OutputError, ResultError
 from pc2scan.files.places import output_folder
 from pc2scan.files.staging import staged_output
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.pipeline.options import ConvertOptions
 from pc2scan.pipeline.run import run
 from pc2scan.pipeline.run_files import OutputOptions
@@ -120,7 +119,7 @@ def _needed_topics(reader: Reader, topics: Sequence[str]) -> list[str]:
     types: dict[str, set[str]] = {}
     for connection in reader.connections:
         types.setdefault(connection.topic, set()).add(connection.ros_type)
-    kinds = (*CLOUDS, LASERSCAN)
+    kinds = (*CLOUDS, *SCANS)
     candidates = sorted(topic for topic, names in types.items() if names & {*kinds})
     chosen = {name for asked in topics for name in find_topics(asked, types, candidates, *kinds)} or {*candidates}
     return sorted(chosen | {topic for topic, names in types.items() if names & _ALSO_READ})

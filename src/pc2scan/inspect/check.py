@@ -13,13 +13,13 @@ from pc2scan.core.consumers import CONSUMERS
 from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.files.urls import path_or_url
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Part, Result
 from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.placing import FrameOptions
+from pc2scan.tf.robot_model import NO_MODEL
 
 from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
@@ -261,6 +261,7 @@ def check(
     topics: Iterable[str] = (),
     odom_frame: str = "odom",
     base_frame: str = "",
+    echo: str = "first",
     frames: FrameOptions | None = None,
     progress: Callable[[int, int, int], None] | None = None,
 ) -> Check:
@@ -274,10 +275,12 @@ def check(
         The consumers that count, of `pc2scan.core.consumers.CONSUMERS`; empty means all, and then defects count, too.
         All are reported in any case.
     topics
-        LaserScan topics to check; empty means all.
+        Topics of scans to check; empty means all.
     odom_frame, base_frame
         The frames that scans must be connected with; an empty ``base_frame`` means ``base_link``, or
         ``base_footprint`` if the former does not exist.
+    echo
+        Which echo of each beam is checked, if there are several: ``first``, ``last`` or ``strongest``.
     frames
         The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
     progress
@@ -308,19 +311,22 @@ def check(
         reader = as_one(readers)
         chosen = _scan_connections(reader, tuple(topics))
         others = open_recordings(options.tf_from, stack)
-        survey = Survey(reader, others, options, Span(None, None, 0))
+        # Consumers know no transforms but those of the recording, and what the user adds.
+        known = options if options.model else replace(options, model=NO_MODEL)
+        survey = Survey(reader, others, known, Span(None, None, 0))
         clouds = survey.topics(
             each for each in reader.connections if each.ros_type in CLOUDS and each.ros_version
         ).values()
         for facts in clouds:
             facts.ask_samples(moved=True)
-        transforms = survey.ask_transforms()
+        reading = survey.ask_transforms((odom_frame, base_frame), use=False)
         survey.read()
-        buffer, warnings = transforms.finish()
-        found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, progress)
+        transforms = reading.finish()
+        buffer = transforms.buffer
+        found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, progress, echo)
         found = _with_mountings(found, clouds, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
-    return Check(tuple(map(str, paths)), asked, tuple(found), tuple(warnings), damage)
+    return Check(tuple(map(str, paths)), asked, tuple(found), (*transforms.warnings, *transforms.notes), damage)
 
 
 def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list[Connection]]:
@@ -329,7 +335,7 @@ def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list
     scans: dict[str, list[Connection]] = {}
     for connection in reader.connections:
         types.setdefault(connection.topic, set()).add(connection.ros_type)
-        if connection.ros_type == LASERSCAN and connection.ros_version is not None:
+        if connection.ros_type in SCANS and connection.ros_version is not None:
             scans.setdefault(connection.topic, []).append(connection)
     if not scans:
         from pc2scan.messages.clouds import CLOUDS  # noqa: PLC0415  # only for errors
@@ -340,7 +346,7 @@ def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list
 
         message, hint = without("LaserScan", reader.connections, reader)
         raise TopicError(message, hint=hint or None)
-    asked = (find_topics(topic, types, sorted(scans), LASERSCAN) for topic in topics)
+    asked = (find_topics(topic, types, sorted(scans), *SCANS) for topic in topics)
     names = {name for found in asked for name in found} or scans.keys()
     return {name: scans[name] for name in sorted(names)}
 
@@ -352,6 +358,7 @@ def _check_topics(
     odom_frame: str,
     base_frame: str,
     progress: Callable[[int, int, int], None] | None,
+    echo: str,
 ) -> list[TopicCheck]:
     """Read the scans once, and check them."""
     topics = {name: (ScanTopic(), ScanFrames(buffer, odom_frame, base_frame)) for name in chosen}
@@ -361,7 +368,7 @@ def _check_topics(
             progress(min(reader.bytes_read, total), total, number)
         scans, places = topics[message.connection.topic]
         try:
-            scan = decode_laserscan(message.data, message.connection.serialization)
+            scan = SCANS[message.connection.ros_type](message.connection.serialization, echo)(message.data)
         except DecodeError as err:
             scans.add_undecodable(message.log_time_ns, err.message)
             continue

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
+from pc2scan.bags.destinations import default_destination
+from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, leading
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.imu import IMU
-from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.model import copied_message
+from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
@@ -22,7 +28,8 @@ from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.placing import FrameOptions, Placer
 
 from .cloud_info import CloudInfo, CloudLook
-from .sampling import sampled
+from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, proposals
+from .sampling import spread_over
 from .scan_info import ScanInfo, ScanLook
 
 if TYPE_CHECKING:
@@ -32,20 +39,27 @@ if TYPE_CHECKING:
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.model import Connection, Summary
+    from pc2scan.pipeline.clocks import ClockFinding
     from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
-    from pc2scan.tf.imu import ImuReading
+    from pc2scan.tf.imu import ImuReading, UpEstimate
     from pc2scan.tf.mounting import Mounting
 
 #: How many of the first messages of an IMU are read.
 _MAX_IMU = 1_000
+
+#: A topic was recorded all the time if its messages, at the rate of the first ones, take this share of the recording.
+_THROUGHOUT = 0.8
+
+#: At how many times, spread over the recording, the motion of the robot is looked at.
+_MOMENTS = 8
 
 #: How many points of a topic are examined, in all clouds together; of larger clouds every second, third, ... point is
 #: used.
 _MAX_POINTS = 2_000_000
 
 #: ... and of all topics together.
-_MAX_POINTS_HELD = 4_000_000
+_MAX_POINTS_HELD = 2_700_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +83,8 @@ class TopicInfo:
     connections
         Publishers: ROS 1 connections, MCAP channels.
     rate_hz
-        Messages without the first, divided by the duration of the recording; None for fewer than two.
+        Messages without the first, divided by the duration of the recording; of clouds and scans that were not
+        recorded all the time, the rate of the first ones. None for fewer than two.
     """
 
     topic: str
@@ -198,9 +213,27 @@ class Info(Result):
             yield ""
             mountings = ((cloud.topic, cloud.mounting) for cloud in self.clouds if cloud.mounting is not None)
             yield from (f"{leading(topic)}: {_ground_text(mounting)}" for topic, mounting in mountings)
+            for call in self.proposals:
+                yield ""
+                yield "options, and why:" if len(self.proposals) == 1 else f"options for {_topics_of(call)}, and why:"
+                yield from _reasons(call)
             yield ""
             yield "ready to convert:"
             yield from self.proposals
+
+
+def _topics_of(call: Call) -> str:
+    topics = call.options.get("topics", "")
+    return leading(topics) if isinstance(topics, str) else ", ".join(map(leading, topics))
+
+
+def _reasons(call: Call) -> Iterator[str]:
+    """Yield a line for each option that has a reason."""
+    for name, reason in call.reasons.items():
+        value = call.options[name]
+        for each in value if isinstance(value, tuple) else (value,):
+            shown = f"{each:g}" if isinstance(each, float) else shlex.quote(str(each))
+            yield f"  `{name}={shown}`: {reason}"
 
 
 def _ground_text(mounting: Mounting) -> str:
@@ -213,43 +246,6 @@ def _ground_text(mounting: Mounting) -> str:
     floor = round(heights.floor, 2) + 0.0
     sensor = "" if ground.height is None else f"; the sensor is {ground.height:.2f} m above the floor"
     return f"floor at z = {floor:.2f} m in frame {frame!r}{ceiling}{sensor}"
-
-
-def _proposals(
-    clouds: Sequence[CloudInfo], topics: Sequence[TopicInfo], sources: Sequence[str], given: Mapping[str, Any]
-) -> Iterator[Call]:
-    """Yield a conversion for each topic's clouds, with heights that suit them, in a level frame.
-
-    Parameters
-    ----------
-    clouds, topics, sources
-        Of the recording.
-    given
-        Options about frames that were given; the conversion needs them, too.
-    """
-    from pc2scan.tf.mounting import sensor_exclusion  # noqa: PLC0415  # only with clouds
-
-    has_scans = any(topic.topic == "/scan" for topic in topics)
-    several = len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1
-    for cloud in clouds:
-        mounting = cloud.mounting
-        heights = None if mounting is None else mounting.heights
-        if mounting is None or heights is None:
-            continue
-        target = mounting.target_frame or (mounting.judged_in if mounting.judged_in != mounting.frame else "")
-        options: dict[str, Any] = {}
-        if several or has_scans:
-            options["topics"] = f"{cloud.topic}:={cloud.topic.rstrip('/')}/scan" if has_scans else cloud.topic
-        options |= given
-        if mounting.static_tf:
-            options["static_tf"] = (*given.get("static_tf", ()), mounting.static_tf)
-        if target:
-            options["target_frame"] = target
-        options["min_height"], options["max_height"] = float(f"{heights.low:g}"), float(f"{heights.high:g}")
-        if cloud.zero_share:
-            option, value = sensor_exclusion(mounting.frame, target)
-            options[option] = float(value) if option == "range_min" else value
-        yield Call("convert", tuple(sources), options)
 
 
 def info(
@@ -297,40 +293,58 @@ def info(
         shown = _described(topics, described)
         has_clouds = start_ns is not None and any(topic.msgtype in CLOUDS for topic in shown)
         imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
+        names = {each.topic for each in shown}
+        connections = [each for each in reader.connections if each.topic in names and samples]
         survey = Survey(reader, others, asked, Span(None, None, start_ns or 0))
-        tolerance_ns = ProjectionParams().tolerance_ns
-        places = Placer(target_frame, asked.source_frame, None, tolerance_ns)
-        facts: dict[str, TopicFacts] = {}
-        buffer: TransformBuffer | None = None
-        ups: tuple[ImuInfo, ...] = ()
-        warnings: list[str] = []
-        has_target = bool(target_frame or others)
-        if has_target or any(topic.msgtype in CLOUDS for topic in topics):
-            facts = survey.topics(c for c in reader.connections if shown and samples and c.ros_type in CLOUDS)
-            for each in facts.values():
-                each.ask_samples(moved=bool(target_frame))
-            readings = {topic: _imu_reading(survey, topic) for topic in imus}
-            if has_target:
-                survey.ask_transforms()
-            else:
-                survey.ask_robot()
-            survey.read()
-            ups = tuple(_imu(topic, reading) for topic, reading in readings.items())
-            if survey.transforms is not None:
-                buffer, warnings = survey.transforms.finish()
-            elif survey.robot is not None:
-                buffer = survey.robot.finish()
-            places = places._replace(buffer=buffer if target_frame else None)
-        moved = bool(target_frame)
-        mountings = {topic: each.mounting(places, buffer, moved=moved) for topic, each in facts.items()}
-        clouds, scans = _samples(reader, shown, samples, start_ns, end_ns, places, mountings)
-        warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
-        if not any(topic.msgtype in {*CLOUDS, LASERSCAN} for topic in topics):
+        looks = _looks(survey, shown, samples if connections else 0, start_ns, end_ns)
+        found = _survey(
+            survey,
+            connections,
+            imus,
+            end_ns,
+            places=Placer(target_frame, asked.source_frame, None, ProjectionParams().tolerance_ns),
+            has_clouds=any(topic.msgtype in CLOUDS for topic in topics),
+            reads_all=bool(target_frame or others or asked.adds_poses),
+        )
+        topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
+        shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, *SCANS)]
+        mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
+        of_clouds = {topic: look for topic, look in looks.items() if isinstance(look, CloudLook)}
+        clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
+        of_scans = {topic: look for topic, look in looks.items() if isinstance(look, ScanLook)}
+        scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
+        warnings = [*found.warnings]
+        if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics):
             from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
 
             if instead := instead_of_clouds(reader.connections, reader):
                 warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
+        seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
+        lidars = [
+            Lidar(
+                found.facts[each.topic],
+                each.mounting,
+                found.buffer,
+                of_clouds[each.topic].parts,
+                bool(each.zero_share),
+                seconds[each.topic],
+            )
+            for each in clouds
+            if each.mounting is not None
+        ]
+        warnings += missing_mounts(lidars)
+        summaries = [each.summary for each in readers]
+        calls = proposals(
+            lidars,
+            [str(each.path) for each in readers],
+            given or {},
+            {topic: up for topic, up in found.ups.items() if not isinstance(up, UsageError)},
+            found.clocks,
+            lambda topic: str(default_destination([each.path for each in readers], summaries, _mark(topic))),
+            names_topics=len({topic.topic for topic in topics if topic.msgtype in CLOUDS and topic.messages}) > 1,
+            has_scans=any(topic.topic == "/scan" for topic in topics),
+        )
         return Info(
             tuple(_file_info(r.path, r.summary) for r in readers),
             start_ns,
@@ -339,11 +353,112 @@ def info(
             tuple(topics),
             clouds,
             scans,
-            ups,
-            tuple(_proposals(clouds, topics, [str(r.path) for r in readers], given or {})),
+            tuple(_imu(topic, up) for topic, up in found.ups.items()),
+            tuple(calls),
             tuple(reader.damage),
             tuple(warnings),
         )
+
+
+class _Surveyed(NamedTuple):
+    """What the survey of a recording found.
+
+    Attributes
+    ----------
+    facts
+        Of each topic with clouds or scans.
+    places
+        The frames in which clouds are described.
+    buffer
+        The transforms; None if there are none.
+    ups
+        The direction of up by each IMU, or why it is not known.
+    clocks
+        What is wrong with the clocks of topics.
+    warnings
+        About transforms, clocks and units.
+    """
+
+    facts: Mapping[str, TopicFacts]
+    places: Placer
+    buffer: TransformBuffer | None
+    ups: Mapping[str, UpEstimate | UsageError]
+    clocks: Mapping[str, ClockFinding]
+    warnings: Sequence[str]
+
+    def mountings(self) -> dict[str, Mounting | None]:
+        """Return how the clouds of each topic are mounted."""
+        moved = bool(self.places.target_frame)
+        return {topic: each.mounting(self.places, self.buffer, moved=moved) for topic, each in self.facts.items()}
+
+
+def _survey(
+    survey: Survey,
+    connections: Sequence[Connection],
+    imus: Sequence[str],
+    end_ns: int | None,
+    *,
+    places: Placer,
+    has_clouds: bool,
+    reads_all: bool,
+) -> _Surveyed:
+    """Read what the description and the proposals depend on.
+
+    Parameters
+    ----------
+    connections
+        Those to describe.
+    imus
+        The topics of the IMUs.
+    end_ns
+        The end of the recording; None without messages.
+    places
+        The frames in which clouds are described, without transforms.
+    has_clouds
+        Whether the recording has clouds.
+    reads_all
+        Whether all transforms are read.
+    """
+    moved = bool(places.target_frame)
+    facts = survey.topics(each for each in connections if each.ros_type in CLOUDS)
+    flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in facts)
+    for each in facts.values():
+        each.ask_samples(moved=moved)
+        ask_facts(each)
+    for each in flat.values():
+        each.ask_headers(HEADERS)
+    clocks = Clocks(survey, facts.values())
+    readings = {topic: _imu_reading(survey, topic) for topic in imus}
+    if reads_all:
+        survey.ask_transforms((places.target_frame,))
+    elif has_clouds:
+        survey.ask_robot(_moments(survey.span.first_ns, end_ns) if facts else ())
+    survey.read()
+    buffer, warnings = None, list[str]()
+    if survey.transforms is not None:
+        found = survey.transforms.finish()
+        buffer, warnings = found.buffer, [*found.warnings, *found.notes]
+    elif survey.robot is not None:
+        buffer = survey.robot.finish()
+    wrong = clocks.findings()
+    warnings += (each.text for each in wrong.values())
+    warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
+    ups = {topic: _up(reading) for topic, reading in readings.items()}
+    places = places._replace(buffer=buffer if moved else None)
+    return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings)
+
+
+def _with_own_rate(
+    topic: TopicInfo, facts: Mapping[str, TopicFacts], start_ns: int | None, end_ns: int | None
+) -> TopicInfo:
+    """Return a topic with the rate of its first messages, if it was not recorded all the time."""
+    own = facts.get(topic.topic)
+    if own is None or topic.rate_hz is None or topic.msgtype not in {each.ros_type for each in own.connections}:
+        return topic
+    period_ns = median_interval_ns(each.log_time_ns for each in own.headers)
+    if period_ns is None or (topic.messages - 1) * period_ns >= _THROUGHOUT * ((end_ns or 0) - (start_ns or 0)):
+        return topic
+    return replace(topic, rate_hz=1e9 / period_ns)
 
 
 def _file_info(path: Path, summary: Summary) -> FileInfo:
@@ -402,16 +517,32 @@ def _imu_reading(survey: Survey, topic: str) -> ImuReading | UsageError:
         return err
 
 
-def _imu(topic: str, reading: ImuReading | UsageError) -> ImuInfo:
-    """Return whether scans can be levelled by an IMU."""
+def _up(reading: ImuReading | UsageError) -> UpEstimate | UsageError:
+    """Return the direction of up, or why it is not known."""
     try:
-        if isinstance(reading, UsageError):
-            raise reading
-        found = reading.up()
+        return reading if isinstance(reading, UsageError) else reading.up()
     except UsageError as err:
-        return ImuInfo(topic, "", usable=False, text=err.message)
+        return err
+
+
+def _imu(topic: str, found: UpEstimate | UsageError) -> ImuInfo:
+    """Return whether scans can be levelled by an IMU."""
+    if isinstance(found, UsageError):
+        return ImuInfo(topic, "", usable=False, text=found.message)
     text = "; ".join((*found.notes, *found.warnings)).replace(f"{topic}: ", "")
     return ImuInfo(topic, found.frame, usable=True, text=text)
+
+
+def _mark(topic: str) -> str:
+    """Return what the name of a topic's scans ends with."""
+    return "_" + re.sub(r"\W+", "_", topic.strip("/")) + "_scan"
+
+
+def _moments(start_ns: int, end_ns: int | None) -> list[int]:
+    """Return the times at which the motion of the robot is looked at."""
+    if end_ns is None:
+        return []
+    return [start_ns + (end_ns - start_ns) * number // _MOMENTS for number in range(_MOMENTS)]
 
 
 def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicInfo]:
@@ -419,41 +550,39 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicI
     types: dict[str, set[str]] = {}
     for topic in topics:
         types.setdefault(topic.topic, set()).add(topic.msgtype)
-    known = [topic for topic in topics if topic.msgtype in (*CLOUDS, LASERSCAN) and topic.messages]
+    known = [topic for topic in topics if topic.msgtype in (*CLOUDS, *SCANS) and topic.messages]
     candidates = sorted({topic.topic for topic in known})
-    found = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, LASERSCAN)}
+    found = {each for name in names for each in find_topics(name, types, candidates, *CLOUDS, *SCANS)}
     return [topic for topic in known if topic.topic in found] if names else known
 
 
-def _samples(
-    reader: Reader,
-    topics: Sequence[TopicInfo],
-    samples: int,
-    start_ns: int | None,
-    end_ns: int | None,
-    places: Placer,
-    mountings: Mapping[str, Mounting | None],
-) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...]]:
-    """Return the properties of the clouds and scans of topics; a topic with both counts as one of clouds."""
+def _looks(
+    survey: Survey, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
+) -> dict[str, CloudLook | ScanLook]:
+    """Ask for samples of each topic, spread over the recording; return what collects their properties.
+
+    A topic with clouds and scans counts as one of clouds.
+    """
     clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS}
-    scans = {topic.topic for topic in topics} - clouds
     connections: dict[str, list[Connection]] = {topic.topic: [] for topic in topics}
-    if not connections or start_ns is None or end_ns is None:
-        return (), ()
-    for connection in reader.connections:
-        wanted = clouds if connection.ros_type in CLOUDS else scans if connection.ros_type == LASERSCAN else ()
-        if connection.topic in wanted:
+    if not connections or not samples or start_ns is None or end_ns is None:
+        return {}
+    for connection in survey.reader.connections:
+        kinds = CLOUDS if connection.topic in clouds else SCANS
+        if connection.topic in connections and connection.ros_type in kinds:
             connections[connection.topic].append(connection)
     # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
-    taken = min(samples, max(topic.messages for topic in topics if topic.topic in connections))
+    taken = min(samples, max(topic.messages for topic in topics))
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // taken + 1
-    cloud_looks = {name: CloudLook(name, most, places) for name in connections if name in clouds}
-    rates = {topic.topic: topic.rate_hz for topic in topics if topic.msgtype == LASERSCAN}
-    scan_looks = {name: ScanLook(name, rates[name], most) for name in connections if name in scans}
-    looks: dict[str, CloudLook | ScanLook] = {**cloud_looks, **scan_looks}
-    for message in sampled(reader, connections, samples, start_ns, end_ns):
-        looks[message.connection.topic].add(message)
-    return (
-        tuple(look.described(mountings.get(name)) for name, look in cloud_looks.items()),
-        tuple(look.described() for look in scan_looks.values()),
-    )
+    looks: dict[str, CloudLook | ScanLook] = {}
+    for topic, own in connections.items():
+        observer: Observer[Any] = Observer(own, copied_message, start_ns=start_ns, stop_ns=end_ns + 1)
+        observer.spread = spread_over(own, samples, start_ns, end_ns + 1)
+        if topic in clouds:
+            cloud_look = looks[topic] = CloudLook(topic, most)
+            observer.take, observer.keep = cloud_look.take, cloud_look.add
+        else:
+            looks[topic] = scan_look = ScanLook(topic, most)
+            observer.keep = scan_look.add
+        survey.observers.append(observer)
+    return looks

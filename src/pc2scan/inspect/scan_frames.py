@@ -37,6 +37,9 @@ _SIDEWAYS = math.sqrt(0.5)
 #: The names of camera frames, whose z axis points forward (REP 103).
 _OPTICAL = ("_optical_frame", "_optical")
 
+#: The options that name the frames.
+_OPTIONS = {"odometry": "odom_frame", "robot": "base_frame"}
+
 _HINT = "`pc2scan tf` shows the frames; `tf_from` reads transforms from another recording"
 
 
@@ -104,7 +107,7 @@ class ScanFrames:
         if odometry is None and self._joined(frame, self._odom):
             self._missing.setdefault(frame, Tally()).add(stamp_ns)
             self._reasons.setdefault(frame, (missing, hint))
-        robot, why, _ = self._moved(frame, self._base, stamp_ns)
+        robot, why, how = self._moved(frame, self._base, stamp_ns)
         known: bool | None = robot is not None
         if robot is None and self._trees and self._base not in self._trees and not self._named:
             # The name of the robot's frame is unknown.
@@ -124,15 +127,37 @@ class ScanFrames:
             turned=turned,
             moved=moved,
             missing=missing or why,
-            cure=self._cure(frame),
+            cure="" if odometry is not None and known is not False else self._cure(frame, hint or how),
         )
 
-    def _cure(self, frame: str) -> str:
-        """Return the frame that was probably meant by the name of one without transforms; empty if there is none."""
-        if not frame or not self._trees or frame in self._trees:
+    def _cure(self, frame: str, hint: str) -> str:
+        """Return what gives scans the transforms that they lack; empty if only recording them does.
+
+        Parameters
+        ----------
+        hint
+            That of the transform's error.
+        """
+        if not frame or not self._trees:
             return ""
-        near = nearest(frame, self._trees)
-        return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`" if near else ""
+        if frame not in self._trees:
+            near = nearest(frame, self._trees)
+            if near:
+                return f"did you mean {near}? For scans made from clouds: pc2scan convert `source_frame={near}`"
+            return f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
+        return self._naming("odometry", self._odom) if self._odom not in self._trees else hint
+
+    def _naming(self, role: str, name: str) -> str:
+        """Return what to do if there is no frame of this name."""
+        option = _OPTIONS[role]
+        if namesake := named_in_namespace(name, self._trees):
+            return f"`{option}={namesake}`"
+        if role == "odometry" and all(info.static for info in self._buffer.infos):
+            return (
+                "record the robot's odometry on /tf, or a SLAM that needs none; pc2scan convert `odom_topic=/odom` or "
+                f"`trajectory=poses.tum` writes it to /tf; {_HINT}"
+            )
+        return f"`{option}` names the right one; {_HINT}"
 
     def _moved(self, frame: str, target: str, stamp_ns: int) -> tuple[Rigid | None, str, str]:
         """Return the transform to a frame at a stamp; or None, why there is none, and what to do."""
@@ -169,21 +194,14 @@ class ScanFrames:
         if not self._trees:
             return [_no_transforms(), *self._optical_findings()]
         found = []
-        roles: tuple[tuple[str, str, str, Level], ...] = (
-            ("odometry", self._odom, "odom_frame", "defect"),
-            ("robot", self._base, "base_frame", "notice"),
-        )
-        for role, name, option, level in roles:
+        levels: tuple[Level, Level] = ("defect", "notice")
+        for role, name, level in zip(_OPTIONS, (self._odom, self._base), levels, strict=True):
             if name not in self._trees:
                 there = ", ".join(root for tree in self._buffer.trees for root in tree.roots)
                 text = f"there is no frame {name!r} ({role}) in the transforms; their roots: {there}"
-                hint = f"`{option}` names the right one; {_HINT}"
-                if namesake := named_in_namespace(name, self._trees):
-                    hint = f"`{option}={namesake}`"
-                elif role == "odometry" and all(info.static for info in self._buffer.infos):
+                if role == "odometry" and all(info.static for info in self._buffer.infos):
                     text += "; nothing moves in them"
-                    hint = f"record the robot's odometry on /tf, or a SLAM that needs none; {_HINT}"
-                found.append(Finding(f"no-{role}-frame", level, text, hint))
+                found.append(Finding(f"no-{role}-frame", level, text, self._naming(role, name)))
         for frame, scans in self._scans.items():
             # An empty name is reported with the scans themselves.
             if frame:
@@ -221,8 +239,7 @@ class ScanFrames:
     def _frame_findings(self, frame: str, scans: int, interval_ns: float | None) -> list[Finding]:
         if frame not in self._trees:
             text = f"the scan's frame {frame!r} is not in the transforms"
-            hint = self._cure(frame) or f"for scans made from clouds: pc2scan convert {mount_text(frame, self._trees)}"
-            return [Finding("frame-unknown", "defect", text, hint, scans)]
+            return [Finding("frame-unknown", "defect", text, self._cure(frame, ""), scans)]
         found = []
         moving = find_body_motion(self._buffer, frame, self._base)
         if moving is not None:

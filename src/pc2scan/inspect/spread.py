@@ -36,17 +36,19 @@ def count_range(least: int, most: int) -> str:
 
 
 def finite(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Return the finite values whose differences are finite, too."""
-    known: NDArray[np.floating[Any]] = values[np.abs(values) < _LARGEST]
-    return known
+    """Return the finite values whose differences are finite, too; the array itself if all are."""
+    # No float32 is as large, nor is their difference.
+    known = np.isfinite(values) if values.dtype == np.float32 else (values > -_LARGEST) & (values < _LARGEST)
+    found: NDArray[np.floating[Any]] = values if known.all() else values[known]
+    return found
 
 
 def spread_of(values: NDArray[np.floating[Any]]) -> Spread | None:
-    """Return the spread of the finite values; None if there are none."""
+    """Return the spread of the finite values, which are reordered; None if there are none."""
     known = finite(values)
     if not known.size:
         return None
-    return Spread(*percentiles(known, 0, 5, 50, 95, 100))
+    return Spread(*percentiles(known, 0, 5, 50, 95, 100, reorder=True))
 
 
 def spread_table(spreads: Mapping[str, Spread]) -> Table:

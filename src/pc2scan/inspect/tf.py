@@ -228,6 +228,6 @@ def frame_tree(sources: Sequence[Path], options: FrameOptions | None = None) -> 
     read = [*sources, *options.tf_from]
     with ExitStack() as stack:
         readers = open_recordings(read, stack)
-        buffer, warnings = read_transforms(readers, options)
+        found = read_transforms(readers, options)
         damage = tuple(damage for reader in readers for damage in reader.damage)
-    return FrameTree(buffer.infos, buffer.trees, buffer, tuple(warnings), damage)
+    return FrameTree(found.buffer.infos, found.buffer.trees, found.buffer, (*found.warnings, *found.notes), damage)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.core.params import ProjectionParams
@@ -14,11 +14,13 @@ from pc2scan.options.table import PARAMETERS, output_options, spelling_of
 from pc2scan.options.values import Flag, Text
 from pc2scan.result import Call
 
-from .html import compress, description_of
+from .html import compress, decompress, description_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
+
+    from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Rigid
     from pc2scan.options.moment import TimeBound
@@ -32,6 +34,9 @@ if TYPE_CHECKING:
 #: Maximum size of all compressed clouds of a page, in bytes. As text in the page they take a third more.
 MOST_BYTES = 10_500_000
 
+#: The names of the blobs of a cloud, by the keys of its description.
+_BLOBS = {"data": "cloud", "filtered": "filtered"}
+
 #: Maximum number of frames that are shown.
 _MOST_FRAMES = 60
 
@@ -40,8 +45,49 @@ _NOT_SHOWN = {"target_frame", "transform_tolerance", "scan_time", "queue_size", 
 _SHOWN = tuple(spec.name for spec in fields(ProjectionParams) if spec.name not in _NOT_SHOWN)
 
 
+class Packing:
+    """Compresses clouds as they come. If they are too large for a page, only some of their points are kept.
+
+    Attributes
+    ----------
+    step
+        Of how many points one is kept.
+    blobs
+        The compressed clouds, and which of their points are filtered, by name.
+    """
+
+    def __init__(self) -> None:
+        self.step = 1
+        self.blobs: dict[str, bytes] = {}
+        self._descriptions: dict[str, dict[str, Any]] = {}
+        self._totals: list[int] = []
+
+    def add(self, shot: Shot) -> Shot:
+        """Compress the points of a cloud, and return it without them."""
+        number = len(self._totals)
+        self._totals.append(len(shot.columns["x"]))
+        self._put(f"cloud-{number}", shot.columns, self.step)
+        if shot.filtered is not None:
+            self._put(f"filtered-{number}", {"filtered": shot.filtered}, self.step)
+        while sum(map(len, self.blobs.values())) > MOST_BYTES and self.step < max(self._totals):
+            self.step *= 2
+            for name, data in self.blobs.items():
+                self._put(name, decompress(data, self._descriptions[name]), 2)
+        return replace(shot, columns={}, filtered=None)
+
+    def _put(self, name: str, columns: Mapping[str, NDArray[Any]], step: int) -> None:
+        thinned = {field: column[::step] for field, column in columns.items()}
+        self.blobs[name] = compress(thinned)
+        self._descriptions[name] = description_of(name, thinned)
+
+    def described(self, number: int) -> dict[str, Any]:
+        """Return what the page knows of the points of a cloud."""
+        found = {key: self._descriptions.get(f"{name}-{number}") for key, name in _BLOBS.items()}
+        return {**found, "total": self._totals[number]}
+
+
 def clouds_page(
-    sources: Sequence[Path], taken: Shots, opened: Opening, *, preset: str
+    sources: Sequence[Path], taken: Shots, packed: Packing, opened: Opening, *, preset: str
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Describe a page of clouds.
 
@@ -50,7 +96,9 @@ def clouds_page(
     sources
         The recordings as they were given, for the command that the page shows.
     taken
-        The clouds.
+        The clouds, without their points.
+    packed
+        The points.
     opened
         The options of the conversion, and the heights of each topic.
     preset
@@ -67,11 +115,10 @@ def clouds_page(
         notes.append("Clouds are deskewed, as if all points had been measured at the scan's time.")
     if options.scan.level:
         notes.append("Clouds are shown as recorded; only a conversion makes scans level.")
-    step, blobs = _compress_to_fit(taken.shots)
-    if step > 1:
+    if packed.step > 1:
         notes.append(
-            f"To keep this page small, only 1 of {step} points is shown; counts and ranges are those of the thinned "
-            "clouds. A page of fewer clouds shows all points."
+            f"To keep this page small, only 1 of {packed.step} points is shown; counts and ranges are those of the "
+            "thinned clouds. A page of fewer clouds shows all points."
         )
     if options.scan.filters:
         notes.append(
@@ -82,13 +129,7 @@ def clouds_page(
         notes.append("Beams that `remove` removes from the scans are still shown here.")
     topics: dict[str, list[dict[str, Any]]] = {}
     for number, shot in enumerate(taken.shots):
-        columns = {name: column[::step] for name, column in shot.columns.items()}
-        data = description_of(_name(number), columns)
-        entry = {**_shot_as_dict(shot, taken.transforms), "data": data, "filtered": None}
-        if shot.filtered is not None:
-            named = {"filtered": shot.filtered[::step]}
-            entry["filtered"] = description_of(f"filtered-{number}", named)
-            blobs[f"filtered-{number}"] = compress(named)
+        entry = _shot_as_dict(shot, taken.transforms) | packed.described(number)
         topics.setdefault(shot.topic, []).append(entry)
     base = ProjectionParams(**PRESETS[preset]) if preset else ProjectionParams()  # type: ignore[arg-type]
     description = {
@@ -111,7 +152,7 @@ def clouds_page(
             for topic, clouds in topics.items()
         ],
     }
-    return description, blobs
+    return description, packed.blobs
 
 
 def _conversion(sources: Sequence[Path], options: ConvertOptions) -> Call:
@@ -177,7 +218,6 @@ def _shot_as_dict(shot: Shot, buffer: TransformBuffer | None) -> dict[str, Any]:
         else {"quaternion": rigid.quaternion.tolist(), "translation": rigid.translation.tolist()},
         "mount": _mount(rigid),
         "frames": [] if buffer is None else list(_origins(buffer, frame_id, shot.stamp_ns)),
-        "total": len(shot.columns["x"]),
     }
 
 
@@ -197,21 +237,3 @@ def _origins(buffer: TransformBuffer, target: str, stamp_ns: int) -> Iterator[di
             continue
         if math.isfinite(x + y + z):
             yield {"name": name, "x": x, "y": y, "z": z}
-
-
-def _compress_to_fit(shots: Sequence[Shot]) -> tuple[int, dict[str, bytes]]:
-    """Compress the clouds: all points, or every n-th if they are too many. Return n and the bytes."""
-    step = 1
-    while True:
-        blobs = {
-            _name(number): compress({name: column[::step] for name, column in shot.columns.items()})
-            for number, shot in enumerate(shots)
-        }
-        size = sum(map(len, blobs.values()))
-        if size <= MOST_BYTES or all(len(shot.columns["x"]) <= step for shot in shots):
-            return step, blobs
-        step = math.ceil(step * size / MOST_BYTES)
-
-
-def _name(number: int) -> str:
-    return f"cloud-{number}"

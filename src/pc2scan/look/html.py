@@ -53,7 +53,7 @@ def check_page_name(path: Path) -> None:
         raise UsageError("is not the name of a page", path=path, hint=f"pages are HTML: {page}{figure}")
 
 
-def html(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> str:
+def html(description: Mapping[str, Any], blobs: dict[str, bytes]) -> str:
     """Return the page.
 
     Parameters
@@ -61,7 +61,7 @@ def html(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> str:
     description
         The data that `page/main.mjs` reads as JSON.
     blobs
-        Binary data by the ids that the description uses.
+        Binary data by the ids that the description uses; emptied, because they take as much memory as the page.
     """
     code, css = script(), style()
     policy = "; ".join(
@@ -108,11 +108,11 @@ def _collect(name: str, modules: dict[str, str]) -> None:
     modules[name] = f"const module_{name} = (() => {{\n{body}return {{ {exports} }};\n}})();\n"
 
 
-def _data(description: Mapping[str, Any], blobs: Mapping[str, bytes]) -> Iterator[str]:
+def _data(description: Mapping[str, Any], blobs: dict[str, bytes]) -> Iterator[str]:
     text = json.dumps(_visible(description), allow_nan=False, ensure_ascii=True).replace("<", "\\u003c")
     yield f'<script type="application/json" id="recording">{text}</script>'
-    for name, data in blobs.items():
-        yield f'<script type="text/plain" id="{name}">{base64.b64encode(data).decode()}</script>'
+    for name in list(blobs):
+        yield f'<script type="text/plain" id="{name}">{base64.b64encode(blobs.pop(name)).decode()}</script>'
 
 
 def _visible(value: Any) -> Any:
@@ -141,6 +141,19 @@ def compress(columns: Mapping[str, NDArray[Any]]) -> bytes:
     planes = b"".join(_planes(column) for column in columns.values())
     compressor = zlib.compressobj(_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
     return compressor.compress(planes) + compressor.flush()
+
+
+def decompress(data: bytes, description: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """Return the arrays that `compress` compressed, by their description."""
+    planes = np.frombuffer(zlib.decompress(data, -zlib.MAX_WBITS), np.uint8)
+    columns = {}
+    begin, length = 0, description["length"]
+    for field in description["fields"]:
+        dtype = np.dtype(f"<{field['type']}")
+        end = begin + length * dtype.itemsize
+        columns[field["name"]] = np.ascontiguousarray(planes[begin:end].reshape(-1, length).T).view(dtype).reshape(-1)
+        begin = end
+    return columns
 
 
 def description_of(name: str, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import UsageError, name_list
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import files_output
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
 from pc2scan.streams.scans import Scans
@@ -117,11 +117,12 @@ def map_of(
     notes: list[str] = []
     with open_recording(sources, options) as recording:
         topics, converted = _topics(recording.reader, options)
-        stream = _stream(sources, options, topics, converted=converted)
+        stream = _stream(sources, options, topics, (asked.odom_frame, asked.base_frame), converted=converted)
         buffer = stream.transforms
         if buffer is None:
             # Recorded scans are read as they are.
-            buffer, notes = recording.transforms()
+            found = recording.transforms((asked.odom_frame, asked.base_frame))
+            buffer, notes = found.buffer, [*found.warnings, *found.notes]
         further = recording.damage
     if not converted and _converts(options):
         notes.append("The recording has no clouds: options about clouds have no effect.")
@@ -166,14 +167,19 @@ def _topics(reader: Reader, options: ConvertOptions) -> tuple[tuple[TopicRequest
     else:
         converted = bool(clouds) and (_converts(options) or not scans)
     if converted:
-        return options.scan.topics or tuple(map(TopicRequest, sorted(clouds))), True
+        return options.scan.topics or tuple(map(TopicRequest, sorted(usual_topics(types, CLOUDS)))), True
     # Without scans the stream raises an error that lists the topics.
     found = [topic for name in names for topic in find_topics(name, types, scans, LASERSCAN)] or sorted(scans)
     return tuple(map(TopicRequest, dict.fromkeys(found))), False
 
 
 def _stream(
-    sources: Sequence[Path], options: ConvertOptions, topics: tuple[TopicRequest, ...], *, converted: bool
+    sources: Sequence[Path],
+    options: ConvertOptions,
+    topics: tuple[TopicRequest, ...],
+    frames: tuple[str, ...],
+    *,
+    converted: bool,
 ) -> Scans:
     selection = Selection(
         paths=tuple(sources),
@@ -182,8 +188,9 @@ def _stream(
         end=options.end,
         verify=options.verify,
         strict=options.strict,
+        clock=options.clock,
     )
     if not converted:
         return Scans(selection)
     scans_alone = replace(options, only_scans=True, keep=(), keep_clouds=False)
-    return Scans(selection, scans_alone.with_scan(topics=topics), keep_transforms=True)
+    return Scans(selection, scans_alone.with_scan(topics=topics), transform_frames=frames)

@@ -58,7 +58,8 @@ def opening(sources: Sequence[Path], options: ConvertOptions) -> Opening:
     if (params.min_height, params.max_height) != (defaults.min_height, defaults.max_height):
         return unchanged
     try:
-        found = info(sources, described=asked, target_frame=params.target_frame, frames=options.frames)
+        # Heights are of the first clouds, however many are sampled.
+        found = info(sources, samples=1, described=asked, target_frame=params.target_frame, frames=options.frames)
         proposals = [(call.options, _topics(call.options, found)) for call in found.proposals]
         first = next((each for each, _ in proposals if params.target_frame in ("", _frame(each)[0])), None)
         if first is None or "min_height" not in first:
@@ -84,11 +85,16 @@ def opening(sources: Sequence[Path], options: ConvertOptions) -> Opening:
 
 def _frame(proposal: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
     """Return the target frame of a proposed conversion, and the transforms that it adds."""
-    return proposal.get("target_frame", ""), tuple(proposal.get("static_tf", ()))
+    return proposal.get("target_frame", ""), _texts(proposal, "static_tf")
 
 
 def _topics(proposal: Mapping[str, Any], found: Info) -> list[str]:
     """Return the topics that a proposed conversion reads."""
-    named = proposal.get("topics", ())
-    texts = [named] if isinstance(named, str) else list(named)
-    return [text.partition(":=")[0] for text in texts] or [each.topic for each in found.clouds]
+    named = [text.partition(":=")[0] for text in _texts(proposal, "topics")]
+    return named or [each.topic for each in found.clouds]
+
+
+def _texts(proposal: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    """Return the values of an option that may be given once or several times."""
+    value = proposal.get(name, ())
+    return (value,) if isinstance(value, str) else tuple(value)

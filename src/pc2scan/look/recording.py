@@ -15,7 +15,7 @@ from pc2scan.pipeline.refusals import refuse_outside
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.plan import Plan
     from pc2scan.pipeline.preparation import Preparation
-    from pc2scan.tf.buffer import TransformBuffer
+    from pc2scan.tf.reading import FoundTransforms
 
 #: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
 _FIRST_DATE_NS = 100_000_000 * 1_000_000_000
@@ -87,7 +87,7 @@ class ShownRecording:
         span = span_of(self.reader, options)
         request = self.reader, self.sources, plan, options, span, self.stack
         try:
-            prepared = prepare(*request, keep_transforms=True)
+            prepared = prepare(*request, transform_frames=())
         except UsageError:
             if plan.needs_transforms:
                 raise
@@ -95,8 +95,8 @@ class ShownRecording:
         self.others = prepared.others
         return prepared
 
-    def transforms(self) -> tuple[TransformBuffer, list[str]]:
-        """Read all transforms; return them, and warnings about them.
+    def transforms(self, needed: Collection[str] = ()) -> FoundTransforms:
+        """Read all transforms; ``needed`` are frames that they must have.
 
         Raises
         ------
@@ -107,7 +107,13 @@ class ShownRecording:
         """
         options = self.options
         self.others = open_recordings(options.frames.tf_from, self.stack, verify=options.verify, strict=options.strict)
-        return read_transforms([self.reader, *self.others], options.frames)
+        reader = self.reader
+        if options.clock:
+            from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
+
+            # Of topics with poses that have an offset of their own.
+            reader, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
+        return read_transforms([reader, *self.others], options.frames, needed=needed)
 
 
 @contextmanager
@@ -155,7 +161,4 @@ def spread_messages(
         stop_ns = min(stop_ns, span.stop_ns)
     if start_ns >= stop_ns:
         return
-    for message in sampled(reader, topics, count, start_ns, stop_ns - 1):
-        # The first message after the last moment may be outside of the cut.
-        if message.log_time_ns < stop_ns:
-            yield message
+    yield from sampled(reader, topics, count, start_ns, stop_ns)

@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from pc2scan.core.floor import MOST_CLOUDS, CloudSample
 from pc2scan.core.points import NUMBER
+from pc2scan.core.rule import PointCounts
 from pc2scan.errors import DecodeError, MessageError, RecordingError
 from pc2scan.messages.clouds import CLOUDS
+from pc2scan.pipeline.checks import clouds as checks
+from pc2scan.pipeline.checks import found_by
 from pc2scan.pipeline.cloud_to_scan import CloudToScan
 from pc2scan.pipeline.conversion import Measurements
 from pc2scan.pipeline.plan import make_plan
@@ -22,7 +26,7 @@ from pc2scan.text import counted
 from .recording import moment_text, spread_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -30,12 +34,17 @@ if TYPE_CHECKING:
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage
-    from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.checks.clouds import KnownTransforms
+    from pc2scan.pipeline.options import ConvertOptions, ScanSpec
     from pc2scan.pipeline.stages.placement import PlacedCloud
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement, Placer
 
     from .recording import ShownRecording
+
+#: What is said of the first cloud that is shown, and of the first few. Heights are not: pages have sliders for them.
+_OF_ONE = (checks.target_that_moves, checks.clouds_in_fixed_frame)
+_OF_SEVERAL = (checks.frame_not_level, checks.swapped_transform, checks.clouds_in_millimetres)
 
 #: Fields that a picture can show besides x, y and z.
 _MOST_FIELDS = 8
@@ -95,7 +104,13 @@ class Shots(NamedTuple):
 
 
 def take_shots(
-    recording: ShownRecording, options: ConvertOptions, *, count: int, at_ns: Sequence[int], level: bool
+    recording: ShownRecording,
+    options: ConvertOptions,
+    *,
+    count: int,
+    at_ns: Sequence[int],
+    level: bool,
+    keep: Callable[[Shot], Shot] | None = None,
 ) -> Shots:
     """Take some clouds of each topic that a conversion converts.
 
@@ -111,6 +126,8 @@ def take_shots(
         Log times: the first cloud of each topic at or after each of them is taken. Empty: ``count`` decides.
     level
         Whether clouds are placed in the frames of level scans; otherwise they are shown as recorded.
+    keep
+        Called with each cloud as soon as it is taken, and returns what is kept of it; None: all of it.
 
     Raises
     ------
@@ -121,6 +138,11 @@ def take_shots(
     options.scan.refuse_combining("pages and figures make")
     options = options.with_scan(params=_without_times(options.scan.params))
     plan = make_plan(reader.connections, options, reader)
+    if options.clock:
+        from pc2scan.pipeline.stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
+
+        reader, notes = corrected_for(reader, plan, options)
+        recording.reader, plan = reader, plan._replace(notes=tuple(notes))
     prepared = recording.prepare(plan, options)
     conversion = prepared.conversions[options.scan]
     assert isinstance(conversion, CloudToScan)
@@ -131,21 +153,23 @@ def take_shots(
     placer = conversion.placer if level else conversion.placer._replace(up=None)
     stages = {topic: _Stages.of(conversion, topic, placer) for topic in topics}
     shots: list[Shot] = []
+    samples: dict[str, list[CloudSample]] = {}
     failed: list[str] = []
     for message in _messages(reader, topics, options, count, at_ns):
         try:
-            shots.append(_shot(message, stages[message.connection.topic]))
+            shot = _shot(message, stages[message.connection.topic], samples)
+            shots.append(shot if keep is None else keep(shot))
         except MessageError as err:
             failed.append(f"{message.connection.topic} at {moment_text(message.log_time_ns)}: {err.message}")
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
     number = counted(len(failed) + len(shots), "cloud")
-    warnings = [*prepared.warnings]
+    warnings = [*prepared.warnings, *_doubts(samples, options.scan, prepared.firsts.transforms)]
     warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
     params = measured.resolve(conversion.params)
-    return Shots(shots, params, prepared.transforms, list(prepared.notes), warnings)
+    return Shots(shots, params, prepared.transforms, [*plan.notes, *prepared.notes], warnings)
 
 
 def _without_times(params: ProjectionParams) -> ProjectionParams:
@@ -200,11 +224,26 @@ class _Stages(NamedTuple):
         return cls(place, place_own, SelectStage(filters, placer, numbered=True) if filters else None)
 
 
-def _shot(message: RawMessage, stages: _Stages) -> Shot:
+def _doubts(samples: Mapping[str, Sequence[CloudSample]], spec: ScanSpec, transforms: KnownTransforms) -> list[str]:
+    """Return warnings about the frames and the units of clouds."""
+    with np.errstate(all="ignore"):
+        return [
+            text
+            for topic, own in samples.items()
+            for group, number in ((_OF_ONE, 1), (_OF_SEVERAL, MOST_CLOUDS))
+            for text in found_by(group, checks.CloudFacts(topic, spec, transforms, own[:number], [PointCounts()]))
+        ]
+
+
+def _shot(message: RawMessage, stages: _Stages, samples: dict[str, list[CloudSample]]) -> Shot:
+    """Return a cloud as it is shown; samples of a topic's first ones are added to ``samples``."""
     connection = message.connection
     points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
     recorded, placer = stages.place_own(points), stages.place.placer
     moving, stamp_ns = recorded.moving, recorded.stamp_ns
+    if len(own := samples.setdefault(connection.topic, [])) < MOST_CLOUDS:
+        place = placer.place(points.frame_id, stamp_ns)
+        own.append(CloudSample.of(points).placed_in(place.frame_id, place.target_from_source))
     return Shot(
         connection.topic,
         moment_text(stamp_ns or message.log_time_ns),

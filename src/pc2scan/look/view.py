@@ -13,9 +13,8 @@ from pc2scan.inspect.check import check
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.result import Part, Result
 from pc2scan.text import size
-from pc2scan.tf.placing import FrameOptions
 
-from .clouds import clouds_page
+from .clouds import Packing, clouds_page
 from .html import BEGINNING, check_page_name, html
 from .opening import Opening, opening
 from .recording import moment_text, open_recording, title_of
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 
     from .recording import ShownRecording
 
-#: Clouds and scans of a topic on one page. All of them are in memory until the page is written, and share its size.
+#: Clouds and scans of a topic on one page. They share its size.
 _MOST_CLOUDS = 1_000
 
 
@@ -185,13 +184,19 @@ def page_of(
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
             opened = opening(sources, options) if proposed else Opening(options, {}, ())
-            taken = take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False)
-            described, blobs = clouds_page(sources, taken, opened, preset=preset)
+            packed = Packing()
+            taken = take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False, keep=packed.add)
+            described, blobs = clouds_page(sources, taken, packed, opened, preset=preset)
         else:
             asked = [request.source for request in options.scan.topics]
             topics, buffer = scan_connections(reader, asked), _transforms(recording)
+            if options.clock:
+                from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
+
+                shown = [each for connections in topics.values() for each in connections]
+                reader, _ = corrected(reader, shown, options.clock, options.frames.tf_topics)
             described, blobs = scans_page(reader, topics, buffer, options, count=clouds, at_ns=at_ns)
-            frames = FrameOptions(tf_topics=options.frames.tf_topics, tf_from=options.frames.tf_from)
+            frames = replace(options.frames, static=(), source_frame="", write_static=False)
             described["findings"] = findings(check(sources, topics=asked, frames=frames))
         notes, warnings = described["notes"], described.pop("warnings")
         # The page shows both.
@@ -203,7 +208,7 @@ def page_of(
 def _transforms(recording: ShownRecording) -> TransformBuffer | None:
     """Return all transforms; None if it is not clear which to use, and none are needed."""
     try:
-        buffer, _ = recording.transforms()
+        buffer = recording.transforms().buffer
     except UsageError:
         if recording.options.scan.needs_transforms:
             raise

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from pc2scan.errors import Pc2ScanError, name_list
 
-from .clouds import CLOUDS
-from .laserscan import LASERSCAN
+from .clouds import CLOUDS, SCANS
 from .wire import Cursor
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ _DEPTH = _Kind(
 
 #: In the order in which errors name them. Types that can be converted are left out, so a row may stay when one can.
 _KINDS = (
-    _Kind("velodyne_msgs/Velodyne(Scan|Packet)", "Velodyne packets", _with("velodyne_pointcloud")),
+    _Kind("velodyne_msgs/VelodynePacket", "Velodyne packets", _with("velodyne_pointcloud")),
     _Kind(
         r"ouster\w*/PacketMsg",
         "Ouster packets",
@@ -57,8 +56,6 @@ _KINDS = (
     _Kind(r"nebula\w*/\w*Packets?", "packets of Nebula's drivers", _with("Nebula")),
     _Kind(r"lslidar\w*/Ls\w+", "LSLIDAR packets", _with("lslidar_driver")),
     _Kind(r"livox\w*/CustomMsg", "Livox messages", _with("livox_to_pointcloud2")),
-    _Kind("sensor_msgs/PointCloud", "clouds of the old type PointCloud", _with("point_cloud_converter")),
-    _Kind(r"point_cloud_interfaces/\w+", "compressed clouds", _with("point_cloud_transport's republish")),
     _Kind(
         r"foxglove(_msgs)?[/.]PointCloud",
         "clouds in Foxglove's schema",
@@ -74,11 +71,6 @@ _KINDS = (
         "the radar's driver may also have a topic with PointCloud2; record that",
     ),
     _Kind("octomap_msgs/Octomap(WithPose)?", "OctoMaps", _with("octomap_server")),
-    _Kind(
-        "sensor_msgs/MultiEchoLaserScan",
-        "2D scans with several echoes",
-        "play the recording into laser_proc, and record the LaserScans that it makes",
-    ),
     _Kind(
         r"\w*(lidar|laser)\w*/\w*(Packet|Udp|Raw)\w*", "packets of a lidar", _with("the driver that has these messages")
     ),
@@ -141,8 +133,8 @@ def instead_of_clouds(connections: Sequence[Connection], reader: Source | None =
     names decide.
 
     >>> from pc2scan.model import Connection
-    >>> instead_of_clouds([Connection(0, "/laser", "sensor_msgs/msg/MultiEchoLaserScan", "cdr")])[0]
-    '2D scans with several echoes: /laser'
+    >>> instead_of_clouds([Connection(0, "/map", "octomap_msgs/msg/Octomap", "cdr")])[0]
+    'OctoMaps: /map'
     """
     found = list(_kinds(connections, _Images(reader)))
     if not found:
@@ -155,7 +147,8 @@ def instead_of_clouds(connections: Sequence[Connection], reader: Source | None =
 
 def _kinds(connections: Sequence[Connection], images: _Images) -> Iterator[tuple[_Kind, list[str]]]:
     """Yield the kinds that there are, with their topics; three at most."""
-    left = {connection.topic: connection for connection in reversed(connections) if _type(connection) not in CLOUDS}
+    others = [connection for connection in connections if _type(connection) not in (*CLOUDS, *SCANS)]
+    left = {connection.topic: connection for connection in reversed(others)}
     count = 0
     for kind in _KINDS:
         topics = []
@@ -196,7 +189,7 @@ def without(wanted: str, connections: Sequence[Connection], reader: Source | Non
     if not connections:
         return "the recording has no topics", ""
     missing = f"the recording has no {wanted} topic"
-    scans = sorted({each.topic for each in connections if _type(each) == LASERSCAN})
+    scans = sorted({each.topic for each in connections if _type(each) in SCANS})
     if scans and "LaserScan" not in wanted:
         return f"{missing}, but 2D scans: {name_list(scans, _MOST_TOPICS)}", ""
     if instead := instead_of_clouds(connections, reader):

@@ -235,6 +235,10 @@ class PointCloud2:
         self.check_size()
         return self.field("x"), self.field("y"), self.field("z")
 
+    def forget_layouts(self) -> None:
+        """Begin a table of layouts of its own, after the description was changed."""
+        self._layouts = {}
+
     def check_size(self) -> None:
         """Raise if the cloud has too many tiny points.
 
@@ -281,9 +285,12 @@ class CloudDecoder:
         #: The byte order, the bytes of a description, and the description.
         self._last: tuple[str, bytes, _Description] | None = None
 
-    def __call__(self, data: Buffer) -> PointCloud2:
-        """Decode a message; see `decode_pointcloud2`."""
-        cursor = Cursor(data, self._serialization)
+    def __call__(self, data: Buffer, cursor: Cursor | None = None) -> PointCloud2:
+        """Decode a message; see `decode_pointcloud2`.
+
+        With a cursor at the beginning of a message that has further fields, it is at these afterwards.
+        """
+        cursor = cursor or Cursor(data, self._serialization)
         sequence, stamp_ns = cursor.stamp()
         try:
             description = self._description(cursor)
@@ -342,15 +349,27 @@ def decode_pointcloud2(data: Buffer, serialization: str) -> PointCloud2:
 
 
 @dataclass(slots=True, eq=False)
-class _Fields(Mapping[str, "NDArray[Any]"]):
-    """The fields of a PointCloud2, which become arrays on request."""
+class CloudFields(Mapping[str, "NDArray[Any]"]):
+    """The fields of a message that is laid out like a PointCloud2, which become arrays on request.
+
+    Attributes
+    ----------
+    cloud
+        The message's points, as they were recorded.
+    replaced
+        What is used instead of some fields, by name.
+    further
+        What the message has besides a PointCloud2, by name.
+    """
 
     cloud: PointCloud2
+    replaced: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    further: Mapping[str, object] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name == "x":
             self.cloud.check_size()
-        return self.cloud.field(name)
+        return self.replaced[name] if name in self.replaced else self.cloud.field(name)
 
     def __contains__(self, name: object) -> bool:
         return any(field.name == name for field in self.cloud.fields)
@@ -361,11 +380,60 @@ class _Fields(Mapping[str, "NDArray[Any]"]):
     def __len__(self) -> int:
         return len({field.name for field in self.cloud.fields})
 
+    def recorded(self) -> PointCloud2:
+        """Return the points as they were recorded, laid out alike in every wire format."""
+        return self.cloud
 
-def message_of(points: Points) -> PointCloud2 | None:
-    """Return the PointCloud2 that these points are all the points of; None for other types."""
+    def as_pointcloud2(self) -> PointCloud2:
+        """Return the PointCloud2 that is written of the message."""
+        return self.cloud
+
+
+def recorded_cloud(points: Points) -> PointCloud2:
+    """Return the points of a message as they were recorded; a copy if the message is not laid out like a PointCloud2.
+
+    Raises
+    ------
+    DecodeError
+        If their fields cannot be decoded.
+    """
     fields = points.fields
-    return fields.cloud if isinstance(fields, _Fields) else None
+    return fields.recorded() if isinstance(fields, CloudFields) else pack_cloud(points)
+
+
+def as_pointcloud2(points: Points) -> PointCloud2:
+    """Return the PointCloud2 that is written of all points of a message.
+
+    Raises
+    ------
+    DecodeError
+        If their fields cannot be decoded.
+    """
+    fields = points.fields
+    return fields.as_pointcloud2() if isinstance(fields, CloudFields) else pack_cloud(points)
+
+
+def pack_cloud(points: Points) -> PointCloud2:
+    """Return a cloud of one row with a copy of all fields, little-endian and without padding."""
+    columns = {name: np.asarray(values).reshape(-1) for name, values in points.fields.items()}
+    fields, step = [], 0
+    for name, values in columns.items():
+        fields.append(PointField(name, step, _DATATYPE_CODES[values.dtype.str[1:]]))
+        step += values.dtype.itemsize
+    count = next((values.size for values in columns.values()), 0)
+    data = np.empty((count, step), np.uint8)
+    for place, values in zip(fields, columns.values(), strict=True):
+        size = values.dtype.itemsize
+        own = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        data[:, place.offset : place.offset + size] = own.view(np.uint8).reshape(count, size)
+    header = points.sequence, points.stamp_ns, points.frame_id
+    return PointCloud2(*header, 1, count, tuple(fields), False, step, count * step, bytes_of(data), False)
+
+
+def bytes_of(array: NDArray[Any]) -> memoryview:
+    """Return the bytes of a contiguous array."""
+    data: Any = array.view(np.uint8).reshape(-1)
+    return memoryview(data).toreadonly() if array.size else memoryview(b"")
 
 
 def point_decoder(serialization: str) -> Callable[[Buffer], Points]:
@@ -374,7 +442,7 @@ def point_decoder(serialization: str) -> Callable[[Buffer], Points]:
 
     def points(data: Buffer) -> Points:
         cloud = decode(data)
-        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, _Fields(cloud))
+        return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, CloudFields(cloud))
 
     return points
 
@@ -402,18 +470,24 @@ def encode_pointcloud2(
         The points, ``height * width`` times ``point_step`` bytes; the width is computed from it.
     """
     width = len(data) // (point_step * height) if point_step * height else 0
+    layout = height, width, tuple(fields), is_bigendian, point_step, width * point_step
+    return encode_cloud(PointCloud2(sequence, stamp_ns, frame_id, *layout, memoryview(data), is_dense), serialization)
+
+
+def encode_cloud(cloud: PointCloud2, serialization: str) -> bytes:
+    """Serialise a cloud as ``ros1`` or ``cdr``."""
     packer = Packer(serialization)
-    packer.header(sequence, stamp_ns, frame_id)
-    packer.write("III", height, width, len(fields))
-    for part in fields:
+    packer.header(cloud.sequence, cloud.stamp_ns, cloud.frame_id)
+    packer.write("III", cloud.height, cloud.width, len(cloud.fields))
+    for part in cloud.fields:
         packer.string(part.name)
         packer.write("I", part.offset)
         packer.write("B", part.datatype)
         packer.write("I", part.count)
-    packer.write("B", is_bigendian)
-    packer.write("III", point_step, width * point_step, len(data))
-    packer.raw(data)
-    packer.write("B", is_dense)
+    packer.write("B", cloud.is_bigendian)
+    packer.write("III", cloud.point_step, cloud.row_step, len(cloud.data))
+    packer.raw(cloud.data)
+    packer.write("B", cloud.is_dense)
     return packer.finish()
 
 
@@ -435,6 +509,23 @@ class StructuredCloud:
     points: NDArray[np.void]
 
 
+def structured_cloud(cloud: StructuredCloud, *, is_dense: bool = False) -> PointCloud2:
+    """Return the points as a PointCloud2 of one row, without a copy."""
+    points = cloud.points
+    step, count = points.dtype.itemsize, len(points)
+    header = cloud.sequence, cloud.stamp_ns, cloud.frame_id
+    fields, size = _structured_fields(points.dtype), count * step
+    return PointCloud2(*header, 1, count, fields, False, step, size, bytes_of(points), is_dense)
+
+
+def _structured_fields(dtype: np.dtype[Any]) -> tuple[PointField, ...]:
+    fields = []
+    for name in dtype.names or ():
+        kind, offset = dtype[name], dtype.fields[name][1]  # type: ignore[index]  # a type with names has fields
+        fields.append(PointField(name, offset, _DATATYPE_CODES[kind.str[1:]]))
+    return tuple(fields)
+
+
 def encode_structured(cloud: StructuredCloud, serialization: str) -> bytes:
     """Serialise a cloud.
 
@@ -443,17 +534,12 @@ def encode_structured(cloud: StructuredCloud, serialization: str) -> bytes:
     serialization
         ``ros1`` or ``cdr``.
     """
-    dtype = cloud.points.dtype
-    fields = []
-    for name in dtype.names or ():
-        kind, offset = dtype[name], dtype.fields[name][1]  # type: ignore[index]  # a type with names has fields
-        fields.append(PointField(name, offset, _DATATYPE_CODES[kind.str[1:]]))
     return encode_pointcloud2(
         serialization=serialization,
         sequence=cloud.sequence,
         stamp_ns=cloud.stamp_ns,
         frame_id=cloud.frame_id,
-        fields=fields,
-        point_step=dtype.itemsize,
+        fields=_structured_fields(cloud.points.dtype),
+        point_step=cloud.points.dtype.itemsize,
         data=cloud.points.tobytes(),
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from pc2scan.core.points import Points
 
-from .pointcloud2 import PointField, StructuredCloud, encode_pointcloud2, encode_structured, message_of
+from .pointcloud2 import PointField, as_pointcloud2, encode_pointcloud2
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -50,16 +50,14 @@ class UsedPoints:
     def encode(self, serialization: str) -> bytes:
         """Serialise them as PointCloud2: with the cloud's header, the unchanged bytes of its points, and the beam.
 
-        Points of types other than PointCloud2 keep the fields that have one value per point.
+        Points of types other than PointCloud2 have the fields that `as_pointcloud2` gives them.
 
         Parameters
         ----------
         serialization
             ``ros1`` or ``cdr``.
         """
-        message = message_of(self.cloud)
-        if message is None:
-            return self._of_fields(serialization)
+        message = as_pointcloud2(self.cloud)
         step = message.point_step
         points = np.empty((self.numbers.size, step + 4), np.uint8)
         points[:, :step] = _bytes_of(message)[np.divmod(self.numbers, max(message.width, 1))]
@@ -76,19 +74,6 @@ class UsedPoints:
             is_dense=message.is_dense,
             is_bigendian=message.is_bigendian,
         )
-
-    def _of_fields(self, serialization: str) -> bytes:
-        cloud = self.cloud
-        columns: dict[str, NDArray[Any]] = {
-            name: np.asarray(values).reshape(-1)[self.numbers] for name, values in cloud.fields.items()
-        }
-        columns[_unused_name(columns)] = self.beams.astype(np.uint32)
-        points = np.empty(
-            self.numbers.size, [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
-        )
-        for name, values in columns.items():
-            points[name] = values
-        return encode_structured(StructuredCloud(cloud.sequence, cloud.stamp_ns, cloud.frame_id, points), serialization)
 
 
 def gather_points(

@@ -61,16 +61,6 @@ class ExportFormat(TypedDict, total=False):
             offers=("frames",),
         ),
     ]
-    odom_topic: Annotated[
-        str,
-        Option(
-            Text("TOPIC"),
-            "Take the poses from this nav_msgs/Odometry topic instead of the transforms.",
-            default="",
-            common=True,
-            offers=("topics", "/Odometry"),
-        ),
-    ]
     overwrite: Annotated[
         bool, Option(Flag(), "Replace OUT: a file, or a folder with an export and nothing else.", common=True)
     ]
@@ -92,9 +82,6 @@ class BatchExport(TypedDict, total=False):
     ]
     base_frame: Annotated[
         str, Option(Text("FRAME"), "With `export`: the robot's frame, whose pose is written.", default="")
-    ]
-    odom_topic: Annotated[
-        str, Option(Text("TOPIC"), "With `export`: take the poses from this nav_msgs/Odometry topic.", default="")
     ]
 
 
@@ -302,7 +289,7 @@ class CheckRules(TypedDict, total=False):
         Names | None,
         Option(
             Texts("TOPIC"),
-            "LaserScan topic to check, or a glob. Default: all.",
+            "Topic of scans to check, or a glob. Default: all.",
             typed="--topic",
             short="-t",
             offers=("topics", "/LaserScan"),
@@ -386,7 +373,7 @@ class ComparisonRules(TypedDict, total=False):
         Names | None,
         Option(
             Texts("A[:=B]"),
-            "Topic to compare, and its name in B if that differs. Default: every LaserScan and PointCloud2 topic.",
+            "Topic to compare, and its name in B if that differs. Default: every topic with scans or clouds.",
             typed="--topic",
             short="-t",
             panel="",

@@ -49,8 +49,8 @@ class SourceTopics(TypedDict, total=False):
         Names | None,
         Option(
             Texts("IN[:=OUT]"),
-            "PointCloud2 topic to convert, and the topic of its scans. Default: every PointCloud2 topic; the scans of "
-            "a single topic are on /scan, of several on <topic>/scan.",
+            "Cloud topic to convert, and the topic of its scans. Default: every topic with PointCloud2 or Livox's "
+            "messages; the scans of a single topic are on /scan, of several on <topic>/scan.",
             typed="--topic",
             short="-t",
             common=True,
@@ -90,6 +90,29 @@ class TimeRange(TypedDict, total=False):
             "Refuse a damaged source. Without this option, everything readable is recovered, the damage is reported, "
             "and the exit status is 3.",
             panel=RUN,
+        ),
+    ]
+
+
+class StampCorrection(TypedDict, total=False):
+    """Lidars whose clock is not the recording's."""
+
+    stamps: Annotated[
+        str,
+        Option(
+            Text(words=("header", "log")),
+            "The stamps of converted messages: those of their headers, or their log times, for a lidar without a sound "
+            "clock. Kept clouds and the points' own times are corrected, too.",
+            default="header",
+        ),
+    ]
+    time_offset: Annotated[
+        Names | None,
+        Option(
+            Texts("[TOPIC=]S|auto"),
+            "Add this to the stamps of converted messages, for a lidar on its own clock: 3.2s, -37s. auto: measure it "
+            "against the transforms, or the log times. Of one topic: /rear=0.12s; of the poses in a file: "
+            "trajectory=0.5s.",
         ),
     ]
 
@@ -201,7 +224,50 @@ class StaticTransforms(TypedDict, total=False):
     ]
 
 
-class TransformSources(TransformTopics, total=False):
+class TransformInputs(TransformTopics, total=False):
+    """What else gives transforms: poses, and a robot's model."""
+
+    odom_topic: Annotated[
+        Names | None,
+        Option(
+            Texts("TOPIC[:FRAME]"),
+            "Use the poses of this topic as transforms: nav_msgs/Odometry, TransformStamped, PoseStamped or "
+            "PoseWithCovarianceStamped. FRAME has the poses, if the messages do not name it or name a wrong one: "
+            "/pose:base_link, or with both frames /pose:map:base_link.",
+            offers=("topics", "/Odometry", "/TransformStamped", "/PoseStamped", "/PoseWithCovarianceStamped"),
+        ),
+    ]
+    trajectory: Annotated[
+        Path | None,
+        Option(
+            PathName(),
+            "Use the poses of this file as transforms: TUM (stamp x y z qx qy qz qw), or KITTI with "
+            "`trajectory_times`. Needs `trajectory_frames`.",
+        ),
+    ]
+    trajectory_frames: Annotated[
+        str,
+        Option(
+            Text("PARENT:CHILD"),
+            "The frames of `trajectory`: the poses are those of CHILD in PARENT (odom:base_link, map:velodyne).",
+            default="",
+        ),
+    ]
+    trajectory_times: Annotated[
+        Path | None,
+        Option(PathName(), "The stamps of a `trajectory` in KITTI's format: one a line, in seconds or nanoseconds."),
+    ]
+    urdf: Annotated[
+        Path | None,
+        Option(
+            PathName(),
+            "The robot's model, whose fixed joints are static transforms; those of the recording have precedence.",
+            default_text="the recording's /robot_description",
+        ),
+    ]
+
+
+class TransformSources(TransformInputs, total=False):
     """Where transforms come from."""
 
     tf_from: Annotated[Paths | None, Option(Recordings(), "Read the transforms of this recording too.")]
@@ -332,6 +398,19 @@ class CloudCombination(TypedDict, total=False):
     ]
 
 
+class EchoChoice(TypedDict, total=False):
+    """Which of several echoes is used."""
+
+    echo: Annotated[
+        str,
+        Option(
+            Text(words=("first", "last", "strongest")),
+            "Which echo of each beam of a MultiEchoLaserScan is used; strongest: the one with the highest intensity.",
+            default="first",
+        ),
+    ]
+
+
 class Reversal(TypedDict, total=False):
     """Whether scans are converted to clouds."""
 
@@ -370,7 +449,20 @@ class OtherTopics(TypedDict, total=False):
         Names | None, Option(Texts("TOPIC"), "Do not write these topics (names or globs).", offers=("topics",))
     ]
     keep_clouds: Annotated[bool, Option(Flag(), "Write the converted clouds too.")]
+    clouds_as: Annotated[
+        str,
+        Option(
+            Text(words=("recorded", "pointcloud2")),
+            "How clouds are written, with `keep_clouds` or `no_scans`. pointcloud2: those of all types as PointCloud2, "
+            "Livox's with the fields of its driver (x y z intensity tag line timestamp).",
+            default="recorded",
+        ),
+    ]
     only_scans: Annotated[bool, Option(Flag(), "Write only the scans.")]
+    no_scans: Annotated[
+        bool,
+        Option(Flag(), "Make no scans: write all topics, with `clouds_as=pointcloud2` the clouds as PointCloud2."),
+    ]
     keep_used: Annotated[
         str,
         Option(
@@ -382,7 +474,9 @@ class OtherTopics(TypedDict, total=False):
             scope=ONE_OUTPUT,
         ),
     ]
-    write_static_tf: Annotated[bool, Option(Flag(), "Write the added transforms to DST's /tf_static.", panel=FRAMES)]
+    write_static_tf: Annotated[
+        bool, Option(Flag(), "Write the added static transforms to DST's /tf_static.", panel=FRAMES)
+    ]
 
 
 class FailureConditions(TypedDict, total=False):

@@ -38,6 +38,7 @@ from .conversion import (
     CloudCombination,
     CloudContent,
     ConversionFrames,
+    EchoChoice,
     FailureConditions,
     OtherTopics,
     PointSelection,
@@ -45,10 +46,11 @@ from .conversion import (
     RobotMotion,
     SourceFrame,
     SourceTopics,
+    StampCorrection,
     StaticTransforms,
     TimeRange,
+    TransformInputs,
     TransformSources,
-    TransformTopics,
 )
 from .option import (
     BATCH,
@@ -90,11 +92,20 @@ from .values import Instance
 # Which command takes which groups; the order is that of the help's sections.
 
 
-class _Clouds(ParameterSources, Projection, TimeRange, PointSelection, ConversionFrames, RobotMotion, total=False):
+class _Clouds(
+    ParameterSources,
+    Projection,
+    TimeRange,
+    StampCorrection,
+    PointSelection,
+    ConversionFrames,
+    RobotMotion,
+    total=False,
+):
     """How a cloud becomes a scan, and what is read."""
 
 
-class _Scans(_Clouds, CloudCombination, total=False):
+class _Scans(_Clouds, CloudCombination, EchoChoice, total=False):
     """How clouds become scans, and what is read."""
 
 
@@ -139,7 +150,7 @@ class Map(MapDrawing, SourceTopics, _Scans, SeveralOutputs, BadMessages, ThreadC
     """``map``."""
 
 
-class Check(CheckRules, TransformSources, total=False):
+class Check(CheckRules, EchoChoice, TransformSources, total=False):
     """``check``."""
 
 
@@ -147,7 +158,7 @@ class Info(InfoSamples, StaticTransforms, TransformSources, SourceFrame, total=F
     """``info``."""
 
 
-class Tf(TransformTopics, StaticTransforms, total=False):
+class Tf(TransformInputs, StaticTransforms, total=False):
     """``tf``."""
 
 
@@ -198,6 +209,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     SeveralOutputs: (TOPICS, CONVERSION),
     SourceTopics: (TOPICS, SINGLE),
     TimeRange: (TOPICS, CONVERSION),
+    StampCorrection: (TOPICS, CONVERSION),
     BadMessages: (RUN, CONVERSION),
     PointSelection: (POINTS, ONE_OUTPUT),
     ConversionFrames: (FRAMES, CONVERSION),
@@ -205,6 +217,7 @@ _SECTIONS: Mapping[Any, tuple[str, str]] = {
     RobotMotion: (MOVING, ONE_OUTPUT),
     CloudCombination: (MOVING, ONE_OUTPUT),
     CloudContent: (REVERSE, SINGLE),
+    EchoChoice: (TOPICS, ONE_OUTPUT),
     OtherTopics: (TOPICS, CONVERSION),
     FailureConditions: (RUN, CONVERSION),
     Container: (OUTPUT, CONVERSION),
@@ -299,6 +312,13 @@ def instead_of(command: str, name: str) -> str:
 
 #: What is about a recording that is written.
 _OF_RECORDINGS: tuple[Any, ...] = (OtherTopics, FailureConditions, Container, CloudContent, DryRun, RunReport)
+
+
+def options_about_scans() -> set[str]:
+    """Return the options of a conversion that say which scans are made, and how."""
+    groups = (SourceTopics, ParameterSources, SeveralOutputs, Projection, PointSelection, RobotMotion, CloudCombination)
+    names = {name for group in (*groups, CloudContent) for name in group.__annotations__}
+    return names | {"keep_used", "min_used", "only_scans"}
 
 
 def conversion_options() -> Mapping[str, Option]:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import MessageError, RecordingError
+from pc2scan.messages.clouds import to_pointcloud2, written_as_pointcloud2
 from pc2scan.messages.definitions import definition
+from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import LATCHED_QOS, NEW_ID, Connection, Definition
 
 if TYPE_CHECKING:
@@ -121,6 +123,11 @@ class RecordingTopics:
     options
         The options of the conversion.
 
+    Attributes
+    ----------
+    as_pointcloud2
+        Whether clouds of other types that pass are written as PointCloud2.
+
     Notes
     -----
     Until `declare` is called, handles are places among the topics that were added.
@@ -128,6 +135,7 @@ class RecordingTopics:
 
     def __init__(self, target: Destination, options: ConvertOptions, *, same_kind: bool) -> None:
         self.target = target
+        self.as_pointcloud2 = options.clouds_as == "pointcloud2"
         self._same_kind = same_kind
         self._options = options
         self._connections: list[Connection] = []
@@ -172,6 +180,10 @@ class RecordingTopics:
             Its handle, -1 if its messages cannot pass; and what re-encodes a message, None if nothing does.
         """
         target, options = self.target, self._options
+        if self.as_pointcloud2 and written_as_pointcloud2(connection):
+            entry.action, entry.note = "re-encoded", "as PointCloud2"
+            encode = to_pointcloud2(connection, target.serialization)
+            return self.add_like(connection, connection.topic, POINTCLOUD2), encode
         foreign = connection.ros_version is None
         # The same kind of container can store the message as it is, even if its type is unknown.
         as_it_is = (self._same_kind and (foreign or options.repair)) or (foreign and target.format.holds_any)

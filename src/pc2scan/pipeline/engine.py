@@ -168,7 +168,7 @@ def _units_of_cut(
 def _work(routes: Mapping[int, OpenRoute], message: RawMessage, *, is_due: bool = False) -> Item | DeferredMessage:
     """Convert or re-encode a message; postpone it if the result takes more memory, and is not due. On any thread."""
     route = routes[message.connection.id]
-    if route.steps and len(message.data) < route.shrinks_from and not is_due:
+    if (route.steps or route.unpacks) and len(message.data) < route.shrinks_from and not is_due:
         return DeferredMessage(own_message(message), partial(_work, routes, is_due=True))
     results: Sequence[tuple[Output, Any]] = ()
     passing = error = None

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placement
 
+    from .odometry import Surroundings
     from .options import ScanSpec
 
 
@@ -66,6 +67,8 @@ class FirstClouds:
         What was found so far.
     advice
         Options with heights that suit the clouds, by their topic and the output.
+    surroundings
+        What is seen where the robot moves most, with the labels of the outputs.
     """
 
     def __init__(
@@ -78,6 +81,7 @@ class FirstClouds:
         self.warnings: list[str] = []
         self.notes: list[str] = []
         self.advice: dict[tuple[str, ScanSpec], str] = {}
+        self.surroundings: list[tuple[str, Surroundings]] = []
         self._warn = warn
         self._topics: dict[tuple[str, ScanSpec], TopicClouds] = {}
 
@@ -94,9 +98,12 @@ class FirstClouds:
             self._warn(text)
 
     def finish(self) -> None:
-        """Judge topics that have fewer clouds than usual."""
+        """Judge topics that have fewer clouds than usual, and what was seen where the robot moved most."""
         for clouds in self._topics.values():
             clouds.finish()
+        for label, seen in self.surroundings:
+            for text in seen.warnings():
+                self.warn(label + text)
 
 
 class TopicClouds:

@@ -10,7 +10,7 @@ from pc2scan.errors import MessageError
 from .checks import result_findings
 from .conversion import ConvertedMessage
 from .engine import items_of
-from .items import Item, Tally
+from .items import Item
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Connection
 
     from .combine.combiner import Combiner
-    from .items import OpenRoute, Output, Span
+    from .items import OpenRoute, Output, Span, Tally
     from .options import ConvertOptions
     from .preparation import Preparation
     from .recording import OpenRecording
@@ -68,17 +68,11 @@ def forecast(
     MessageError
         With ``on_error`` ``fail``, if one of the first messages cannot be converted.
     """
-    routes, span, firsts = recording.routes, prepared.span, prepared.firsts
-    tally = Tally(routes, options.on_error, firsts.warn)
-    report.skipped = tally.skipped
-    try:
+    routes, span = recording.routes, prepared.span
+    with prepared.counting(routes, options.on_error, report) as tally:
         sizes: dict[int, _MeanSizes] = _converted_sizes(
             reader, routes, recording.combiners, span, tally, is_packed=target.compression != "none"
         )
-        tally.finish()
-        firsts.finish()
-    finally:
-        report.add(firsts.warnings, firsts.notes, firsts.advice)
     report.damage += reader.damage
     report.add(*result_findings(report))
     counts = reader.counts([route.connection for route in routes.values()], span.start_ns, span.stop_ns)
@@ -89,6 +83,8 @@ def forecast(
     if (levels := recording.levels) is not None:
         made = (each.messages_out for each in report.topics if each.spec is not None and each.spec.level)
         levels.report.messages_out = max(made, default=0)
+    for each in recording.trajectories:
+        each.report.messages_out = each.count
     report.bytes_written = _written_size(reader, target, routes, counts, sizes)
     return sum((counts.get(key) or 0) * (size.passed + size.made + _INDEXED) for key, size in sizes.items())
 

@@ -53,8 +53,9 @@ class OpenRoute:
     ``steps`` convert a message, one after the other (see `pc2scan.pipeline.conversion.steps_of`); there are none if it
     is not converted. Results go to ``outputs``, and so does an error. Messages of ``shrinks_from`` bytes and more
     become smaller when they are converted. ``passing_handle`` is the writer's for messages as they are, -1 if they are
-    not written; ``reencode`` makes what is written of them, None if that is what was read. ``report`` is the entry of
-    messages that are not converted; each output has another one. ``messages`` counts the messages that were read.
+    not written; ``reencode`` makes what is written of them, None if that is what was read; it ``unpacks`` them if that
+    may take far more memory. ``report`` is the entry of messages that are not converted; each output has another one.
+    ``messages`` counts the messages that were read.
     """
 
     connection: Connection
@@ -64,12 +65,14 @@ class OpenRoute:
     outputs: list[Output] = field(default_factory=list)
     passing_handle: int = -1
     shrinks_from: int = sys.maxsize
+    unpacks: bool = False
     messages: int = 0
 
     @property
     def reports(self) -> Sequence[TopicReport]:
         """The report's entries that count its messages."""
-        return [output.report for output in self.outputs] if self.report is None else [self.report]
+        own = [output.report for output in self.outputs]
+        return own if self.report is None else [self.report, *own]
 
     @property
     def writes(self) -> bool:
@@ -225,7 +228,8 @@ class Tally:
                 failed.append((result if isinstance(result, MessageError) else refused[number], entry))
         if failed:
             self._skip(item, failed)
-        if not self.is_connected and route.steps and not item.is_group:
+        is_converted = route.steps and route.outputs[0].report.spec is not None
+        if not self.is_connected and is_converted and not item.is_group:
             error = item.failure
             self.is_connected = not isinstance(error, UnconnectedError)
             if isinstance(error, UnconnectedError):

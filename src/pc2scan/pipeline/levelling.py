@@ -71,7 +71,7 @@ class UpSources:
 
 
 def tf_connection(reader: Reader, frames: FrameOptions, target: Destination) -> Connection:
-    """Return the connection of the level frames: one more publisher of the topic that has the moving transforms."""
+    """Return the connection of new transforms: one more publisher of the topic that has the moving ones."""
     moving = [c for c in tf_connections(reader.connections, frames.tf_topics) if not is_static(c.topic)]
     first = moving[0] if moving else None
     if first is not None and first.ros_version == target.ros_version and first.definition.data:

@@ -11,7 +11,7 @@ from pc2scan.bags.topics import is_glob, new_topic
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import ParameterError, UsageError
-from pc2scan.messages.clouds import CLOUDS
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.options.conversion import CloudCombination, PointSelection
@@ -19,7 +19,7 @@ from pc2scan.options.values import nanoseconds_of
 from pc2scan.tf.placing import FrameOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Mapping
+    from collections.abc import Generator, Iterable, Mapping
 
     from pc2scan.core.rule import Rejection
     from pc2scan.core.unproject import UnprojectParams
@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 
 #: The largest number of messages that one scan may be made of.
 _MOST_MESSAGES = 100_000
+
+#: The name of a trajectory among topics, in options.
+TRAJECTORY = "trajectory"
+
+#: The largest offset of a clock: three centuries, as stamps of 64 bits have.
+_MOST_OFFSET_NS = 2**63 - 1
 
 _CLOUDS = r"(\d+) ?(?:clouds?|scans?|messages?)"
 
@@ -178,6 +184,8 @@ class ScanSpec:
         `pc2scan.pipeline.stages.beam_filters`.
     keep_used
         A topic for the points that give the scans their ranges; empty: none.
+    echo
+        Of 2D scans with several echoes of a beam: ``first``, ``last`` or ``strongest``.
     """
 
     topics: tuple[TopicRequest, ...] = ()
@@ -197,6 +205,7 @@ class ScanSpec:
     filters: tuple[Filter, ...] = ()
     remove: tuple[BeamFilter, ...] = ()
     keep_used: str = ""
+    echo: str = "first"
     imu_request: ImuRequest | None = field(default=None, init=False, repr=False)
 
     @classmethod
@@ -230,6 +239,8 @@ class ScanSpec:
             raise UsageError("`channels` and `range_cutoff` need `reverse`")
         if self.reverse:
             self._check_reverse()
+        elif self.echo != "first" and not self.may_combine:
+            raise UsageError("`echo` chooses among the echoes of 2D scans, which need `reverse` or `rebin`")
         for name in (each.name for each in self.filters):
             if name in PointCounts().as_dict() or not name.isidentifier():
                 raise UsageError(f"a filter is named {name!r}, which cannot be the name of its count")
@@ -381,6 +392,12 @@ class ScanSpec:
         return bool(self.params.target_frame or self.fixed_frame or self.level or in_others)
 
     @property
+    def frames(self) -> tuple[str, ...]:
+        """The frames that transforms must have."""
+        named = (each.frame for each in self.filters if isinstance(each.frame, str))
+        return tuple(filter(None, (self.params.target_frame, self.fixed_frame, *named)))
+
+    @property
     def needs_measuring(self) -> bool:
         """Whether anything must be measured in the first clouds."""
         params = self.params
@@ -395,17 +412,90 @@ class ScanSpec:
     @property
     def source_types(self) -> tuple[str, ...]:
         """The types that are converted, in ROS 2's spelling."""
-        return (LASERSCAN,) if self.reverse or self.combining.rebin else tuple(CLOUDS)
+        return tuple(SCANS if self.reverse or self.combining.rebin else CLOUDS)
 
     @property
     def named_types(self) -> tuple[str, ...]:
         """The types that are converted if a topic is requested by name."""
-        return (*self.source_types, LASERSCAN) if self.may_combine and not self.combining.rebin else self.source_types
+        return (*self.source_types, *SCANS) if self.may_combine and not self.combining.rebin else self.source_types
 
     @property
     def made_type(self) -> str:
         """The type of the new messages."""
         return POINTCLOUD2 if self.reverse else LASERSCAN
+
+
+@dataclass(frozen=True, slots=True)
+class StampOptions:
+    """How stamps are corrected.
+
+    Attributes
+    ----------
+    by_log
+        Whether the stamps of converted messages become their log times.
+    offset_ns
+        What is added to the stamps of converted messages, nanoseconds; None: it is measured.
+    by_topic
+        The same for single topics, which may be any that are read; ``trajectory`` stands for the poses of a file.
+    """
+
+    by_log: bool = False
+    offset_ns: int | None = 0
+    by_topic: Mapping[str, int | None] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return self.by_log or self.offset_ns != 0 or bool(self.by_topic.keys() - {TRAJECTORY})
+
+    def __hash__(self) -> int:
+        return hash((self.by_log, self.offset_ns, tuple(self.by_topic.items())))
+
+    @property
+    def trajectory_ns(self) -> int:
+        """What is added to the stamps of a trajectory, nanoseconds."""
+        return self.by_topic.get(TRAJECTORY) or 0
+
+    @classmethod
+    def of(cls, stamps: str, time_offset: Iterable[str]) -> StampOptions:
+        """Read the options ``stamps`` and ``time_offset``.
+
+        Raises
+        ------
+        UsageError
+            If an offset is not one, or they contradict each other.
+        """
+        general: int | None = 0
+        by_topic: dict[str, int | None] = {}
+        for text in time_offset:
+            name, _, value = text.rpartition("=")
+            if name in by_topic or (not name and general != 0):
+                raise UsageError(f"`time_offset` is given twice for {name or 'all topics'}")
+            offset_ns = _offset_of(text, value)
+            if name:
+                by_topic[name] = offset_ns
+            else:
+                general = offset_ns
+        if TRAJECTORY in by_topic and by_topic[TRAJECTORY] is None:
+            raise UsageError("`time_offset`: the offset of a trajectory is not measured; give it in seconds")
+        by_log = stamps == "log"
+        if by_log and general != 0:
+            raise UsageError("`stamps=log` takes log times, which `time_offset` would change; give only one of them")
+        return cls(by_log, general, by_topic)
+
+
+def _offset_of(text: str, value: str) -> int | None:
+    """Return an offset in nanoseconds, exact to the last digit; None for ``auto``."""
+    from pc2scan.core.quantities import duration_ns  # noqa: PLC0415  # few clocks are corrected
+
+    if value == "auto":
+        return None
+    sign, number = re.fullmatch(r"([+-]?)(.*)", value.strip()).groups()  # type: ignore[union-attr]
+    found = duration_ns(number if re.search("[a-z]", number) else f"{number}s")
+    if found is None or found > _MOST_OFFSET_NS:
+        raise UsageError(
+            f"`time_offset`: {text!r} is not an offset",
+            hint="write seconds (3.2, -37s), milliseconds (120ms), auto, or with a topic /rear=0.12s",
+        )
+    return -found if sign == "-" else found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -418,10 +508,16 @@ class ConvertOptions:
         The outputs; usually only one.
     frames
         The source of transforms.
+    clock
+        How the stamps of converted messages are corrected.
     keep_clouds
         Whether the converted messages are written, too.
+    clouds_as
+        How clouds are written that are not converted, or kept: ``recorded``, or ``pointcloud2``.
     only_scans
         Whether only the new messages are written.
+    no_scans
+        Whether nothing is converted to scans; ``scans`` is not used then.
     keep, drop
         Topics or globs that choose among the topics that are not converted. ``drop`` has precedence, and also
         excludes a cloud topic that is not requested by name.
@@ -449,8 +545,11 @@ class ConvertOptions:
 
     scans: tuple[ScanSpec, ...] = (ScanSpec(),)
     frames: FrameOptions = FrameOptions()
+    clock: StampOptions | None = None
     keep_clouds: bool = False
+    clouds_as: str = "recorded"
     only_scans: bool = False
+    no_scans: bool = False
     keep: tuple[str, ...] = ()
     drop: tuple[str, ...] = ()
     start: TimeBound | None = None
@@ -468,8 +567,13 @@ class ConvertOptions:
         if not 0 <= self.min_used <= 1:
             hint = f"{self.min_used:g} % is {self.min_used / 100:g}" if 1 < self.min_used <= 100 else None
             raise UsageError(f"`min_used` is {self.min_used:g}, it must be a share from 0 to 1", hint=hint)
-        if self.only_scans and (self.keep or self.keep_clouds):
-            raise UsageError("`only_scans` contradicts `keep` and `keep_clouds`")
+        if self.only_scans and (self.keep or self.keep_clouds or self.no_scans):
+            raise UsageError("`only_scans` contradicts `keep`, `keep_clouds` and `no_scans`")
+        if self.clouds_as != "recorded" and not (self.keep_clouds or self.no_scans):
+            raise UsageError(
+                f"`clouds_as={self.clouds_as}` says how clouds are written, and none are",
+                hint="`keep_clouds=True` writes them beside their scans, `no_scans=True` without",
+            )
 
     @property
     def scan(self) -> ScanSpec:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import fill_glob, find_topic, find_topics, matches, short_types
-from pc2scan.errors import TopicError, name_list
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.errors import NothingToConvertError, TopicError, name_list
+from pc2scan.messages.clouds import CLOUDS, SCANS, usual_topics, written_as_pointcloud2
 from pc2scan.text import did_you_mean
 
 if TYPE_CHECKING:
@@ -74,12 +73,13 @@ class Route(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """The routes in the order of the source's connections, the outputs, and warnings."""
+    """The routes in the order of the source's connections, the outputs, warnings and notes."""
 
     routes: tuple[Route, ...]
     specs: tuple[ScanSpec, ...] = ()
     combinations: tuple[Combination, ...] = ()
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def needs_transforms(self) -> bool:
@@ -114,7 +114,7 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader
         If there is nothing to convert, a requested topic is missing or of another type, or an output topic
         already exists in the source.
     """
-    specs = () if options.repair else options.scans
+    specs = () if options.repair or options.no_scans else options.scans
     kinds = [connection.kind for connection in connections]
     types: dict[str, set[str]] = {}
     for connection, kind in zip(connections, kinds, strict=True):
@@ -140,6 +140,10 @@ def make_plan(connections: Sequence[Connection], options: ConvertOptions, reader
     converted = {topic for found in targets.values() for topic in found}
     everything = tuple(each for found in combined.values() for each in found)
     idle = _pattern_warnings(types.keys(), options, converted) if options.keep or options.drop else ()
+    if options.clouds_as == "pointcloud2" and not any(
+        each.passes and written_as_pointcloud2(each.connection) for each in routes
+    ):
+        idle = (*idle, "`clouds_as=pointcloud2` has no effect: there are no clouds of other types to write")
     return Plan(tuple(routes), specs, everything, tuple(idle))
 
 
@@ -202,7 +206,10 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
                 target = request.target and fill_glob(topic, request.source, request.target)
                 requests.setdefault(topic, []).append(target)
     else:
-        requests = {topic: [None] for topic in candidates if not matches(topic, options.drop)}
+        kept = [topic for topic in candidates if not matches(topic, options.drop)]
+        if len(kept) > 1:
+            kept = usual_topics({topic: types[topic] for topic in kept}, convertible)
+        requests = {topic: [None] for topic in kept}
         if not requests:
             raise TopicError(
                 f"every {short_types(convertible)} topic is dropped: {name_list(candidates)}",
@@ -220,11 +227,11 @@ def _targets(types: dict[str, set[str]], spec: ScanSpec, options: ConvertOptions
     name = "cloud" if spec.reverse else "scan"
     found = {}
     for topic, asked in requests.items():
-        usual = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
+        own = f"/{name}" if single else f"{topic.rstrip('/')}/{name}"
         if spec.combining.rebin:
-            usual = f"{topic}_rebinned" if options.keep_clouds else topic
+            own = f"{topic}_rebinned" if options.keep_clouds else topic
         # A topic that is requested twice is converted once.
-        found[topic] = tuple(dict.fromkeys(target or usual for target in asked))
+        found[topic] = tuple(dict.fromkeys(target or own for target in asked))
     return found
 
 
@@ -233,23 +240,25 @@ def _matching_topics(name: str, types: dict[str, set[str]], candidates: list[str
     try:
         return find_topics(name, types, candidates, *spec.named_types)
     except TopicError as err:
-        if not spec.reverse and LASERSCAN in types.get(name, ()):
+        if not spec.reverse and not SCANS.keys().isdisjoint(types.get(name, ())):
             err.hint = f"`rebin=True` makes other scans of LaserScan, `reverse=True` makes clouds; {err.hint}"
         elif not candidates and name in types:
             from pc2scan.messages.other_clouds import instead_of_topic  # noqa: PLC0415  # only for errors
 
             err.hint = instead_of_topic(name, types[name]) or err.hint
+        if all(kinds.isdisjoint(spec.source_types) for kinds in types.values()):
+            raise NothingToConvertError(err.message, hint=err.hint) from err
         raise
 
 
 def _without_sources(
     connections: Sequence[Connection], types: dict[str, set[str]], spec: ScanSpec, reader: Reader | None
-) -> TopicError:
+) -> NothingToConvertError:
     """Return the error about a recording with nothing to convert: what it has instead, and what makes clouds of it."""
     from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
 
     message, hint = without(short_types(spec.source_types), connections, reader)
-    return TopicError(message, hint=_other_direction(types, spec) or hint or None)
+    return NothingToConvertError(message, hint=_other_direction(types, spec) or hint or None)
 
 
 def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
@@ -259,7 +268,7 @@ def _other_direction(types: dict[str, set[str]], spec: ScanSpec) -> str | None:
         return f"it has {short_types(clouds)} topics; without `reverse` they become scans"
     if spec.combining.rebin and (clouds := [kind for kind in CLOUDS if kind in there]):
         return f"it has {short_types(clouds)} topics; without `rebin` they become scans"
-    if not spec.reverse and LASERSCAN in there:
+    if not spec.reverse and not SCANS.keys().isdisjoint(there):
         return (
             "its LaserScans can be used as they are, and pc2scan check judges them; `rebin=True` makes other scans of "
             "them, `reverse=True` clouds"

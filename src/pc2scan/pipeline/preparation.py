@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,22 +12,26 @@ from pc2scan.messages.tfmessage import TF_TYPES
 from pc2scan.tf.placing import Placer
 
 from .first_clouds import FirstClouds
-from .items import Span
+from .items import Span, Tally
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Generator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import FrameOptions
+    from pc2scan.tf.reading import FoundTransforms
 
     from .clocks import Delays
     from .combine.measurements import SourceFacts
     from .conversion import Conversion, Measurements
+    from .items import OpenRoute
+    from .odometry import Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
+    from .report import Report
     from .stages.deskew import Deskew, PointTime
     from .survey import Survey, TopicFacts
 
@@ -47,7 +51,7 @@ class Preparation(NamedTuple):
         The other recordings that transforms were read from.
     notes, warnings
         Texts for the user.
-    transforms
+    found
         All transforms; None if they were not read.
     """
 
@@ -57,7 +61,24 @@ class Preparation(NamedTuple):
     others: Sequence[Reader] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
-    transforms: TransformBuffer | None = None
+    found: FoundTransforms | None = None
+
+    @property
+    def transforms(self) -> TransformBuffer | None:
+        """All transforms, for lookups; None if they were not read."""
+        return None if self.found is None else self.found.buffer
+
+    @contextmanager
+    def counting(self, routes: Mapping[int, OpenRoute], on_error: str, report: Report) -> Generator[Tally]:
+        """Count the items of the conversion; the report then has what the first clouds show, also after an error."""
+        tally = Tally(routes, on_error, self.firsts.warn)
+        report.skipped = tally.skipped
+        try:
+            yield tally
+            tally.finish()
+            self.firsts.finish()
+        finally:
+            report.add(self.firsts.warnings, self.firsts.notes, self.firsts.advice)
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -82,7 +103,7 @@ def prepare(
     stack: ExitStack,
     warn: Callable[[str], None] | None = None,
     *,
-    keep_transforms: bool = False,
+    transform_frames: Collection[str] | None = None,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -96,14 +117,16 @@ def prepare(
         Closes the other recordings.
     warn
         Called immediately with warnings about the first clouds.
-    keep_transforms
-        Whether the caller wants all transforms, even if the conversion needs none.
+    transform_frames
+        The frames that the caller needs transforms of, even if the conversion needs none; None: it needs no transforms.
     """
-    reads_transforms = keep_transforms or plan.needs_transforms
     asked = options.frames
+    # Added transforms are written to the output, even if it needs none.
+    adds_transforms = asked.write_static or asked.odometry or asked.trajectory
+    reads_transforms = transform_frames is not None or plan.needs_transforms or adds_transforms
     read_later = cache(partial(_robot_transforms, reader, sources, options, span))
     firsts = FirstClouds(asked.source_frame, read_later, warn)
-    needs_survey = reads_transforms or asked.static or asked.source_frame or plan.combinations
+    needs_survey = reads_transforms or asked.static or asked.model or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
         placer = Placer()
         unmeasured: dict[ScanSpec | Combination, Conversion] = {
@@ -120,19 +143,34 @@ def prepare(
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
     survey = Survey(reader, others, asked, span)
     if reads_transforms:
-        survey.ask_transforms()
+        needed = (frame for spec in plan.specs if spec.needs_transforms for frame in spec.frames)
+        survey.ask_transforms((*(transform_frames or ()), *needed))
     else:
         survey.ask_robot()
     gives_frames = bool(asked.static or asked.source_frame)
     given = [survey.facts([route.connection]) for route in plan.routes if gives_frames and route.tasks]
     for facts in given:
         facts.ask_headers(1)
+    placed: Collection[TopicFacts] = ()
+    if asked.trajectory is not None:
+        from .clocks import CLOCK_HEADERS  # noqa: PLC0415  # few conversions add poses
+
+        placed = survey.topics(route.connection for route in plan.routes if route.tasks).values()
+        for facts in placed:
+            facts.ask_headers(CLOCK_HEADERS)
     outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
     survey.read()
     transforms: TransformBuffer | None = None
+    found: FoundTransforms | None = None
     if survey.transforms is not None:
-        transforms, found = survey.transforms.finish()
-        warnings += found
+        found = survey.transforms.finish()
+        transforms = found.buffer
+        warnings += found.warnings
+        notes += found.notes
+    if asked.trajectory is not None:
+        from .clocks import refuse_other_clock  # noqa: PLC0415  # few conversions add poses
+
+        refuse_other_clock(asked.trajectory, placed, span, reader.summary.end_ns)
     buffer = transforms if plan.needs_transforms else None
     if buffer is not None:
         firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
@@ -166,14 +204,14 @@ def prepare(
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
         warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, span, firsts, others, notes, warnings, transforms)
+    return Preparation(conversions, span, firsts, others, notes, warnings, found)
 
 
 class _OutputFacts:
     """The facts that one output to scans needs: asked for before the survey reads, and then made into conversions."""
 
     def __init__(self, spec: ScanSpec, plan: Plan, survey: Survey, frames: FrameOptions) -> None:
-        self._spec, self._reader = spec, survey.reader
+        self._spec, self._reader, self._span = spec, survey.reader, survey.span
         self._is_alone = bool(plan.sources_of(spec, None))
         self._topics: Mapping[str, TopicFacts] = {}
         self._alone: Mapping[str, TopicFacts] = {}
@@ -228,14 +266,19 @@ class _OutputFacts:
             from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
             warnings += clock_warnings(self._topics.values(), self._motion)
+        source = ""
         if spec.fixed_frame and placer.buffer is not None:
             from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
+            from .odometry import odometry_warnings, tilt_warnings  # noqa: PLC0415
 
             # By log time.
             first = min((facts.headers[0] for facts in self._topics.values() if facts.headers), default=None)
             source = placer.source_frame or ("" if first is None else first.frame_id)
             with spec.naming_errors():
                 doubts = check_fixed_frame(source, spec, placer.buffer)
+            doubts += odometry_warnings(spec, source, placer.buffer)
+            if placer.up is not None:
+                doubts += tilt_warnings(spec, source, placer.buffer, placer.up)
             warnings += (spec.label + doubt for doubt in doubts)
         for sources in self._sources:
             from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
@@ -245,12 +288,13 @@ class _OutputFacts:
                 timing, grouper, new_notes, doubts = measure_sources(self._reader, sources, placer)
             notes += (spec.label + note for note in new_notes)
             warnings += (spec.label + doubt for doubt in doubts)
-            deskew, new_notes, doubts = self._deskew(placer, sources.facts.values())
+            combination = sources.combination
+            seen = self._surroundings(placer, firsts, source, combination.sources)
+            deskew, new_notes, doubts = self._deskew(placer, sources.facts.values(), seen)
             notes += new_notes
             warnings += doubts
-            combination = sources.combination
             conversions[combination] = MessagesToScan(
-                spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec)
+                spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec), seen
             )
         if self._is_alone or not self._sources:
             measurements = None
@@ -260,13 +304,30 @@ class _OutputFacts:
                 with spec.naming_errors():
                     measurements, new_notes = measure(self._alone.values(), spec, placer)
                 notes += (spec.label + note for note in new_notes)
-            deskew, new_notes, doubts = self._deskew(placer, self._alone.values())
+            seen = self._surroundings(placer, firsts, source)
+            deskew, new_notes, doubts = self._deskew(placer, self._alone.values(), seen)
             notes += new_notes
             warnings += doubts
             conversions[spec] = _to_scans(spec, placer, measurements, deskew, firsts)
         return conversions, notes, warnings
 
-    def _deskew(self, placer: Placer, topics: Collection[TopicFacts]) -> tuple[Deskew | None, list[str], list[str]]:
+    def _surroundings(
+        self, placer: Placer, firsts: FirstClouds, source: str, topics: Sequence[str] = ()
+    ) -> Surroundings | None:
+        """Return what samples the clouds of some topics, to compare them with the odometry; None where nothing does."""
+        if not source or placer.buffer is None or not (self._spec.deskew or len(topics) > 1):
+            return None
+        from .odometry import Surroundings  # noqa: PLC0415  # few conversions have a fixed frame
+
+        first_ns, last_ns = self._span.first_ns, self._span.stop_ns or self._reader.summary.end_ns
+        span = (first_ns, first_ns if last_ns is None else last_ns)
+        seen = Surroundings(self._spec, placer.buffer, source, placer.source_frame, span, topics)
+        firsts.surroundings.append((self._spec.label, seen))
+        return seen
+
+    def _deskew(
+        self, placer: Placer, topics: Collection[TopicFacts], surroundings: Surroundings | None
+    ) -> tuple[Deskew | None, list[str], list[str]]:
         """Return what places points at their own times (None: nothing does), notes and warnings."""
         spec, where = self._spec, self._where
         if where is None:
@@ -277,7 +338,8 @@ class _OutputFacts:
         doubts = [spec.label + each for facts in topics for each in time_warnings(facts, where)]
         with spec.naming_errors():
             turns, notes = measure_turns(topics, where)
-        deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns)
+        sample = None if surroundings is None else surroundings.add
+        deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns, sample)
         return deskew, [spec.label + note for note in notes], doubts
 
 
@@ -287,7 +349,8 @@ def _robot_transforms(
     """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
     from pc2scan.tf.reading import read_robot_transforms  # noqa: PLC0415  # only where the first clouds leave a doubt
 
-    if not options.frames.static and all(each.ros_type not in TF_TYPES for each in opened.connections):
+    given = options.frames.static or options.frames.model
+    if not given and all(each.ros_type not in TF_TYPES for each in opened.connections):
         return None
     with suppress(Pc2ScanError), ExitStack() as stack:
         reader = as_one(open_recordings(sources, stack, verify=options.verify))
@@ -298,7 +361,7 @@ def _robot_transforms(
 def _to_clouds(spec: ScanSpec, placer: Placer) -> Conversion:
     from .scan_to_cloud import ScanToCloud  # noqa: PLC0415  # each direction loads its own arithmetic
 
-    return ScanToCloud(spec.channels, placer, deskewed=spec.deskew)
+    return ScanToCloud(spec.channels, placer, deskewed=spec.deskew, echo=spec.echo)
 
 
 def _to_scans(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.formats import chunk_format
-from pc2scan.errors import MessageError, UnwritableError
+from pc2scan.errors import MessageError, UnwritableError, UsageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.model import LATCHED_QOS, NEW_ID, ChunkRule, Connection, StoredChunk
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.splitting import Cut
     from pc2scan.model import Buffer, Writer
-    from pc2scan.tf.placing import FrameOptions
+    from pc2scan.tf.static import StaticTransform
 
+    from .added_transforms import TrajectoryWriter
     from .combine.combiner import Combiner
     from .items import Item, OpenRoute, Output, Tally
     from .levelling import LevelFrames
@@ -44,6 +45,8 @@ class OpenRecording(NamedTuple):
         The report's entries of all topics.
     levels
         Writes the frames of level scans; None if no scan is level.
+    trajectories
+        Write the transforms of files.
     rule
         Which of the source's chunks can be copied whole; None: none.
     warnings
@@ -54,6 +57,7 @@ class OpenRecording(NamedTuple):
     combiners: Mapping[Output, Combiner]
     entries: list[TopicReport]
     levels: LevelFrames | None
+    trajectories: Sequence[TrajectoryWriter]
     rule: ChunkRule | None
     warnings: Sequence[str]
 
@@ -94,27 +98,36 @@ def open_recording(
     opened = open_routes(plan.routes, prepared.conversions, topics)
     entries = opened.entries
     added = topics.add(_static_connection(target)) if frames.write_static else None
+    trajectories: list[TrajectoryWriter] = []
+    if prepared.found is not None and prepared.found.poses and not options.only_scans:
+        from .added_transforms import add_poses  # noqa: PLC0415  # few conversions add poses
+
+        trajectories = add_poses(reader, frames, prepared.found.poses, opened, topics, span)
     levels = _level_frames(reader, topics, options) if any(spec.level for spec in plan.specs) else None
     handles = [] if writer is None else topics.declare(writer, opened.by_id.values())
     if levels is not None:
         entries.append(levels.report)
-    if levels is not None and writer is not None:
-        levels.handle = handles[levels.handle]
+    if writer is not None:
+        if levels is not None:
+            levels.handle = handles[levels.handle]
+        for each in trajectories:
+            each.handle = handles[each.handle]
     routes = count_skipped(opened.by_id, reader, span.start_ns, span.stop_ns)
     if writer is None:
-        return OpenRecording(routes, opened.combiners, entries, levels, None, warnings)
+        return OpenRecording(routes, opened.combiners, entries, levels, trajectories, None, warnings)
     if not options.only_scans:
         warnings += _copy_extras(reader, target, writer)
     if added is not None:
         earliest_ns, latest_ns = target.times_ns
         begin_ns = max(earliest_ns, min(span.first_ns, latest_ns))
-        entries.append(_write_static(frames, begin_ns, handles[added], target, writer))
+        static = frames.static if prepared.found is None else prepared.found.static
+        entries.append(_write_static(static, begin_ns, handles[added], target, writer))
     rule = _chunk_rule(routes, target, writer) if copying else None
     if rule is not None and cut is not None:
         from pc2scan.bags.splitting import narrow_rule  # noqa: PLC0415  # most recordings are one file
 
         rule = narrow_rule(rule, cut, reader.connections)
-    return OpenRecording(routes, opened.combiners, entries, levels, rule, warnings)
+    return OpenRecording(routes, opened.combiners, entries, levels, trajectories, rule, warnings)
 
 
 def _level_frames(reader: Reader, topics: RecordingTopics, options: ConvertOptions) -> LevelFrames:
@@ -126,14 +139,19 @@ def _level_frames(reader: Reader, topics: RecordingTopics, options: ConvertOptio
     return LevelFrames(topics.add(connection), topics.target.serialization, entry)
 
 
-def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tally, levels: LevelFrames | None) -> None:
+def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tally, recording: OpenRecording) -> None:
     """Write the items of a conversion, and count them.
 
     Parameters
     ----------
-    levels
-        Writes the frames of level scans.
+    recording
+        The routes, and what writes transforms besides.
     """
+    levels = recording.levels
+    if recording.trajectories:
+        from .added_transforms import between  # noqa: PLC0415  # few conversions add poses
+
+        items = between(items, recording.trajectories, writer)
     for item in items:
         if isinstance(item, StoredChunk):
             writer.write_chunk(item)
@@ -219,12 +237,14 @@ def _static_connection(target: Destination) -> Connection:
 
 
 def _write_static(
-    frames: FrameOptions, log_time_ns: int, handle: int, target: Destination, writer: Writer
+    static: Sequence[StaticTransform], log_time_ns: int, handle: int, target: Destination, writer: Writer
 ) -> TopicReport:
     """Write the added transforms, and return what was written; ``handle`` is that of `_static_connection`."""
     from pc2scan.messages.tfmessage import encode_transforms  # noqa: PLC0415  # few conversions add transforms
 
-    rows = [transform.row(log_time_ns) for transform in frames.static]
+    if not static:
+        raise UsageError("there is no added transform to write", hint="give one with `static_tf`, or with `urdf`")
+    rows = [transform.row(log_time_ns) for transform in static]
     writer.write(handle, log_time_ns, encode_transforms(rows, target.serialization), log_time_ns)
     msgtype = "tf2_msgs/msg/TFMessage"
-    return TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `static_tf`", messages_out=1)
+    return TopicReport("/tf_static", msgtype, "/tf_static", "added", "from `write_static_tf`", messages_out=1)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from .items import OpenRoute
     from .options import ConvertOptions
-    from .report import Report, TopicReport
+    from .report import Report
 
 
 def refuse_unusable(options: ConvertOptions) -> None:
@@ -173,7 +173,7 @@ def refuse_nothing(report: Report) -> None:
     ResultError
         The error names the most frequent reason.
     """
-    converted = _converted_topics(report)
+    converted = report.converted
     if any(topic.messages_out for topic in converted):
         return
     read = sum(topic.messages_in for topic in converted)
@@ -210,7 +210,7 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
     ResultError
         The error has the numbers and the option.
     """
-    for topic in _converted_topics(report):
+    for topic in report.converted:
         if options.fail_on and topic.empty_scans:
             raise ResultError(
                 f"{topic.empty_scans:,} of {counted(topic.messages_out, 'scan')} on {topic.target} "
@@ -232,10 +232,6 @@ def refuse_unsatisfied(report: Report, options: ConvertOptions) -> None:
         raise ResultError(f"{counted(report.skipped_count, 'message', 'were')} skipped (`fail_on=warning`)")
     if report.warnings:
         raise ResultError(f"{report.warnings[0]} (`fail_on=warning`)")
-
-
-def _converted_topics(report: Report) -> list[TopicReport]:
-    return [topic for topic in report.topics if topic.action == "converted"]
 
 
 def _reason_in(warnings: Sequence[str], part: str) -> str | None:

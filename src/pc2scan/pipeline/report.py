@@ -230,12 +230,9 @@ class Report(Result):
         return self.scans[0].origins
 
     @property
-    def written_to(self) -> str:
-        """The destination for the beginning of a line; for several files the first, the last and their number."""
-        if len(self.files) < 2:  # several
-            is_file = self.files and not FORMATS[self.container].is_directory
-            return leading(self.files[0] if is_file else self.destination)
-        return f"{leading(self.destination)}: {len(self.files)} files, {self.files[0]} to {self.files[-1]}"
+    def converted(self) -> list[TopicReport]:
+        """The topics whose messages became others."""
+        return [topic for topic in self.topics if topic.action == "converted"]
 
     @property
     def skipped_count(self) -> int:
@@ -259,9 +256,8 @@ class Report(Result):
     @property
     def all_empty(self) -> bool:
         """Whether messages were converted, and no result has a return or a point."""
-        converted = [topic for topic in self.topics if topic.action == "converted"]
-        made = sum(topic.messages_out for topic in converted)
-        return made > 0 and sum(topic.empty_scans for topic in converted) == made
+        made = sum(topic.messages_out for topic in self.converted)
+        return made > 0 and sum(topic.empty_scans for topic in self.converted) == made
 
     @property
     def lost_topics(self) -> list[TopicReport]:
@@ -288,7 +284,7 @@ class Report(Result):
         return {each.name: each for each in (*REJECTIONS, *further)}
 
     def __repr__(self) -> str:
-        converted = sum(topic.messages_out for topic in self.topics if topic.action == "converted")
+        converted = sum(topic.messages_out for topic in self.converted)
         return f"<Report on {self.destination!r}: {converted:,} messages converted, exit status {self.exit_status}>"
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
@@ -311,18 +307,22 @@ class Report(Result):
                 yield Table(("parameter", "value", "from"), rows, left=("parameter", "from"))
                 yield ""
         yield self._topics()
-        if converted := [topic for topic in self.topics if topic.action == "converted"]:
+        if converted := self.converted:
             yield ""
             yield self._points(converted)
         yield ""
         written, read = size(self.bytes_written), size(self.bytes_read)
+        is_file = len(self.files) == 1 and not FORMATS[self.container].is_directory
+        place = leading(self.files[0] if is_file else self.destination)
+        if len(self.files) > 1:
+            place += f": {len(self.files)} files, {self.files[0]} to {self.files[-1]}"
         if self.dry_run:
             frames = [repr(spec.params.target_frame) if spec.params.target_frame else _OWN for spec in self.scans]
             named = ", ".join(dict.fromkeys(frames))
             yield f"frame{'s' * (',' in named)}: {named}; points: those of the first messages"
-            yield f"{self.written_to}: {FORMATS[self.container].readable_one}, about {written} from {read}"
+            yield f"{place}: {FORMATS[self.container].readable_one}, about {written} from {read}"
         else:
-            yield f"{self.written_to}: {written} from {read} in {duration(self.seconds)}"
+            yield f"{place}: {written} from {read} in {duration(self.seconds)}"
         if self.container == "mcap":
             # Shown because the file's name does not say which ROS version it is for.
             hint = ": `profile=ros2` for ros2 tools" if converted and self.ros_version == 1 else ""

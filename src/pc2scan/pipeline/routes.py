@@ -6,6 +6,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.bags.topics import is_latched, is_static
+from pc2scan.messages.clouds import written_as_pointcloud2
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import steps_of
@@ -73,6 +74,7 @@ def open_routes(
         if route.passes and topics is not None:
             passing = TopicReport(connection.topic, connection.ros_type, connection.topic, "passed")
             made.passing_handle, made.reencode = topics.add_passing(connection, passing)
+            made.unpacks = topics.as_pointcloud2 and written_as_pointcloud2(connection)
         if not route.tasks:
             made.report = opening.shared(passing or TopicReport(connection.topic, connection.ros_type, None, "skipped"))
             continue
@@ -89,7 +91,8 @@ def open_routes(
         # A group has the last step, not its messages.
         own_steps = [None if combiner else step for step, combiner in zip(steps, combiners, strict=True)]
         made.steps = steps_of(chosen, connection.topic, connection.serialization, connection.ros_type, own_steps)
-        made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
+        if not made.unpacks:
+            made.shrinks_from = sum(conversion.shrinks_from for conversion in chosen)
         for index, (task, conversion, combiner) in enumerate(zip(route.tasks, chosen, combiners, strict=True)):
             opening.add_outputs(made, index, task, conversion.made_type, combiner, passing)
     return Routes(opened, list(opening.entries.values()), opening.by_output)

@@ -34,7 +34,6 @@ from pc2scan.threads import Threads, cores
 
 from .checks import request_warnings, result_findings
 from .engine import items_of
-from .items import Tally
 from .plan import make_plan
 from .preparation import prepare, span_of
 from .recording import open_recording, write_items
@@ -104,7 +103,7 @@ def run(
             from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
 
             report.add(overlap_warnings(readers))
-        report.add((*plan.warnings, *request_warnings(options, reader.summary)))
+        report.add((*plan.warnings, *request_warnings(options, reader.summary)), plan.notes)
         if output.dry_run:
             _estimate(files, reader, plan, target, options, output, stack, report)
             return report
@@ -117,12 +116,10 @@ def run(
                 jobs = options.jobs or cores()
                 threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
                 recording = open_recording(reader, plan, prepared, target, options, cut, writer)
-                report.topics, firsts = recording.entries, prepared.firsts
+                report.topics = recording.entries
                 report.add(recording.warnings)
                 if threads is not None:
                     writer.compress_ahead(threads)
-                tally = Tally(recording.routes, options.on_error, firsts.warn)
-                report.skipped = tally.skipped
                 items = items_of(
                     reader,
                     recording.routes,
@@ -133,22 +130,21 @@ def run(
                     window=options.window,
                     progress=progress,
                 )
-                try:
-                    with closing(items):
-                        write_items(items, writer, tally, recording.levels)
-                    tally.finish()
-                    firsts.finish()
-                finally:
-                    report.messages_read = tally.messages
-                    report.add(firsts.warnings, firsts.notes, firsts.advice)
+                with prepared.counting(recording.routes, options.on_error, report) as tally, closing(items):
+                    try:
+                        write_items(items, writer, tally, recording)
+                    finally:
+                        report.messages_read = tally.messages
+                report.add(reader.remarks)
                 files.refuse_changed()
                 report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
                 report.add(*result_findings(report, recording.first_scans, target.serialization))
                 routes = recording.routes.values()
                 report.messages_declared, difference = compare_counts(reader, routes, options, report)
                 report.damage += difference
-                if not options.repair:
+                if plan.specs:
                     refuse_nothing(report)
+                if not options.repair:
                     refuse_unsatisfied(report, options)
             report.bytes_written = _size_on_disk(unfinished)
             if cut is not None:
@@ -175,12 +171,18 @@ def open_plan(
     if options.repair and damage and not reader.connections:
         raise DamageError(f"nothing of it can be recovered: {damage[0].what}", path=damage[0].path)
     try:
-        return reader, readers, make_plan(reader.connections, options, reader)
+        plan = make_plan(reader.connections, options, reader)
     except TopicError as err:
         if damage:
             note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
             err.hint = f"{err.hint}; {note}" if err.hint else note
         raise
+    if options.clock:
+        from .stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
+
+        reader, notes = corrected_for(reader, plan, options)
+        plan = plan._replace(notes=tuple(notes))
+    return reader, readers, plan
 
 
 def report_failure(
@@ -278,7 +280,7 @@ def _target(
     summaries = [opened.summary for opened in readers]
     is_named = files.destination is not None and not output.like_source
     if files.destination is None:
-        mark = "_repaired" if options.repair else "_scan"
+        mark = "_repaired" if options.repair else "_clouds" if options.no_scans else "_scan"
         files.destination = default_destination(files.sources, summaries, mark, folder=output.folder, to=output.to)
     path = files.destination
     if output.to is not None:

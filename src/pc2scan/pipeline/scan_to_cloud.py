@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.rigid import Rigid
@@ -11,7 +10,8 @@ from pc2scan.core.rule import PointCounts
 from pc2scan.core.unproject import UnprojectedScan, UnprojectParams, deskew, last_beam_ns
 from pc2scan.errors import DecodeError, stamp_text
 from pc2scan.messages.beams import unproject_scan
-from pc2scan.messages.laserscan import LaserScan, decode_laserscan
+from pc2scan.messages.clouds import SCANS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, StructuredCloud, encode_structured
 
 from .conversion import Conversion, ConvertedMessage
@@ -36,6 +36,8 @@ class ScanToCloud(Conversion):
         The recording's transforms.
     deskewed
         Whether every beam is transformed by the pose at its own time instead of the scan's stamp.
+    echo
+        Which echo of each beam is used, if there are several.
     """
 
     made_type = POINTCLOUD2
@@ -48,14 +50,16 @@ class ScanToCloud(Conversion):
         placer: Placer,
         *,
         deskewed: bool = False,
+        echo: str = "first",
     ) -> None:
         self.channels = channels
         self._placer = placer
         self._deskewed = deskewed
+        self._echo = echo
 
-    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], LaserScan]:  # noqa: ARG002
-        """Return the decoder of scans, which have one type; see `Conversion`."""
-        return partial(decode_laserscan, serialization=source)
+    def decoder(self, source: str, source_type: str) -> Callable[[Buffer], LaserScan]:
+        """Return the decoder of scans; see `Conversion`."""
+        return SCANS[source_type or LASERSCAN](source, self._echo)
 
     def stages(self, topic: str) -> tuple[Step, ...]:  # noqa: ARG002
         """Return the only stage, which is the same for all topics; see `Conversion`."""

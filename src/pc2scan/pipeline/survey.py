@@ -13,8 +13,7 @@ from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.floor import MOST_CLOUDS, CloudSample
 from pc2scan.errors import TransformError
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, decode_laserscan
+from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.tf.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ class TopicFacts:
         self.topic = connections[0].topic
         self.connections = connections
         self._span = span
-        self._clouds = [each for each in connections if each.ros_type != LASERSCAN]
+        self._clouds = [each for each in connections if each.ros_type not in SCANS]
         self._decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in self._clouds}
         self._observers: dict[Hashable, Observer[Any]] = {}
 
@@ -192,7 +191,7 @@ class TopicFacts:
             points = self._points(message)
             stamp_ns = points.stamp_ns
             return Header(time_ns, stamp_ns, time_ns - stamp_ns, points.frame_id, tuple(points.fields))
-        scan = decode_laserscan(message.data, connection.serialization)
+        scan = SCANS[connection.ros_type](connection.serialization, "first")(message.data)
         increment = abs(scan.angle_increment)
         return Header(time_ns, scan.stamp_ns, time_ns - scan.stamp_ns, scan.frame_id, increment=increment)
 
@@ -213,7 +212,7 @@ class Survey:
 
     Attributes
     ----------
-    reader, span
+    reader, frames, span
         As given.
     transforms
         All transforms; None if they were not asked for.
@@ -225,21 +224,30 @@ class Survey:
 
     def __init__(self, reader: Reader, others: Sequence[Reader], frames: FrameOptions, span: Span) -> None:
         self.reader, self.span = reader, span
-        self._others, self._frames = others, frames
+        self._others, self.frames = others, frames
         self.transforms: TransformReading | None = None
         self.robot: RobotTransforms | None = None
         self.observers: list[Observer[Any]] = []
+        self._needed: tuple[str, ...] = ()
+        self._use = True
         self._facts: dict[tuple[int, ...], TopicFacts] = {}
         self._imus: dict[str, ImuReading] = {}
 
-    def ask_transforms(self) -> TransformReading:
-        """Ask for all transforms."""
-        self.transforms = TransformReading(self._frames)
+    def ask_transforms(self, needed: Iterable[str] = (), *, use: bool = True) -> TransformReading:
+        """Ask for all transforms.
+
+        Parameters
+        ----------
+        needed, use
+            Frames that are needed; see `TransformReading.supply`.
+        """
+        self.transforms = TransformReading(self.frames)
+        self._needed, self._use = tuple(needed), use
         return self.transforms
 
-    def ask_robot(self) -> RobotTransforms:
-        """Ask for the transforms between the robot's frames."""
-        self.robot = RobotTransforms(self.reader, self._frames, self.span.first_ns)
+    def ask_robot(self, moments: Sequence[int] = ()) -> RobotTransforms:
+        """Ask for the transforms between the robot's frames, and for how it moves at some further log times."""
+        self.robot = RobotTransforms(self.reader, self.frames, [self.span.first_ns, *moments])
         return self.robot
 
     def facts(self, connections: Sequence[Connection]) -> TopicFacts:
@@ -270,6 +278,8 @@ class Survey:
     def read(self) -> None:
         """Read the recordings: each once, as far as anything of it is needed.
 
+        A topic with poses that was not asked for is read separately, if only it has a frame that is needed.
+
         Raises
         ------
         RecordingError
@@ -280,7 +290,7 @@ class Survey:
         for reader in (self.reader, *self._others):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
-                observers += self.transforms.observers(reader)
+                observers += self.transforms.observers(reader, own=reader is self.reader)
             for imu in self._imus.values():
                 observers += imu.observers(reader)
             if reader is self.reader:
@@ -288,3 +298,5 @@ class Survey:
                 observers += (each for facts in self._facts.values() for each in facts.observers)
                 observers += self.observers
             observe(reader, observers)
+        if self.transforms is not None:
+            self.transforms.supply(self.reader, self._needed, use=self._use)

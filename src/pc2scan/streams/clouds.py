@@ -1,4 +1,4 @@
-"""PointCloud2 messages as objects with arrays."""
+"""Clouds of recordings as objects with arrays."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.errors import stamp_text, visible
+from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
-from pc2scan.messages.pointcloud2 import DATATYPES, POINTCLOUD2, CloudDecoder, PointCloud2
+from pc2scan.messages.pointcloud2 import DATATYPES, PointCloud2, recorded_cloud
 
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
@@ -21,12 +22,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.model import Buffer
+    from pc2scan.model import Buffer, Connection
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Cloud(NumpyTimes):
-    """A PointCloud2 message. ``cloud["intensity"]`` is a field of all points.
+    """A message that is a cloud. ``cloud["intensity"]`` is a field of all points.
 
     Attributes
     ----------
@@ -212,7 +213,7 @@ class Clouds(Stream[Cloud]):
     """
 
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
-        return self._source_of_type(stack, reader, POINTCLOUD2, _hint_scans, _decoder)
+        return self._source_of_type(stack, reader, CLOUDS, _hint_scans, _decoder)
 
     def _object(self, topic: str, log_time_ns: int, message: PointCloud2) -> Cloud:
         return Cloud(topic, log_time_ns, message)
@@ -241,10 +242,10 @@ class Clouds(Stream[Cloud]):
         return pandas.DataFrame(table)
 
 
-def _decoder(serialization: str) -> Callable[[Buffer], PointCloud2]:
+def _decoder(connection: Connection) -> Callable[[Buffer], PointCloud2]:
     """Return the decoder of clouds that do not keep more than their message in memory."""
-    decode = CloudDecoder(serialization)
-    return lambda data: decode(_own_data(data))
+    decode = CLOUDS[connection.ros_type](connection.serialization)
+    return lambda data: recorded_cloud(decode(_own_data(data)))
 
 
 def _own_data(data: Buffer) -> Buffer:

@@ -22,7 +22,7 @@ from pc2scan.pipeline.routes import open_routes
 from .stream import NumpyTimes, Stream, StreamSource, import_pandas, import_xarray
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from contextlib import ExitStack
 
     from numpy.typing import NDArray
@@ -193,10 +193,10 @@ class Scans(Stream[Scan]):
         selection: Selection,
         conversion: ConvertOptions | None = None,
         *,
-        keep_transforms: bool = False,
+        transform_frames: Collection[str] | None = None,
     ) -> None:
         self._conversion = conversion
-        self._keep_transforms = keep_transforms
+        self._transform_frames = transform_frames
         self.transforms: TransformBuffer | None = None
         self.notes: tuple[str, ...] = ()
         super().__init__(selection)
@@ -207,7 +207,9 @@ class Scans(Stream[Scan]):
     def _source(self, stack: ExitStack, reader: Reader) -> StreamSource:
         if self._conversion is not None:
             return self._converting(stack, reader, self._conversion)
-        return self._source_of_type(stack, reader, LASERSCAN, _hint_clouds, lambda form: partial(_decode, form))
+        return self._source_of_type(
+            stack, reader, (LASERSCAN,), _hint_clouds, lambda connection: partial(_decode, connection.serialization)
+        )
 
     def _object(self, topic: str, log_time_ns: int, message: Any) -> Scan:
         return Scan(topic, log_time_ns, *map(message.__getattribute__, _DECODED))
@@ -219,6 +221,11 @@ class Scans(Stream[Scan]):
             self._selection.select_connections(reader, options.scan.source_types, _hint_scans)
         refuse_unusable(options)
         plan = make_plan(reader.connections, options, reader)
+        if options.clock:
+            from pc2scan.pipeline.stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's
+
+            reader, notes = corrected_for(reader, plan, options)
+            plan = plan._replace(notes=tuple(notes))
         sources = [str(path) for path in self._selection.paths]
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
@@ -232,15 +239,15 @@ class Scans(Stream[Scan]):
             span_of(reader, options),
             stack,
             early.append,
-            keep_transforms=self._keep_transforms,
+            transform_frames=self._transform_frames,
         )
         self.transforms = prepared.transforms
-        report.add(prepared.warnings, prepared.notes)
+        report.add(prepared.warnings, (*plan.notes, *prepared.notes))
         early[:0] = report.warnings
         self.notes = tuple(report.notes)
         opened = open_routes(plan.routes, prepared.conversions, last=_as_in_message)
         report.topics += opened.entries
-        found = _ScanWarnings(report, prepared.firsts, early)
+        found = _ScanWarnings(report, prepared.firsts, early, reader)
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
         return StreamSource(
             stack,
@@ -353,8 +360,9 @@ def _as_in_message(serialization: str, result: ConvertedMessage) -> ConvertedMes
 class _ScanWarnings:
     """The warnings of a conversion to `Scan`; see `ConversionWarnings`."""
 
-    def __init__(self, report: Report, firsts: FirstClouds, early: list[str]) -> None:
+    def __init__(self, report: Report, firsts: FirstClouds, early: list[str], reader: Reader) -> None:
         self._report = report
+        self._reader = reader
         self._firsts = firsts
         self._early = early
 
@@ -367,6 +375,7 @@ class _ScanWarnings:
         firsts, report = self._firsts, self._report
         firsts.finish()
         report.add(firsts.warnings, firsts.notes, firsts.advice)
+        report.add(self._reader.remarks)
         report.add(*result_findings(report))
         return report.warnings
 

@@ -16,12 +16,13 @@ import numpy as np
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.core.rule import PointCounts
-from pc2scan.errors import RecordingWarning, TopicError, UsageError, name_list, visible
+from pc2scan.errors import NothingToConvertError, RecordingWarning, TopicError, UsageError, name_list, visible
+from pc2scan.messages.clouds import usual_topics
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage
 from pc2scan.pipeline.engine import items_of
 from pc2scan.pipeline.items import OpenRoute, Output, Tally
-from pc2scan.pipeline.options import ConvertOptions
+from pc2scan.pipeline.options import ConvertOptions, StampOptions
 from pc2scan.pipeline.preparation import span_of
 from pc2scan.pipeline.refusals import refuse_no_messages
 from pc2scan.pipeline.report import TopicReport
@@ -124,6 +125,8 @@ class Selection:
         What to do with a message that cannot be used: ``skip`` it, or ``fail``.
     verify, strict
         As for `pc2scan.bags.opening.open_recording`.
+    clock
+        How stamps are corrected; None: they are not.
     """
 
     paths: tuple[Path, ...]
@@ -133,6 +136,7 @@ class Selection:
     on_error: str = "skip"
     verify: bool = True
     strict: bool = False
+    clock: StampOptions | None = None
 
     def __post_init__(self) -> None:
         if self.on_error not in ("skip", "fail"):
@@ -167,7 +171,9 @@ class Selection:
             from pc2scan.messages.other_clouds import without  # noqa: PLC0415  # only for errors
 
             message, other = without(short_types(kinds), reader.connections, reader)
-            raise TopicError(message, path=reader.path, hint=hint(reader) or other or None)
+            raise NothingToConvertError(message, path=reader.path, hint=hint(reader) or other or None)
+        if not self.topics:
+            found = {topic: found[topic] for topic in usual_topics({topic: types[topic] for topic in found}, kinds)}
         if not self.topics and len(found) > 1:
             raise TopicError(
                 f"the recording has {len(found)} {short_types(kinds)} topics: {name_list(sorted(found))}",
@@ -261,7 +267,11 @@ class Stream(ABC, Generic[Item]):
         The first hundred messages that the last loop could not use.
     skipped_count
         How many these were.
+    notes
+        Values that were measured, or chosen by default.
     """
+
+    notes: tuple[str, ...] = ()
 
     def __init__(self, selection: Selection) -> None:
         self._selection = selection
@@ -292,22 +302,28 @@ class Stream(ABC, Generic[Item]):
         self,
         stack: ExitStack,
         reader: Reader,
-        msgtype: str,
+        kinds: Collection[str],
         hint: Callable[[Reader], str | None],
-        decoder: Callable[[str], Callable[[Buffer], Any]],
+        decoder: Callable[[Connection], Callable[[Buffer], Any]],
     ) -> StreamSource:
-        """Return the messages of a type, each of which becomes one object; see `Selection.select_connections`.
+        """Return the messages of some types, each of which becomes one object; see `Selection.select_connections`.
 
-        ``decoder`` returns the decoder of messages in a serialisation.
+        ``decoder`` returns the decoder of a connection's messages.
         """
         selection = self._selection
-        chosen = selection.select_connections(reader, (msgtype,), hint)
+        chosen = selection.select_connections(reader, kinds, hint)
         span = span_of(reader, ConvertOptions(start=selection.start, end=selection.end))
+        if selection.clock:
+            from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
+
+            wanted = [each for connections in chosen.values() for each in connections]
+            reader, notes = corrected(reader, wanted, selection.clock, (), start_ns=span.start_ns, stop_ns=span.stop_ns)
+            self.notes = tuple(notes)
         routes = {}
         for topic, connections in chosen.items():
-            output = Output(TopicReport(topic, msgtype, topic, "converted"), 0)
+            output = Output(TopicReport(topic, connections[0].ros_type, topic, "converted"), 0)
             for each in connections:
-                step = partial(_as_recorded, decoder(each.serialization))
+                step = partial(_as_recorded, decoder(each))
                 # A message is decoded at once: its object takes no more memory.
                 routes[each.id] = OpenRoute(each, steps=[step], outputs=[output], shrinks_from=0)
         # Objects are as large as their messages: other threads would hold many of them ahead of the loop.

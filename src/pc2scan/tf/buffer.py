@@ -53,7 +53,7 @@ from .lookup_errors import (
 from .summary import frame_info, trees_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -77,11 +77,14 @@ class TransformBuffer:
         The rejected transforms, in the order of occurrence; at most 100 entries.
     rejected
         Number of all rejected transforms.
+    offers
+        Values of `odom_topic`: topics with poses of frames that no transform has, by frame.
     """
 
     frames: tuple[str, ...]
     rejections: tuple[RejectedTransforms, ...]
     rejected: int
+    offers: Mapping[str, str] = field(default_factory=dict, kw_only=True)
     _stamps_ns: NDArray[np.int64] = field(repr=False)
     _poses: NDArray[np.float64] = field(repr=False)
     _parents: NDArray[np.int32] = field(repr=False)
@@ -228,6 +231,14 @@ class TransformBuffer:
         chain = self._timeless_chain(numbers[0], numbers[1])
         return chain is not None and all(link.static for link in chain.links)
 
+    def moving_links(self, one: str, other: str) -> tuple[FrameHistory, ...]:
+        """Return the frames between two that move; none if these are not connected, or frames change their parents."""
+        numbers = [self._numbers.get(name.removeprefix("/")) for name in (one, other)]
+        if numbers[0] is None or numbers[1] is None:
+            return ()
+        chain = self._timeless_chain(numbers[0], numbers[1])
+        return () if chain is None else tuple(link for link in chain.links if not link.static)
+
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
         """Statistics of each child frame, sorted by name."""
@@ -286,7 +297,7 @@ class TransformBuffer:
         number = self._numbers.get(name)
         if number is not None:
             return number
-        raise unknown_frame_error(name, role, stamp_ns, self.frames, self.rejections, target)
+        raise unknown_frame_error(name, role, stamp_ns, self.frames, self.rejections, target, self.offers.get(name, ""))
 
     def _chain(self, query: Query, time_ns: int | None) -> Chain:
         """Return the chain between the two frames; raise if one of them has no transform at the time."""

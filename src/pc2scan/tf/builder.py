@@ -14,7 +14,7 @@ from .buffer import TransformBuffer
 from .lookup_errors import ACCEPTED, REASONS, RejectedTransforms, reason_of_names, reasons_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Collection, Iterable
 
     from numpy.typing import NDArray
 
@@ -71,6 +71,32 @@ class TransformBuilder:
             if pair is None:
                 pair = self._add_pair(parent, child)
             self._records += pack(pair, stamp_ns, static, *pose)
+
+    def add_poses(self, parent: str, child: str, stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
+        """Append transforms of one pair of frames: (N,) nanoseconds, and (N, 7) as in `add`."""
+        pair = self._pairs.get((parent, child))
+        records = np.zeros(len(stamps_ns), self._DTYPE)
+        records["pair"] = self._add_pair(parent, child) if pair is None else pair
+        records["stamp_ns"], records["pose"] = stamps_ns, poses
+        self._records += records.tobytes()
+
+    def remove(self, children: Collection[str]) -> None:
+        """Remove all transforms to some frames, whose names are without a leading slash."""
+        gone = [number for (_, child), number in self._pairs.items() if child.removeprefix("/") in children]
+        if gone:
+            records = np.frombuffer(self._records, self._DTYPE)
+            self._records = bytearray(records[~np.isin(records["pair"], gone)].tobytes())
+
+    def parents_of(self, children: Collection[str]) -> dict[str, str]:
+        """Return which of some frames have transforms, and their parents, without leading slashes."""
+        used = set(np.unique(np.frombuffer(self._records, self._DTYPE)["pair"]).tolist())
+        pairs = ((p.removeprefix("/"), c.removeprefix("/")) for (p, c), number in self._pairs.items() if number in used)
+        return {child: parent for parent, child in pairs if child in children}
+
+    @property
+    def pairs(self) -> Iterable[tuple[str, str]]:
+        """Parent and child of all transforms, without leading slashes."""
+        return ((parent.removeprefix("/"), child.removeprefix("/")) for parent, child in self._pairs)
 
     def _add_pair(self, parent: str, child: str) -> int:
         pair = self._pairs[parent, child] = len(self._pairs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pc2scan.bags.topics import find_topic
-from pc2scan.core.gravity import up_by_gravity, up_in
+from pc2scan.core.gravity import TIME_CONSTANT, up_by_gravity, up_in
+from pc2scan.core.sharpness import roughness
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.imu import IMU, decode_imu
 from pc2scan.model import copied_message
@@ -30,6 +32,9 @@ _GRAVITY_TOLERANCE = 0.15
 
 #: If the median angle between up by orientation and by the accelerometer exceeds this, degrees, one of them is wrong.
 _MAX_DISAGREEMENT = 20.0
+
+#: Up that jitters by more than this, degrees, moves walls 10 m away by 9 cm.
+_LARGEST_JITTER = 0.5
 
 #: The largest values of an IMU: radians per second, m/s^2, or thousandths of g.
 _MAX_VALUE = 1e5
@@ -250,6 +255,12 @@ def _estimate_up(
     never_changes = len(known) > 1 and bool((directions[known] == directions[known[0]]).all())
     if 2 * len(known) >= len(directions) and not (never_changes and not fault):
         warnings = _disagreement(topic, directions[oriented & felt], acceleration[oriented & felt], fault)
+        jitter = float(np.degrees(np.linalg.norm(roughness(stamps_ns[known], directions[known]))))
+        if jitter > _LARGEST_JITTER:
+            warnings.append(
+                f"{topic}: its orientations jitter by {jitter:.2g} degrees from one message to the next, as those of "
+                "an IMU that vibrates, and so do level scans; `fixed_frame` levels by transforms instead"
+            )
         if lost := len(directions) - len(known):
             warnings.append(f"{topic}: {lost:,} of {counted(len(directions), 'message')} ignored: no valid orientation")
         return (
@@ -268,6 +279,14 @@ def _estimate_up(
     if lost := len(directions) - len(known):
         warnings.append(
             f"{topic}: {lost:,} of {counted(len(directions), 'message')} ignored: no rates or accelerations"
+        )
+    rough = float(roughness(stamps_ns[known], turning[known]).max())
+    interval = float(np.median(np.diff(stamps_ns[known]))) / 1e9 if len(known) > 1 else 0.0
+    drift = math.degrees(rough * math.sqrt(interval * TIME_CONSTANT))
+    if drift > _LARGEST_JITTER:
+        warnings.append(
+            f"{topic}: its gyroscope jitters by {rough:.2g} rad/s, as that of an IMU that vibrates: up is off by "
+            f"about {drift:.2g} degrees; `fixed_frame` levels by transforms instead"
         )
     found = up_by_gravity(stamps_ns[known], turning[known], acceleration[known], gravity)
     unit = " (in units of g)" if gravity < 2 else ""

@@ -136,19 +136,33 @@ def unknown_frame_error(
     frames: Sequence[str],
     rejections: Sequence[RejectedTransforms],
     target: str = "",
+    offered: str = "",
 ) -> TransformError:
-    """Return the error for a frame that no transform has; ``target`` is the frame that points are transformed to."""
+    """Return the error for a frame that no transform has.
+
+    Parameters
+    ----------
+    target
+        The frame that points are transformed to.
+    offered
+        The value of `odom_topic` for a topic with poses that has the frame; empty: there is none.
+    """
     there_are = frames_text(frames)
     rejected = next((entry for entry in rejections if name in (entry.child, entry.parent)), None)
     if rejected is not None:
         there_are += f"; [{rejected.child}] in [{rejected.parent}] was rejected: {rejected.reason}"
     namesake = named_in_namespace(name, frames)
     near = f"did you mean {namesake}?" if namesake else did_you_mean(name, sorted(frames))
-    advice = "`static_tf` or `tf_from` adds a transform, `source_frame` corrects a wrong frame_id"
+    advice = (
+        "`static_tf`, `urdf` or `tf_from` adds a transform, `odom_topic` or `trajectory` poses; `source_frame` "
+        "corrects a wrong frame_id"
+    )
+    if offered:
+        advice = f"`odom_topic={offered}` uses the poses of this topic, which have it"
     # A target of a lookup may be a target frame, a fixed frame or a level one, so the message does not call it one.
     kind = "source frame" if role == "source_frame" else "frame"
     if role == "source_frame" and frames and not near:
-        advice = f"{mount_text(name, frames, target)}, `tf_from` reads its transform from another recording"
+        advice = f"{mount_text(name, frames, target)}, `urdf` or `tf_from` reads that from elsewhere"
     return UnconnectedError(
         f"no transform has the {kind} {name!r}; {there_are}",
         stamp_ns=stamp_ns,
@@ -182,10 +196,13 @@ def _tolerance_hint(gap_ns: int) -> str:
     if gap_ns < _PROBABLY_NS:
         return f"the nearest transform is {seconds} s away"
     if gap_ns < _OTHER_CLOCK_NS:
-        return f"the nearest transform is {seconds} s away: was it recorded later, or do the clocks differ?"
+        return (
+            f"the nearest transform is {seconds} s away: was it recorded later, or do the clocks differ? "
+            "`time_offset=auto` measures by how much"
+        )
     return (
-        f"the clocks differ by {gap_ns / 3.6e12:,.0f} hours: one of them was not set, or these transforms are from "
-        "another recording"
+        f"the clocks differ by {gap_ns / 3.6e12:,.0f} hours: one of them was not set, which `time_offset=auto` "
+        "corrects; or these transforms are from another recording"
     )
 
 
@@ -206,7 +223,7 @@ def unconnected_error(
     return kind(
         f"no transforms connect [{query.source}] with [{query.target}]: {where}",
         stamp_ns=query.stamp_ns,
-        hint=f"`static_tf` or `tf_from` adds what connects them; {_SEE_TF}",
+        hint=f"`static_tf`, `urdf`, `odom_topic` or `tf_from` adds what connects them; {_SEE_TF}",
     )
 
 

@@ -87,6 +87,9 @@ class Mounting(NamedTuple):
     @property
     def cure(self) -> str:
         """How to make the clouds level, as a sentence; empty if unknown."""
+        if self.ground.kind == "slanted" and not self.target_frame:
+            known = shlex.quote(f"base_link {self.frame.removeprefix('/')} X Y Z ROLL PITCH YAW")
+            return f"`static_tf={known}` `target_frame=base_link` say how the sensor is mounted (metres, radians)"
         if not self.target_frame:
             return ""
         floor = None if self.heights is None or not self.static_tf else self.heights.floor
@@ -134,13 +137,18 @@ def mounting(
     seen = _Observation(topic, frame, judged_in, samples, common_ground([find_ground(points) for points in samples]))
     if judged_in.removeprefix("/") != frame.removeprefix("/"):
         ground, fault = seen.ground, _fault(seen.ground)
-        if not ground.off and (tilted := clouds[0].floor_tilted_by_transform) is not None:
+        is_known = ground.off and ground.kind != "slanted"
+        if not is_known and (tilted := clouds[0].floor_tilted_by_transform) is not None:
             ground = Ground("tilted", *tilted)
             fault = (
                 f"tilted by {math.degrees(ground.tilt):.1f} deg by the transform of {frame!r}, in which the ground is "
                 "level; expected a mount that leaves it level"
             )
-        moved = None if buffer is None or not fault else _lookup(buffer, judged_in, frame, stamp_ns)
+        moved = (
+            None
+            if buffer is None or not fault or ground.kind == "slanted"
+            else _lookup(buffer, judged_in, frame, stamp_ns)
+        )
         if moved is not None:
             return seen.correct(judged_in, moved, ground, _IDENTITY)._replace(fault=fault)
         return seen.verdict(fault, heights=suitable_heights(seen.ground, samples, origin_z=origin_z))
@@ -148,8 +156,8 @@ def mounting(
         found = _by_transforms(seen, buffer, stamp_ns)
         if found is not None:
             return found
-    if not seen.ground.off:
-        return seen.verdict("", heights=suitable_heights(seen.ground, samples))
+    if not seen.ground.off or seen.ground.kind == "slanted":
+        return seen.verdict(_fault(seen.ground), heights=suitable_heights(seen.ground, samples))
     level = Rigid.from_rpy(*seen.ground.level_from_frame, (0.0, 0.0, seen.ground.height or 0.0))
     return seen.replace_frame(f"{frame.removeprefix('/')}_level", level, suitable_heights(seen.ground, samples, level))
 
@@ -200,10 +208,12 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
     turn = body_from_frame.rotation
     samples = [turn.apply(points) for points in seen.samples]
     there = common_ground([find_ground(points) for points in samples])
+    if there.off and "slanted" in {there.kind, ground.kind}:
+        return None
     if there.off:
         # The frame itself is level and its transform tilts it, so the transform is wrong.
         return seen.correct(name, body_from_frame, there, turn) if ground.off else None
-    if there.kind == "unknown" and ground.kind in {"tilted", "upside-down"}:
+    if there.kind == "unknown" and ground.kind in {"tilted", "upside-down", "slanted"}:
         return None
     heights = suitable_heights(there, samples, origin_z=_height(body_from_frame))
     tilt = math.acos(max(-1.0, min(1.0, float(body_from_frame.matrix[2, 2]))))
@@ -274,6 +284,11 @@ def _fault(ground: Ground) -> str:
     if ground.kind == "optical":
         at = "" if ground.up is None else f", and up is {_direction(ground.up)}"
         return f"an optical frame: z points forward{at} {seen}; expected z up"
+    if ground.kind == "slanted":
+        return (
+            f"slanted: floor and walls are neither level nor upright {seen}, and which of them is the floor is not "
+            "known; expected z up"
+        )
     if not ground.off or ground.up is None or ground.height is None:
         return ""
     normal = ", ".join(_short(f"{part:.2f}") for part in ground.up)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.errors import UnconnectedError, UsageError
+from pc2scan.errors import UnconnectedError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from pc2scan.core.rigid import Rigid, TransformRow
 
     from .buffer import TransformBuffer
+    from .robot_model import RobotModel
+    from .sources import PoseTopic
     from .static import StaticTransform
+    from .trajectory import Trajectory
     from .up_sources import UpSource
 
 #: The name of a level frame: the name of the frame that it is made from, and this suffix.
@@ -32,21 +35,31 @@ class FrameOptions:
         Further recordings to read transforms from.
     static
         Transforms that are added to the recording's.
+    odometry
+        Topics whose poses are used as transforms.
+    trajectory
+        Poses of a file that are used as transforms.
+    model
+        The robot's model; None: the recording's, if it has one.
     source_frame
         Replaces the ``frame_id`` of the messages to convert, if that is wrong or empty.
     write_static
-        Whether to write ``static_tf`` to the destination's ``/tf_static``.
+        Whether to write the added static transforms to the destination's ``/tf_static``.
     """
 
     tf_topics: tuple[str, ...] = ()
     tf_from: tuple[Path, ...] = ()
     static: tuple[StaticTransform, ...] = ()
+    odometry: tuple[PoseTopic, ...] = ()
+    trajectory: Trajectory | None = None
+    model: RobotModel | None = None
     source_frame: str = ""
     write_static: bool = False
 
-    def __post_init__(self) -> None:
-        if self.write_static and not self.static:
-            raise UsageError("there is no added transform to write", hint="give one with `static_tf`")
+    @property
+    def adds_poses(self) -> bool:
+        """Whether poses are added as transforms."""
+        return bool(self.odometry) or self.trajectory is not None
 
 
 class LevelFrame(NamedTuple):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.topics import is_static
 from pc2scan.errors import DecodeError, RecordingError, UsageError, name_list
@@ -14,7 +16,7 @@ from pc2scan.model import copied_message
 from pc2scan.text import counted, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
@@ -23,6 +25,10 @@ if TYPE_CHECKING:
 
     from .buffer import TransformBuffer
     from .placing import FrameOptions
+    from .robot_model import RobotModel
+    from .sources import AddedPoses, PoseReading, PoseTopic
+    from .static import StaticTransform
+    from .trajectory import Trajectory
 
 #: Duration, and number of messages, of moving transforms that are read to find the transforms between a robot's frames.
 _SOME_NS = 1_000_000_000
@@ -69,8 +75,35 @@ def tf_connections(connections: Sequence[Connection], topics: Sequence[str] = ()
     )
 
 
+class FoundTransforms(NamedTuple):
+    """The transforms of recordings, with all that a user adds.
+
+    Attributes
+    ----------
+    buffer
+        For lookups.
+    warnings
+        Transforms that cannot be used, and messages that cannot be decoded.
+    notes
+        Which transforms come from elsewhere than topics of transforms.
+    poses
+        Poses of topics and of a file that are among them.
+    static
+        Static transforms that were added: the user's, and joints of robots' models.
+    """
+
+    buffer: TransformBuffer
+    warnings: list[str]
+    notes: list[str]
+    poses: tuple[AddedPoses, ...] = ()
+    static: tuple[StaticTransform, ...] = ()
+
+
 class TransformReading:
     """The transforms of recordings, with those that a user adds; while the recordings are read.
+
+    Transforms of one frame may have several sources. Those of `static_tf` replace all others; then come a trajectory
+    and topics with poses, which replace the recording's own; a robot's model only adds what is missing.
 
     Parameters
     ----------
@@ -84,23 +117,116 @@ class TransformReading:
         self._options = options
         self._builder = TransformBuilder()
         self._warnings: dict[str, int] = {}
+        self._notes: list[str] = []
+        #: Topics with poses of frames that no transform has.
+        self._offers: dict[str, str] = {}
+        self._poses: list[PoseReading] = []
+        self._models: list[RobotModel] = [] if options.model is None else [options.model]
         # Added first, so that they replace the recording's: users add transforms because those are wrong or missing.
         self._builder.add((static.row(0) for static in options.static), static=True)
         self._overridden = {static.child.removeprefix("/") for static in options.static}
 
-    def observers(self, reader: Reader) -> list[Observer[RawMessage]]:
-        """Return the observer of all transforms of a recording, anywhere in the files; none if it has none.
+    def observers(self, reader: Reader, *, own: bool = True) -> list[Observer[Any]]:
+        """Return the observers of all transforms of a recording, anywhere in the files; none if it has none.
+
+        Parameters
+        ----------
+        own
+            Whether it is the recording itself, and not one of ``tf_from``: then it has the requested topics with poses.
 
         Raises
         ------
         UsageError
             If it is not clear which topics to use.
+        TopicError
+            If a requested topic does not exist, or has no poses.
         """
         from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
 
         connections = tf_connections(reader.connections, self._options.tf_topics)
         first: dict[str, TransformRow] = {}
-        return [Observer(connections, copied_message, keep=partial(self.add, reader, first))] if connections else []
+        found: list[Observer[Any]] = []
+        if connections:
+            found.append(Observer(connections, copied_message, keep=partial(self.add, reader, first)))
+        if own:
+            found += (self._pose_observer(asked, reader) for asked in self._options.odometry)
+        if models := _model_connections(reader.connections, self._options):
+            found.append(Observer(models, copied_message, 1, keep=self.add_model))
+        return found
+
+    def _pose_observer(self, asked: PoseTopic, reader: Reader) -> Observer[Any]:
+        from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
+
+        from .sources import PoseReading  # noqa: PLC0415  # few recordings have odometry without transforms
+
+        connections = asked.connections(reader.connections)
+        reading = PoseReading(asked, connections)
+        self._poses.append(reading)
+        return Observer(connections, copied_message, keep=reading.add)
+
+    def supply(self, reader: Reader, needed: Collection[str], *, use: bool = True) -> None:
+        """Use topics with poses that have a needed frame which no transform has; they were not asked for.
+
+        Parameters
+        ----------
+        reader
+            The source.
+        needed
+            Names of frames; empty ones are ignored.
+        use
+            Whether the poses are used; otherwise a note names the topics.
+
+        Raises
+        ------
+        RecordingError
+            If a recording cannot be read.
+        """
+        missing = {frame.removeprefix("/") for frame in needed if frame}
+        candidates = _pose_connections(reader.connections) if missing else {}
+        if not candidates:
+            return
+        missing -= {frame for pair in self._pairs() for frame in pair}
+        if not missing:
+            return
+        from pc2scan.bags.observers import Observer, observe  # noqa: PLC0415  # only with transforms
+        from pc2scan.messages.poses import POSES  # noqa: PLC0415
+
+        from .sources import PoseReading, PoseTopic  # noqa: PLC0415
+
+        trials = {topic: PoseReading(PoseTopic(topic), own) for topic, own in candidates.items()}
+        observe(reader, [Observer(each.connections, copied_message, 1, keep=each.add) for each in trials.values()])
+        fitting = []
+        for topic, trial in trials.items():
+            pairs = [(each.parent, each.child) for each in trial.finish()[0]]
+            there = [frame for pair in pairs for frame in pair if frame in missing]
+            # Without the name of the frame that has the poses, the user has to know it.
+            is_named = all(POSES[each.ros_type] for each in candidates[topic])
+            for frame in there:
+                self._offers.setdefault(frame, topic if is_named else f"{topic}:base_link")
+            if there and is_named:
+                fitting.append((topic, pairs[0]))
+        if not use or len(fitting) > 1:
+            self._notes += (
+                f"{topic} has poses of {child} in {parent}, which are in no transform: `odom_topic={topic}` uses them"
+                for topic, (parent, child) in fitting
+            )
+            return
+        for topic, (parent, child) in fitting:
+            observe(reader, [self._pose_observer(PoseTopic(topic), reader)])
+            self._notes.append(
+                f"no transform has the frame {parent if parent in missing else child}: the poses of {topic} are used "
+                f"({child} in {parent}), as with `odom_topic={topic}`"
+            )
+
+    def _pairs(self) -> Iterator[tuple[str, str]]:
+        """Yield the pairs of frames of all sources."""
+        yield from self._builder.pairs
+        yield from ((joint.parent, joint.child) for model in self._models for joint in model.joints)
+        trajectory = self._options.trajectory
+        if trajectory is not None:
+            yield trajectory.parent, trajectory.child
+        for reading in self._poses:
+            yield from ((each.parent, each.child) for each in reading.finish()[0])
 
     def add(self, reader: Reader, first: dict[str, TransformRow], message: RawMessage) -> None:
         """Add the transforms of a message, or count it if it cannot be decoded.
@@ -126,20 +252,116 @@ class TransformReading:
             err.path, err.topic = reader.path, connection.topic
             raise
 
-    def finish(self) -> tuple[TransformBuffer, list[str]]:
-        """Return the transforms, and warnings: those that cannot be used, and messages that cannot be decoded."""
-        buffer = self._builder.build()
+    def add_model(self, message: RawMessage) -> None:
+        """Add the model in a message; a model that cannot be read gives a warning."""
+        from pc2scan.messages.wire import Cursor  # noqa: PLC0415  # few recordings have one
+
+        from .robot_model import parse_model  # noqa: PLC0415
+
+        connection = message.connection
+        try:
+            text = Cursor(message.data, connection.serialization).string()
+            self._models.append(parse_model(text, connection.topic))
+        except (DecodeError, UsageError) as err:
+            self._warnings[f"{connection.topic}: the robot's model cannot be used: {err.message}"] = 1
+
+    def finish(self) -> FoundTransforms:
+        """Return the transforms, with warnings: those that cannot be used, and messages that cannot be decoded."""
+        builder, notes, static = self._builder, [*self._notes], [*self._options.static]
         texts = [f"{text} ({count} times)" if count > 1 else text for text, count in self._warnings.items()]
+        if self._models:
+            joints = self._joints()
+            static += joints
+            builder.add((joint.row(0) for joint in joints), static=True)
+            if joints:
+                shown = name_list([f"{joint.child} in {joint.parent}" for joint in joints], 5)
+                names = name_list([model.name for model in self._models])
+                notes.append(f"{counted(len(joints), 'fixed joint')} of {names} {_are(joints)} used: {shown}")
+        poses: tuple[AddedPoses, ...] = ()
+        if self._poses or self._options.trajectory is not None:
+            poses, further = self._add_poses(notes)
+            texts += further
+        buffer = replace(builder.build(), offers=self._offers)
         texts += [
             f"{counted(r.count, 'transform')} from {r.parent!r} to {r.child!r} not usable: {r.reason}"
             for r in buffer.rejections
         ]
-        return buffer, texts
+        return FoundTransforms(buffer, texts, notes, poses, tuple(static))
+
+    def _joints(self) -> list[StaticTransform]:
+        """Return the joints of models that connect what nothing else does."""
+        from .sources import joints_to_add  # noqa: PLC0415  # few recordings have a model
+
+        return [*joints_to_add(self._models, self._builder.pairs)]
+
+    def _add_poses(self, notes: list[str]) -> tuple[tuple[AddedPoses, ...], list[str]]:
+        """Add poses as transforms; return them and warnings, and append notes."""
+        from .sources import AddedPoses, add_trajectory, attach  # noqa: PLC0415  # few recordings need them
+
+        found: list[tuple[str, PoseReading | None, Sequence[Trajectory]]] = []
+        texts: list[str] = []
+        for reading in self._poses:
+            own_poses, further = reading.finish()
+            if not own_poses:
+                raise RecordingError("has no poses", topic=reading.topic)
+            texts += further
+            found.append((reading.topic, reading, own_poses))
+        if (given := self._options.trajectory) is not None:
+            found.append((given.name, None, [given]))
+        added = []
+        for name, own, trajectories in found:
+            attachments = {}
+            for each in trajectories:
+                where = attach(self._builder.build(), each.parent, each.child)
+                if where.frame in self._overridden:
+                    texts.append(f"`static_tf` replaces the poses of {where.frame} from {name}")
+                    continue
+                replaced = self._builder.parents_of([where.frame])
+                self._builder.remove([where.frame])
+                add_trajectory(self._builder, each, where)
+                attachments[each.parent, each.child] = where
+                if where.frame != each.child:
+                    notes.append(
+                        f"{each.child}, which has the poses of {name}, is fixed to {where.frame}: they become its poses"
+                    )
+                notes += (f"{name} replaces the transforms of {frame} in {old}" for frame, old in replaced.items())
+            added.append(AddedPoses(name, own, trajectories, attachments))
+        return tuple(added), texts
+
+
+def _are(items: Sequence[object]) -> str:
+    return "is" if len(items) == 1 else "are"
+
+
+def _pose_connections(connections: Sequence[Connection]) -> dict[str, list[Connection]]:
+    """Return the connections of topics with poses."""
+    from pc2scan.bags.topics import by_topic  # noqa: PLC0415  # only with transforms
+    from pc2scan.messages.poses import POSES  # noqa: PLC0415
+
+    return by_topic(c for c in connections if c.ros_type in POSES and c.ros_version is not None)
+
+
+def _model_connections(connections: Sequence[Connection], options: FrameOptions) -> list[Connection]:
+    """Return the connections of the robot's model, beside the transforms; none if there are several robots'."""
+    if options.model is not None:
+        return []
+    found = [c for c in connections if c.topic.rsplit("/", 1)[-1] == "robot_description" and c.ros_version is not None]
+    found = [c for c in found if c.ros_type == "std_msgs/msg/String"]
+    spaces = {c.topic.strip("/").rpartition("/")[0] for c in found}
+    if len(spaces) > 1:
+        asked = {topic.strip("/").rpartition("/")[0] for topic in options.tf_topics or ("/tf",)}
+        found = [c for c in found if c.topic.strip("/").rpartition("/")[0] in asked]
+    return found
 
 
 def read_transforms(
-    readers: Sequence[Reader], options: FrameOptions, others: Sequence[Observer[Any]] = ()
-) -> tuple[TransformBuffer, list[str]]:
+    readers: Sequence[Reader],
+    options: FrameOptions,
+    others: Sequence[Observer[Any]] = (),
+    *,
+    needed: Collection[str] = (),
+    use: bool = True,
+) -> FoundTransforms:
     """Read all transforms of recordings, anywhere in the files, and add the user's own.
 
     Parameters
@@ -148,17 +370,17 @@ def read_transforms(
         The source first, then the recordings of ``tf_from``.
     others
         What else observes the source.
-
-    Returns
-    -------
-    TransformBuffer, list of str
-        The transforms, and warnings: transforms that cannot be used, and messages that cannot be decoded.
+    needed, use
+        Frames that are needed; see `TransformReading.supply`.
     """
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
 
     reading = TransformReading(options)
     for reader in readers:
-        observe(reader, [*reading.observers(reader), *(others if reader is readers[0] else ())])
+        own = reader is readers[0]
+        observe(reader, [*reading.observers(reader, own=own), *(others if own else ())])
+    if needed:
+        reading.supply(readers[0], needed, use=use)
     return reading.finish()
 
 
@@ -168,7 +390,7 @@ def _differs(row: TransformRow, first: TransformRow) -> bool:
 
 
 class RobotTransforms:
-    """The transforms between a robot's frames: the static ones, and a second of the moving ones.
+    """The transforms between a robot's frames: the static ones, and a second of the moving ones, or several.
 
     Parameters
     ----------
@@ -176,8 +398,8 @@ class RobotTransforms:
         The recording.
     options
         The topics, and the transforms to add.
-    time_ns
-        The log time at which the second begins.
+    times_ns
+        The log times at which the seconds begin.
 
     Attributes
     ----------
@@ -185,10 +407,12 @@ class RobotTransforms:
         Take them from the recording; none if it is not clear which topics to use.
     """
 
-    def __init__(self, reader: Reader, options: FrameOptions, time_ns: int) -> None:
+    def __init__(self, reader: Reader, options: FrameOptions, times_ns: Sequence[int]) -> None:
         self._reader = reader
         self._options = options
         self._is_known = True
+        # Poses are about where the robot is, not about its frames.
+        options = replace(options, odometry=(), trajectory=None)
         self.observers: list[Observer[RawMessage]] = []
         try:
             connections = tf_connections(reader.connections, options.tf_topics)
@@ -197,21 +421,31 @@ class RobotTransforms:
             return
         from pc2scan.bags.observers import Observer  # noqa: PLC0415  # only with transforms
 
-        for static, start_ns, stop_ns in ((True, None, None), (False, time_ns, time_ns + _SOME_NS)):
-            group = [connection for connection in connections if is_static(connection.topic) is static]
-            if group:
-                self.observers.append(Observer(group, copied_message, _SOME_MESSAGES, start_ns, stop_ns))
+        static, moving = (
+            [connection for connection in connections if is_static(connection.topic) is kind] for kind in (True, False)
+        )
+        if static:
+            self.observers.append(Observer(static, copied_message, _SOME_MESSAGES))
+        times_ns = sorted(set(times_ns)) if moving else []
+        for begin_ns, next_ns in zip_longest(times_ns, times_ns[1:]):
+            end_ns = begin_ns + _SOME_NS if next_ns is None else min(begin_ns + _SOME_NS, next_ns)
+            self.observers.append(Observer(moving, copied_message, _SOME_MESSAGES, begin_ns, end_ns))
+        if models := _model_connections(reader.connections, options):
+            self.observers.append(Observer(models, copied_message, 1))
 
     def finish(self) -> TransformBuffer | None:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""
-        if not self._is_known or not (self.observers or self._options.static):
+        options = self._options
+        if not self._is_known or not (self.observers or options.static or options.model):
             return None
-        reading = TransformReading(self._options)
-        for observer in self.observers:
-            for message in observer.found:
-                with suppress(RecordingError):
+        reading = TransformReading(options)
+        for message in (each for observer in self.observers for each in observer.found):
+            with suppress(RecordingError):
+                if message.connection.ros_type in TF_TYPES:
                     reading.add(self._reader, {}, message)
-        buffer, _ = reading.finish()
+                else:
+                    reading.add_model(message)
+        buffer = reading.finish().buffer
         return buffer if len(buffer) else None
 
 
@@ -219,6 +453,6 @@ def read_robot_transforms(reader: Reader, options: FrameOptions, time_ns: int) -
     """Read the transforms between a robot's frames; see `RobotTransforms`."""
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
 
-    robot = RobotTransforms(reader, options, time_ns)
+    robot = RobotTransforms(reader, options, [time_ns])
     observe(reader, robot.observers)
     return robot.finish()

@@ -199,7 +199,7 @@ def test_a_cloud_before_all_transforms_is_an_error() -> None:
     near = Placer("", "", known.buffer, 10_000_000)
     with pytest.raises(TransformError) as caught:
         Deskew(near, "odom", PointTime())(points([[1, 1, 1]] * 2, [-2_000_000, -1_000_000]))
-    assert "exclude such clouds by `start` and `end`" in str(caught.value.hint)
+    assert "`time_offset=auto`" in str(caught.value.hint)
 
 
 def test_points_that_were_not_measured_need_no_time() -> None:

@@ -23,7 +23,7 @@ from support.builders import definition as message_text
 from support.builders import imu_message
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -249,16 +249,24 @@ def write_world(
     *,
     seconds: float = 2.0,
     odometry_hz: float = 100.0,
+    odometry: Callable[[float], Rigid] | None = None,
+    frames: Callable[[str], str] = str,
     compression: str | None = None,
 ) -> Path:
-    """Write an MCAP file of what lidars measure while the robot drives, with the transforms odom, base_link, lidars."""
+    """Write an MCAP file of what lidars measure while the robot drives, with the transforms odom, base_link, lidars.
+
+    ``odometry`` is odom_from_base_link at a time, if not the robot's pose, ``frames`` the names that frames have in the
+    transforms.
+    """
+    odometry = odometry or drive.pose
     rows: list[tuple[int, str, bytes]] = []
-    static = [("base_link", lidar.frame, BEGIN_NS, *lidar.mount.pose) for lidar in lidars]
+    static = [(frames("base_link"), frames(lidar.frame), BEGIN_NS, *lidar.mount.pose) for lidar in lidars]
     rows.append((BEGIN_NS - 500_000_000, "/tf_static", encode_transforms(static, "cdr")))
     for number in range(round(-0.4 * odometry_hz), round((seconds + 0.5) * odometry_hz)):
         time = number / odometry_hz
         stamp_ns = BEGIN_NS + round(time * 1e9)
-        moved = encode_transforms([("odom", "base_link", stamp_ns, *drive.pose(time).pose)], "cdr")
+        pose = odometry(time).pose
+        moved = encode_transforms([(frames("odom"), frames("base_link"), stamp_ns, *pose)], "cdr")
         rows.append((stamp_ns, "/tf", moved))
     types = {"/tf_static": _TFMESSAGE, "/tf": _TFMESSAGE}
     for lidar in lidars:
@@ -284,10 +292,12 @@ def write_imu(
     orientation: bool = False,
     clock_ns: int = 0,
     gap: float = 0.0,
+    vibration: float = 0.0,
 ) -> Path:
     """Write an MCAP file of what an IMU measures, at 100 Hz from 20 s before on, with a bias.
 
-    ``mount`` is base_link_from_imu_link. For ``gap`` seconds in the middle it is silent.
+    ``mount`` is base_link_from_imu_link. For ``gap`` seconds in the middle it is silent. Its gyroscope is off by
+    ``vibration`` (standard deviation, radians a second).
     """
     writer = open_writer(plan_destination(path, source_ros_version=2), path, path.name)
     text = Definition("ros2msg", message_text("sensor_msgs/msg/Imu", 2).encode())
@@ -297,6 +307,7 @@ def write_imu(
     ends = [drive.rotations(times + off) for off in (-5e-5, 5e-5)]
     rates = mount.matrix.T @ (np.einsum("nji,njk->nik", ends[0], ends[1]) - np.eye(3)) @ mount.matrix / 1e-4
     velocities = [(drive.positions(times + off) - drive.positions(times + off - 1e-3)) / 1e-3 for off in (0, 1e-3)]
+    shaken = np.random.default_rng(9).normal(0, vibration, (len(times), 3))
     felt = (velocities[1] - velocities[0]) / 1e-3 + (0.0, 0.0, 9.81)
     attitudes = drive.rotations(times) @ mount.matrix
     for place, time in enumerate(times.tolist()):
@@ -306,7 +317,7 @@ def write_imu(
             2,
             orientation=drive.pose(time).compose(mount).quaternion.tolist() if orientation else (0, 0, 0, 0),
             first=(0.0, 0.0, 0.0),
-            turning=(rate[2, 1] + 0.02, rate[0, 2] - 0.02, rate[1, 0]),
+            turning=(shaken[place] + (rate[2, 1] + 0.02, rate[0, 2] - 0.02, rate[1, 0])).tolist(),
             acceleration=attitudes[place].T @ felt[place],
             stamp_ns=log_time_ns + clock_ns,
         )

@@ -55,6 +55,7 @@ FRAME: Checks[CloudFacts] = (clouds.frame_not_level,)
 
 #: What the first clouds show about the parameters of an output.
 FIRST_CLOUDS: Checks[CloudFacts] = (
+    clouds.lossy_clouds,
     clouds.swapped_transform,
     clouds.clouds_in_millimetres,
     clouds.heights_in_millimetres,

@@ -115,10 +115,14 @@ class CloudFacts:
 
     @property
     def are_fine(self) -> bool:
-        """Whether scans have points, heights need no advice, and the first cloud is level or too small to be judged."""
+        """Whether nothing is doubtful.
+
+        The points are those that were measured, scans have some, heights need no advice, and the first cloud is level
+        or too small to be judged.
+        """
         cut = self.total.height >= _NOTABLE_SHARE * max(self.total.total, 1)
         needs_heights = (cut and self.is_default("min_height")) or self.lack_heights
-        if self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
+        if self.samples[0].lossy or self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
             return False
         first = self.samples[0]
         if len(first.points) < FEWEST_POINTS:
@@ -303,6 +307,12 @@ def swapped_transform(clouds: CloudFacts) -> Iterator[str]:
     )
 
 
+def lossy_clouds(clouds: CloudFacts) -> Iterator[str]:
+    """Yield a warning if the points are not those that the lidar measured."""
+    if text := clouds.samples[0].lossy:
+        yield f"{clouds.topic}: {text}"
+
+
 def clouds_in_millimetres(clouds: CloudFacts) -> Iterator[str]:
     """Yield a warning if the points are so far away that they are probably in millimetres."""
     from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # only where there may be a warning
@@ -342,13 +352,20 @@ def nearly_empty_scans(clouds: CloudFacts) -> Iterator[str]:
         ("range", ranges, "the range", "m", "range_min", "range_max"),
         ("angle", angles, "the angle", "rad", "angle_min", "angle_max"),
     )
+    # A limit that alone rejects every point is the cause, whatever is rejected before it.
+    alone = [
+        reason
+        for reason, values, _, _, low, high in observed
+        if len(values) and not ((values >= getattr(params, low)) & (values <= getattr(params, high))).any()
+    ]
+    reasons = alone or [each[0] for each in observed if counts.rejected[each[0]] >= _NOTABLE_SHARE * counts.total]
     parts = [
         f"{low} is {_limit(getattr(params, low), unit)} and {high} {_limit(getattr(params, high), unit)}, "
         f"but {name} is {_percentiles(values, unit)}"
         for reason, values, name, unit, low, high in observed
-        if len(values) and counts.rejected[reason] >= _NOTABLE_SHARE * counts.total
+        if len(values) and reason in reasons
     ]
-    if parts and clouds.advice and counts.height >= _NOTABLE_SHARE * counts.total:
+    if parts and clouds.advice and reasons[0] == "height":
         parts[0] += f": {clouds.advice}"
     # Without any, the reason is a filter, or NaN: the report has it at the end.
     if parts:

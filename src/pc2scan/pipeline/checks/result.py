@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pc2scan.core.consumers import CONSUMERS, judge, refusal
 from pc2scan.core.params import ProjectionParams
+from pc2scan.core.rule import REJECTIONS
 from pc2scan.errors import name_list, stamp_text
 from pc2scan.messages.laserscan import decode_laserscan, scan_for_consumers
 from pc2scan.pipeline.parameters import preset_of
@@ -28,6 +29,9 @@ _MAX_WARNED = 5
 
 #: If a default rejects this share of the points, a warning names it.
 _NOTABLE_SHARE = 0.25
+
+#: If the last limit rejects this share of the points, and so all that the others leave, it is the cause of empty scans.
+_NOTABLE_REST = 0.05
 
 #: If a filter that should remove faults alone removes more than this share, a warning names it.
 _MOST_REMOVED = 0.1
@@ -256,7 +260,8 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
     """Return the most frequent reason, and its parameters."""
     points = topic.points
     explained = Counter[str]()
-    for name, rejection in rejections.items():
+    # Filters come before the limits.
+    for name, rejection in sorted(rejections.items(), key=lambda each: each[1] in REJECTIONS):
         explanation = rejection.by_default[1] if _surprises(spec, rejection) else rejection.explanation
         if name == "height" and topic.advice:
             explanation += f": {topic.advice}"
@@ -267,6 +272,10 @@ def _blame(topic: TopicReport, spec: ScanSpec, rejections: Mapping[str, Rejectio
         names = name_list([name for name, number in beams.items() if number])
         return f"all of the {counted(returns, 'beam')} with a return were removed as {names}"
     explanation, count = explained.most_common(1)[0]
+    if not points.used:
+        # The last limit rejects all that the others leave: it is the cause unless they leave nearly nothing.
+        *_, (last, left) = [(each, number) for each, number in explained.items() if number] or [("", 0)]
+        explanation, count = (last, left) if left >= _NOTABLE_REST * points.total else (explanation, count)
     if count:
         return f"{count / points.total:.0%} of all points were {explanation}"
     return "all of their beams were removed" if points.used else "the clouds have no points"

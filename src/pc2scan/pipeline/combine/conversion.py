@@ -21,8 +21,8 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import MessageError
 from pc2scan.files.source import ReadBuffer, retain
-from pc2scan.messages.clouds import CLOUDS
-from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan, encode_laserscan
+from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.pipeline.cloud_to_scan import Beams
 from pc2scan.pipeline.conversion import Conversion, ConvertedMessage, Motion
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer
     from pc2scan.pipeline.conversion import Measurements, Step
     from pc2scan.pipeline.first_clouds import SharedSample, TopicClouds
+    from pc2scan.pipeline.odometry import Surroundings
     from pc2scan.pipeline.options import ScanSpec
     from pc2scan.pipeline.stages.deskew import Deskew, Track
     from pc2scan.pipeline.stages.filters import Filter
@@ -149,6 +150,8 @@ class MessagesToScan(Conversion):
         Places points at their own times; None: all points of a message are placed at its stamp.
     first_clouds
         Returns the checks of the first clouds of a topic; None for no checks.
+    surroundings
+        Samples some clouds that are not deskewed; None: nothing does.
     """
 
     made_type = LASERSCAN
@@ -164,6 +167,7 @@ class MessagesToScan(Conversion):
         grouper: Callable[[], Grouper[Contribution]] | None,
         deskew: Deskew | None = None,
         first_clouds: Callable[[str], TopicClouds] | None = None,
+        surroundings: Surroundings | None = None,
     ) -> None:
         params = measured.resolve(spec.params)
         self._beams = Beams(params, measured)
@@ -173,6 +177,7 @@ class MessagesToScan(Conversion):
         self._placer = placer
         self._deskew = deskew
         self._first_clouds = first_clouds
+        self._surroundings = surroundings if deskew is None else None
         self._projector = self._beams.projector
         #: Whether the transform of points does not depend on the scan's time, so that no message waits for that.
         self._rigid = not spec.fixed_frame and placer.up is None
@@ -205,8 +210,8 @@ class MessagesToScan(Conversion):
 
     def decoder(self, source: str, source_type: str) -> Callable[[Buffer], Any]:
         """Return the decoder of clouds or scans; see `Conversion`."""
-        if source_type == LASERSCAN:
-            return lambda data: decode_laserscan(data, source)
+        if source_type in SCANS:
+            return SCANS[source_type](source, self.spec.echo)
         return CLOUDS[source_type or POINTCLOUD2](source)
 
     def stages(self, topic: str) -> tuple[Step, ...]:
@@ -242,6 +247,8 @@ class MessagesToScan(Conversion):
         sample = None
         if not flat and number == 0 and firsts is not None and not firsts.full:
             sample = firsts.sample(points, placer.place(frame_id, stamp_ns))
+        if self._surroundings is not None and not flat:
+            self._surroundings.add(self.topics[number], points)
         track = None if deskew is None else deskew.track(points)
         reference_ns = stamp_ns if track is None else track.reference_ns
         points = points if track is None else track.points

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import ParameterError, UsageError, name_list
-from pc2scan.messages.laserscan import LASERSCAN
+from pc2scan.messages.clouds import SCANS
 from pc2scan.pipeline.clocks import are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measurements
 
@@ -85,7 +85,7 @@ class SourceFacts:
         self.combination, self.facts = combination, facts
         spec, topics = combination.spec, combination.sources
         asked, params = spec.combining, spec.params
-        self.flat = [topic for topic in topics if any(each.ros_type == LASERSCAN for each in facts[topic].connections)]
+        self.flat = [topic for topic in topics if any(each.ros_type in SCANS for each in facts[topic].connections)]
         self._is_compared = bool(
             len(topics) > 1
             or asked.every_ns
@@ -197,7 +197,7 @@ def measure_sources(
     if sources.flat:
         _require_fields(sources.flat, combination)
     found = timing.get(lead) or _of_scans(sources, notes)
-    if asked.every_ns and spec.origins.get("scan_time", "default") == "default":
+    if asked.every_ns and (spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"):
         found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
     warnings = _doubtful(sources, reader)
     grouper: Callable[[], Grouper[Contribution]]

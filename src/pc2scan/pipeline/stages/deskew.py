@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,13 +25,16 @@ from pc2scan.pipeline.conversion import Motion
 from .turn import AZIMUTH, Turn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from numpy.typing import NDArray
 
     from pc2scan.core.rigid import Rigid
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placer
+
+#: Returns the times of points at some places, seconds after their cloud's stamp.
+Times: TypeAlias = "Callable[[tuple[NDArray[np.intp], ...]], NDArray[np.float64]]"
 
 #: Which time of a cloud is the stamp of its scan.
 STAMPS = ("header", "start", "middle", "end")
@@ -271,9 +274,14 @@ class Deskew:
         One of `STAMPS`.
     turns
         How lidars turn, by topic, where this was measured.
+    sample
+        Called with the topic, the points of each cloud and a function that returns the times of the points at some
+        places; None: nothing is.
+    topic
+        The topic of the clouds.
     """
 
-    __slots__ = ("_fixed", "_placer", "_point_time", "_stamp", "_turns")
+    __slots__ = ("_fixed", "_placer", "_point_time", "_sample", "_stamp", "_topic", "_turns")
 
     def __init__(
         self,
@@ -282,19 +290,22 @@ class Deskew:
         point_time: PointTime,
         stamp: str = "header",
         turns: Mapping[str, Turn] | None = None,
+        sample: Callable[[str, Points, Times], None] | None = None,
+        topic: str = "",
     ) -> None:
         self._placer = placer
         self._fixed = fixed_frame
         self._point_time = point_time
         self._stamp = stamp
         self._turns = turns or {}
+        self._sample = sample
+        self._topic = topic
 
     def of(self, topic: str) -> Deskew:
         """Return an instance for one topic, with the measured turn of its lidar."""
         turn = self._turns.get(topic)
-        if turn is None:
-            return self
-        return Deskew(self._placer, self._fixed, PointTime(turn=turn), self._stamp)
+        point_time = self._point_time if turn is None else PointTime(turn=turn)
+        return Deskew(self._placer, self._fixed, point_time, self._stamp, None, self._sample, topic)
 
     def within(self, placer: Placer) -> Deskew:
         """Return an instance with other frames."""
@@ -303,7 +314,9 @@ class Deskew:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Deskew):
             return NotImplemented
-        return all(getattr(self, name) == getattr(other, name) for name in self.__slots__)
+        # Samples are for warnings alone: outputs that place points alike share the work.
+        names = ("_placer", "_fixed", "_point_time", "_stamp", "_turns")
+        return all(getattr(self, name) == getattr(other, name) for name in names)
 
     def __hash__(self) -> int:
         return hash((self._fixed, self._point_time, self._stamp))
@@ -343,8 +356,8 @@ class Deskew:
         TransformError
             If there is no transform at any of the points' times.
         """
-        turn = self._point_time.turn
-        if turn is not None and TIME not in points.fields:
+        turn, of_scan = self._point_time.turn, TIME in points.fields
+        if turn is not None and not of_scan:
             points = points.replace({TIME: turn.times(points)}, points.frame_id)
         given = TIME in points.fields
         name = TIME if given else self._point_time.field_of(points)
@@ -391,6 +404,8 @@ class Deskew:
         times = (stamps_ns - stamp_ns) / 1e9
         # A product and a quotient may differ in the last bit: without this, the first and the last points are outside.
         times[0], times[-1] = min(times[0], low), max(times[-1], high)
+        if self._sample is not None and not of_scan:
+            self._sample(self._topic, points, lambda places: (values[places].astype(np.float64) - offset) * unit)
         timed = points if given else points.replace(_LazyTimes(points, name, offset, unit), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
@@ -445,7 +460,8 @@ def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -
         buffer.lookup(fixed, source, time_ns)
     except TransformError as err:
         err.hint = (
-            "no point of the cloud was measured while there were transforms; exclude such clouds by `start` and `end`"
+            "no point of the cloud was measured while there were transforms; if the clocks differ, `time_offset=auto` "
+            "measures by how much"
         )
         raise
 

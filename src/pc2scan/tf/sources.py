@@ -1,0 +1,280 @@
+"""The sources of transforms besides the topics of transforms: topics with poses, trajectories, and robots' models.
+
+Poses say where one frame is in another one. They become transforms of the robot's tree: if the frame that has the poses
+is mounted on another one (a lidar whose odometry is in the recording), the transforms are those of the frame at the
+top, because a frame has only one parent in tf2. They replace the recording's own transforms of this frame.
+"""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.bags.topics import find_topics
+from pc2scan.core.rigid import compose_poses
+from pc2scan.errors import DecodeError, UsageError, name_list
+from pc2scan.messages.poses import POSES, decode_pose
+from pc2scan.text import counted
+
+from .trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from pc2scan.core.rigid import Pose, TransformRow
+    from pc2scan.model import Connection, RawMessage
+
+    from .buffer import TransformBuffer
+    from .builder import TransformBuilder
+    from .robot_model import RobotModel
+    from .static import StaticTransform
+
+#: The frame of reference of odometry whose messages do not name it.
+_UNNAMED = "odom"
+
+#: How many pairs of frames a topic with poses may have: of one, each takes its own arrays.
+_MOST_PAIRS = 1_000
+
+
+class PoseTopic(NamedTuple):
+    """A requested topic with poses.
+
+    Attributes
+    ----------
+    topic
+        Its name.
+    parent, child
+        The frames; empty: as the messages say.
+    unnamed
+        The frame that has the poses, if neither says: simple drivers leave names empty.
+    """
+
+    topic: str
+    parent: str = ""
+    child: str = ""
+    unnamed: str = "base_link"
+
+    @classmethod
+    def parse(cls, text: str) -> PoseTopic:
+        """Read ``TOPIC``, ``TOPIC:CHILD`` or ``TOPIC:PARENT:CHILD``.
+
+        Raises
+        ------
+        UsageError
+            If it is something else.
+        """
+        topic, *frames = text.split(":")
+        if not topic or len(frames) > 2 or not all(frames):
+            raise UsageError(
+                f"`odom_topic` is {text!r}, it must be a topic, and may have frames",
+                hint="write `odom_topic=/odom`; `odom_topic=/pose:base_link` names the frame that has the poses, "
+                "`odom_topic=/pose:map:base_link` both frames",
+            )
+        parent, child = ("", *frames)[-2:] if frames else ("", "")
+        return cls(topic, parent.removeprefix("/"), child.removeprefix("/"))
+
+    def connections(self, connections: Sequence[Connection]) -> list[Connection]:
+        """Return the connections of the topic.
+
+        Raises
+        ------
+        TopicError
+            If there is no such topic, or it has no poses.
+        UsageError
+            If it is several topics, or its messages do not name the frame that has the poses.
+        """
+        types: dict[str, set[str]] = {}
+        for each in connections:
+            types.setdefault(each.topic, set()).add(each.ros_type)
+        fitting = sorted(topic for topic, kinds in types.items() if not kinds.isdisjoint(POSES))
+        if len(found := find_topics(self.topic, types, fitting, *POSES)) > 1:
+            raise UsageError(f"`odom_topic`: {self.topic} is {len(found)} topics: {name_list(sorted(found))}")
+        own = [each for each in connections if each.topic == found[0] and each.ros_type in POSES]
+        nameless = next((each.ros_type for each in own if not POSES[each.ros_type]), None)
+        if nameless is not None and not self.child:
+            raise UsageError(
+                f"`odom_topic`: {found[0]} is {nameless}, whose messages do not name the frame that has the pose",
+                hint=f"name it: `odom_topic={found[0]}:base_link`",
+            )
+        return [each for each in own if each.ros_version is not None]
+
+
+@dataclass(slots=True)
+class _Poses:
+    """The poses of one pair of frames, while they are read."""
+
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+    poses: array[float] = field(default_factory=lambda: array("d"))
+
+
+class PoseReading:
+    """The poses of a topic, while it is read.
+
+    Parameters
+    ----------
+    asked
+        The topic.
+    connections
+        Its connections, for the output.
+
+    Attributes
+    ----------
+    topic
+        Its name.
+    """
+
+    def __init__(self, asked: PoseTopic, connections: Sequence[Connection]) -> None:
+        self.topic = connections[0].topic if connections else asked.topic
+        self.connections = connections
+        self._asked = asked
+        self._found: dict[tuple[str, str], _Poses] = {}
+        self._wrong = self._further = 0
+
+    def frames_of(self, parent: str, child: str) -> tuple[str, str]:
+        """Return the frames of the poses of a message with these frames."""
+        return (
+            self._asked.parent or parent.removeprefix("/") or _UNNAMED,
+            self._asked.child or child.removeprefix("/") or self._asked.unnamed,
+        )
+
+    def add(self, message: RawMessage) -> None:
+        """Add the pose of a message, or count it if it cannot be decoded."""
+        connection = message.connection
+        try:
+            row = decode_pose(message.data, connection.serialization, connection.ros_type)
+        except DecodeError:
+            self._wrong += 1
+            return
+        parent, child, stamp_ns, *pose = row
+        frames = self.frames_of(parent, child)
+        found = self._found.get(frames)
+        if found is None:
+            if len(self._found) >= _MOST_PAIRS:
+                self._further += 1
+                return
+            found = self._found[frames] = _Poses()
+        found.stamps.append(stamp_ns)
+        found.poses.extend(pose)
+
+    def finish(self) -> tuple[list[Trajectory], list[str]]:
+        """Return the poses by their frames, and warnings."""
+        texts = [f"{self.topic}: {counted(self._wrong, 'message')} cannot be decoded"] if self._wrong else []
+        if self._further:
+            texts.append(f"{self.topic}: poses of more than {_MOST_PAIRS:,} pairs of frames; the others are not used")
+        return [
+            Trajectory(
+                self.topic,
+                parent,
+                child,
+                np.frombuffer(found.stamps, np.int64),
+                np.frombuffer(found.poses, np.float64).reshape(-1, 7),
+            )
+            for (parent, child), found in self._found.items()
+        ], texts
+
+
+class Attachment(NamedTuple):
+    """How poses become transforms of the robot's tree.
+
+    Attributes
+    ----------
+    parent, frame
+        The frames of the transforms.
+    child_from_frame
+        The pose of ``frame`` in the frame that has the poses; None if they are the same.
+    """
+
+    parent: str
+    frame: str
+    child_from_frame: Pose | None
+
+    def row(self, stamp_ns: int, pose: Pose) -> TransformRow:
+        """Return the transform of a pose."""
+        pose = pose if self.child_from_frame is None else compose_poses(pose, self.child_from_frame)
+        return (self.parent, self.frame, stamp_ns, *pose)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AddedPoses:
+    """Poses of a topic or a file that became transforms.
+
+    Attributes
+    ----------
+    name
+        The topic or the file.
+    reading
+        The topic; None for a file.
+    trajectories
+        The poses.
+    attachments
+        How they became transforms, by the frames of the poses.
+    """
+
+    name: str
+    reading: PoseReading | None
+    trajectories: Sequence[Trajectory]
+    attachments: Mapping[tuple[str, str], Attachment]
+
+
+def attach(buffer: TransformBuffer, parent: str, child: str) -> Attachment:
+    """Return the frame that poses of a frame belong to: the one at the top of those that it is fixed to.
+
+    Parameters
+    ----------
+    buffer
+        All other transforms.
+    parent, child
+        The frames of the poses.
+    """
+    frame, met = child, {child}
+    while (history := buffer.history(frame)) is not None and history.static:
+        above = buffer.frames[history.parent_at(None)]
+        if above == parent or above in met:
+            break
+        met.add(above)
+        frame = above
+    if frame == child:
+        return Attachment(parent, child, None)
+    return Attachment(parent, frame, buffer.lookup(child, frame, 0).pose)
+
+
+def add_trajectory(builder: TransformBuilder, trajectory: Trajectory, attachment: Attachment) -> None:
+    """Add the transforms that a trajectory's poses are."""
+    poses = trajectory.poses
+    if attachment.child_from_frame is not None:
+        moved = compose_poses(tuple(poses.T), attachment.child_from_frame)
+        poses = np.stack([np.broadcast_to(np.asarray(each), len(poses)) for each in moved], axis=1)
+    builder.add_poses(attachment.parent, attachment.frame, trajectory.stamps_ns, poses)
+
+
+def joints_to_add(models: Iterable[RobotModel], pairs: Iterable[tuple[str, str]]) -> Iterator[StaticTransform]:
+    """Yield the fixed joints of models that connect frames which nothing else connects.
+
+    Parameters
+    ----------
+    pairs
+        Parent and child of all other transforms, which have precedence.
+    """
+    tops: dict[str, str] = {}
+
+    def top(frame: str) -> str:
+        tops.setdefault(frame, frame)
+        while tops[frame] != frame:
+            tops[frame] = tops[tops[frame]]
+            frame = tops[frame]
+        return frame
+
+    children = set()
+    for parent, child in pairs:
+        children.add(child)
+        tops[top(child)] = top(parent)
+    for model in models:
+        for joint in model.joints:
+            parent, child = joint.parent.removeprefix("/"), joint.child.removeprefix("/")
+            if child not in children and top(parent) != top(child):
+                children.add(child)
+                tops[top(child)] = top(parent)
+                yield joint

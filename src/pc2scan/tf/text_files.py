@@ -1,0 +1,45 @@
+"""Reads text files that give transforms; they are untrusted, so their size is bounded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pc2scan.errors import UsageError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def text_of(path: Path, most: int, what: str, suffixes: tuple[str, ...]) -> str:
+    """Return the text of a file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    most
+        The largest size, bytes.
+    what
+        What the file is, for errors: ``a trajectory``.
+    suffixes
+        Usual ends of its name, for hints about files that do not exist.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read, is too large, or is not text in UTF-8.
+    """
+    from pc2scan.files.places import missing_hint  # noqa: PLC0415  # few conversions read such a file
+    from pc2scan.files.source import open_text  # noqa: PLC0415
+
+    try:
+        if (size := path.stat().st_size) > most:
+            raise UsageError(f"has {size:,} bytes; {what} has at most {most:,}", path=path)
+        with open_text(path) as file:
+            return file.read(most)
+    except FileNotFoundError as err:
+        raise UsageError("does not exist", path=path, hint=missing_hint(path, suffixes)) from err
+    except OSError as err:
+        raise UsageError(f"cannot be read: {err.strerror}", path=path) from err
+    except UnicodeDecodeError as err:
+        raise UsageError(f"is not {what}: byte {err.start} is not text in UTF-8", path=path) from err

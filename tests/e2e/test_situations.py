@@ -1,0 +1,68 @@
+"""Plausible mistakes are said, with what to type, and their sound twins are told nothing."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+import pytest
+
+from support import RECORDINGS, ROOT, needs_shared
+from support.batches import in_this_process
+from support.command import Finished, run
+from support.situations import SITUATIONS, Situation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+def done(command: str, src: Path) -> Finished:
+    words = [word.format(src=src.name, out="out.mcap") for word in shlex.split(command)]
+    with in_this_process():
+        return run(*words, cwd=src.parent)
+
+
+def built(build: Callable[[Path], Path], folder: Path) -> Path:
+    folder.mkdir()
+    return build(folder)
+
+
+@pytest.mark.parametrize("situation", SITUATIONS, ids=lambda situation: situation.name)
+def test_a_mistake_is_said_and_its_sound_twin_is_silent(situation: Situation, tmp_path: Path) -> None:
+    source = built(situation.build, tmp_path / "mistaken")
+    for command, said in situation.commands:
+        found = done(command, source)
+        assert said in " ".join((found.stdout + found.stderr).split()), (command, found)
+    sound = built(situation.sound_build or situation.build, tmp_path / "sound")
+    for command in situation.sound_commands:
+        found = done(command, sound)
+        assert (found.status, [word for word in ("warning:", "error:", "hint:") if word in found.stderr]) == (0, []), (
+            found
+        )
+
+
+#: What real recordings and fixtures may be told, and should be: the depth camera's frame is an optical one.
+REAL = [
+    *(
+        RECORDINGS / name
+        for name in ("luminar_highway.bag", "velodyne_vlp32.bag", "ouster_os1_32.mcap", "jarvis_two_lasers.bag")
+    ),
+    *(ROOT / "fixtures" / name for name in ("hall.bag", "hall.mcap", "hall")),
+]
+
+
+@needs_shared
+@pytest.mark.parametrize("source", REAL, ids=lambda path: path.name)
+def test_no_false_alarm_on_real_recordings(source: Path, tmp_path: Path) -> None:
+    """With the commands that `info` proposes, and with odometry where there is any."""
+    shown = run("info", source)
+    assert (shown.status, "warning" in shown.stderr) == (0, False)
+    lines = [line.split("#")[0] for line in shown.stdout.splitlines() if line.strip().startswith("pc2scan convert")]
+    assert lines
+    for number, line in enumerate(lines):
+        _, _, _, *words = shlex.split(line)
+        words = [word for word in words if word != source.name]
+        made = run("convert", source, *words, "-o", tmp_path / f"{number}.mcap")
+        # The fixtures' first cloud is before their first transform: it is skipped.
+        assert (made.status in {0, 3}, "warning" in made.stderr) == (True, False), made.stderr

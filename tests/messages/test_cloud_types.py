@@ -1,0 +1,381 @@
+"""Kinds of clouds besides PointCloud2: held to rosbags' encoding of their definitions, and to PointCloud2.
+
+Not ours: rosbags serialises the messages, Python's gzip and zstandard compress them, Draco's C++ library encodes clouds
+as the plugin does (``draco.cpp``), and velodyne-decoder, Velodyne's manual and Nebula's cloud of the same packets say
+what packets mean.
+"""
+
+from __future__ import annotations
+
+import base64
+import shutil
+import struct
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.errors import DecodeError
+from pc2scan.messages.clouds import CLOUDS, usual_topics
+from pc2scan.messages.pointcloud2 import as_pointcloud2, encode_pointcloud2, recorded_cloud
+from support import RECORDINGS, builders, clouds
+from support.builders import CLOUD, SECOND, T0, Mcap, Recording, Stream
+from support.clouds import COMPRESSED, COMPRESSORS, DRACO, OLD_CLOUD, VELODYNE, draco_points
+from support.outputs import opened
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from pc2scan.core.points import Points
+
+SERIALIZATIONS = {1: "ros1", 2: "cdr"}
+FORMS = {"ros1.bag": 1, "ros1.mcap": 1, "ros2.mcap": 2}
+
+
+def decoded(kind: str, data: bytes, ros_version: int) -> Points:
+    return CLOUDS[kind](SERIALIZATIONS[ros_version])(data)
+
+
+def recorded(path: Path, kind: str, messages: Sequence[bytes], ros_version: int, topic: str = "/lidar") -> Path:
+    """A recording of messages, a tenth of a second apart."""
+    stream = Stream(topic, kind)
+    items = tuple(
+        builders.Item(stream, T0 + step * SECOND // 10, dict.fromkeys((1, 2), data))
+        for step, data in enumerate(messages)
+    )
+    path.parent.mkdir(exist_ok=True)
+    recording = Recording((stream,), items)
+    if path.suffix == ".bag":
+        return builders.write_rosbag1(path, recording)
+    return builders.write_mcap(path, recording, Mcap(ros_version=ros_version, profile=f"ros{ros_version}"))
+
+
+def scans_of(source: Path, **options: Any) -> list[tuple[int, bytes]]:
+    options = {"min_height": -3.0, "max_height": 3.0, "range_min": 0.1, **options}
+    report = pc2scan.convert(source, source.with_name(f"scans{source.suffix}"), overwrite=True, **options)
+    return [(each.log_time_ns, each.data) for each in opened(Path(report.destination)).of("/scan")]
+
+
+def old_columns(points: NDArray[Any]) -> NDArray[Any]:
+    """The fields of a PointCloud, which are float32."""
+    return points.astype([(name, "<f4") for name in points.dtype.names or ()])
+
+
+def _compressed(name: str, points: NDArray[Any], ros_version: int, stamp_ns: int) -> bytes:
+    return clouds.compressed(points, ros_version, name, stamp_ns=stamp_ns)
+
+
+LOSSLESS: dict[str, tuple[str, Callable[[NDArray[Any], int, int], bytes]]] = {
+    "PointCloud": (OLD_CLOUD, lambda points, ros, at: clouds.old_cloud(points, ros, stamp_ns=at)),
+    **{name: (COMPRESSED, partial(_compressed, name)) for name in COMPRESSORS},
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", LOSSLESS)
+def test_scans_are_those_of_the_same_points_as_pointcloud2(name: str, form: str, tmp_path: Path) -> None:
+    kind, make = LOSSLESS[name]
+    ros_version = FORMS[form]
+    steps = [
+        (T0 + step * SECOND // 10, clouds.lidar_points(step, count)) for step, count in enumerate((300, 1, 0, 299))
+    ]
+    own = [make(points, ros_version, at) for at, points in steps]
+    usual = [clouds.structured(points, ros_version, stamp_ns=at) for at, points in steps]
+    options = {"intensity_field": "intensity", "where": "ring != 3"}
+    found = scans_of(recorded(tmp_path / "own" / form, kind, own, ros_version), **options)
+    assert len(found) == 4
+    assert found == scans_of(recorded(tmp_path / "usual" / form, CLOUD, usual, ros_version), **options)
+
+
+@pytest.mark.parametrize("name", ["PointCloud", "zstd"])
+def test_info_describes_them_and_proposes_what_can_be_converted(name: str, tmp_path: Path) -> None:
+    kind, make = LOSSLESS[name]
+    messages = [make(clouds.lidar_points(step, 2_000), 2, T0 + step * SECOND // 10) for step in range(12)]
+    found = pc2scan.info(recorded(tmp_path / "a.mcap", kind, messages, 2))
+    (cloud,) = found.clouds
+    assert [field for field, *_ in cloud.fields] == ["x", "y", "z", "intensity", "ring"]
+    assert 0.01 < cloud.nan_share < 0.1
+
+
+@pytest.mark.parametrize("ros_version", [1, 2])
+@pytest.mark.parametrize("name", COMPRESSORS)
+def test_compressed_clouds_are_the_clouds_that_were_compressed(name: str, ros_version: int) -> None:
+    points = clouds.lidar_points(4)
+    cloud = as_pointcloud2(decoded(COMPRESSED, clouds.compressed(points, ros_version, name, seq=6), ros_version))
+    written = encode_pointcloud2(
+        serialization=SERIALIZATIONS[ros_version],
+        sequence=cloud.sequence,
+        stamp_ns=cloud.stamp_ns,
+        frame_id=cloud.frame_id,
+        fields=cloud.fields,
+        point_step=cloud.point_step,
+        data=cloud.data,
+    )
+    assert written == clouds.structured(points, ros_version, seq=6)
+
+
+@pytest.mark.parametrize("ros_version", [1, 2])
+@pytest.mark.parametrize("count", [0, 1, 300])
+def test_old_clouds_have_their_channels_as_fields(count: int, ros_version: int) -> None:
+    points = clouds.lidar_points(2, count)
+    found = decoded(OLD_CLOUD, clouds.old_cloud(points, ros_version, seq=9), ros_version)
+    assert (found.sequence, found.stamp_ns, found.frame_id) == (9 if ros_version == 1 else 0, T0, "lidar")
+    assert list(found.fields) == ["x", "y", "z", "intensity", "ring"]
+    for name, values in found.fields.items():
+        np.testing.assert_array_equal(values, points[name])
+    assert recorded_cloud(found).structured_points().tobytes() == old_columns(points).tobytes()
+
+
+def test_channels_of_another_length_and_of_a_taken_name_are_no_fields() -> None:
+    def channel(name: bytes, *values: float) -> bytes:
+        return struct.pack("<I", len(name)) + name + struct.pack(f"<I{len(values)}f", len(values), *values)
+
+    head = struct.pack("<IIII", 1, 10, 20, 1) + b"f" + struct.pack("<I6f", 2, 1, 2, 3, 4, 5, 6)
+    data = (
+        head + struct.pack("<I", 4) + channel(b"rgb") + channel(b"x", 7, 8) + channel(b"i", 9, 10) + channel(b"i", 1, 1)
+    )
+    found = decoded(OLD_CLOUD, data, 1)
+    assert {name: values.tolist() for name, values in found.fields.items()} == {
+        "x": [1, 4],
+        "y": [2, 5],
+        "z": [3, 6],
+        "i": [9, 10],
+    }
+
+
+def sound(ros_version: int) -> dict[str, tuple[str, bytes]]:
+    """A message of each kind."""
+    made = {name: (kind, make(clouds.lidar_points(1, 20), ros_version, T0)) for name, (kind, make) in LOSSLESS.items()}
+    made["velodyne"] = VELODYNE, clouds.velodyne([(T0, clouds.packet(0, [500] * 32, 7))] * 2, ros_version)
+    return made
+
+
+@pytest.mark.parametrize("ros_version", [1, 2])
+@pytest.mark.parametrize("name", [*LOSSLESS, "velodyne"])
+def test_messages_that_end_too_early_are_errors(name: str, ros_version: int) -> None:
+    kind, data = sound(ros_version)[name]
+    # A CompressedPointCloud2 may end before its format: the first version of the message did.
+    formatless = len(data) - len(COMPRESSORS[name][0]) - 4 - (ros_version == 2) if name in COMPRESSORS else -1
+    for size in range(0, len(data), 7 if name == "velodyne" else 1):
+        if formatless - 3 <= size <= formatless:
+            continue
+        with pytest.raises(DecodeError):
+            decoded(kind, data[:size], ros_version)
+    assert len(decoded(kind, data, ros_version).field("x"))
+
+
+DAMAGED = {
+    "cut gzip": ({"compressor": "zlib", "data": b"\x1f\x8b\x08\x00"}, "cannot be decompressed with zlib"),
+    "no gzip": ({"compressor": "zlib", "data": b"nothing"}, "cannot be decompressed with zlib"),
+    "cut zstd": ({"data": COMPRESSORS["zstd"][1](bytes(9999))[:-5]}, "cannot be decompressed with zstd"),
+    "cut stream": ({"data": COMPRESSORS["zstd stream"][1](bytes(9999))[:-5]}, "with zstd: the data are cut off"),
+    "nothing": ({"data": b""}, "data has 0 bytes"),
+    "fewer points": ({"data": COMPRESSORS["zstd"][1](bytes(100))}, "data has 100 bytes"),
+    "bomb": ({"data": COMPRESSORS["zstd"][1](bytes(50 << 20))}, r"declare 52,428,800 bytes, at most 33,\d+,\d+"),
+    "stream bomb": ({"data": COMPRESSORS["zstd stream"][1](bytes(50 << 20))}, "are larger than"),
+    "gzip bomb": ({"compressor": "zlib", "data": COMPRESSORS["zlib"][1](bytes(50 << 20))}, "are larger than"),
+    "cloudini": ({"form": "cloudini"}, "compressed with 'cloudini'; zlib, zstd and draco are read"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_data_that_cannot_be_decompressed_are_errors(name: str) -> None:
+    changes, message = DAMAGED[name]
+    data = clouds.compressed(clouds.lidar_points(0, 20), 2, **changes)  # type: ignore[arg-type]
+    with pytest.raises(DecodeError, match=message) as caught:
+        decoded(COMPRESSED, data, 2).xyz()
+    assert caught.value.stamp_ns == T0
+    if name == "cloudini":
+        assert "cloudini_rosbag_converter" in (caught.value.hint or "")
+
+
+# --- Draco ---
+
+
+def encoded() -> dict[str, bytes]:
+    pytest.importorskip("DracoPy")
+    lines = DRACO.read_text("ascii").split()
+    return {name: base64.b64decode(text) for name, text in zip(lines[::2], lines[1::2], strict=True)}
+
+
+@pytest.mark.parametrize("ros_version", [1, 2])
+@pytest.mark.parametrize("name", ["exact", "merged", "rounded"])
+def test_draco_keeps_the_points_that_were_not_lost(name: str, ros_version: int) -> None:
+    points = draco_points()
+    data = clouds.compressed(points, ros_version, data=encoded()[name], form="draco")
+    found = recorded_cloud(decoded(COMPRESSED, data, ros_version))
+    table = np.sort(found.structured_points(), order=("tag", "ring"))
+    expected = np.sort(points if name == "exact" else np.unique(points), order=("tag", "ring"))
+    assert len(table) == len(expected) == {"exact": 60, "merged": 54, "rounded": 54}[name]
+    for field in ("ring", "tag"):
+        np.testing.assert_array_equal(table[field], expected[field])
+    for axis in "xyz":
+        if name == "rounded":
+            assert 0 < np.abs(table[axis] - expected[axis]).max() < 18 / 2**14
+        else:
+            np.testing.assert_array_equal(table[axis], expected[axis])
+
+
+@pytest.mark.slow
+def test_draco_files_are_what_the_library_writes(tmp_path: Path) -> None:
+    if shutil.which("g++") is None or not Path("/usr/include/draco").exists():
+        pytest.skip("needs g++ and libdraco-dev")
+    program = tmp_path / "draco"
+    source = str(Path(__file__).with_name("draco.cpp"))
+    subprocess.run(["g++", "-std=c++17", "-O1", source, "-ldraco", "-o", str(program)], check=True)
+    for name, words in {"exact": "0 0 2", "merged": "1 0 0", "rounded": "1 14 1"}.items():
+        done = subprocess.run(
+            [program, *words.split()], input=draco_points().tobytes(), capture_output=True, check=True
+        )
+        assert done.stdout == encoded()[name], name
+
+
+def test_draco_is_said_to_be_lossy(tmp_path: Path) -> None:
+    data = clouds.compressed(draco_points(), 2, data=encoded()["rounded"], form="draco")
+    report = pc2scan.convert(recorded(tmp_path / "a.mcap", COMPRESSED, [data, data], 2), min_height=-9.0)
+    assert [text for text in report.warnings if "Draco, which may round" in text]
+    assert report.topics[0].points.total == 108
+
+
+@pytest.mark.parametrize("place", [0, 7, 11, 12, 24, 31, 35, 36, 37, 39])
+def test_draco_that_declares_too_much_is_an_error(place: int) -> None:
+    """Numbers in its head: of metadata, points, attributes and their components."""
+    damaged = bytearray(encoded()["exact"])
+    damaged[place : place + 4] = b"\xff\xff\xff\x3f"
+    with pytest.raises(DecodeError):
+        decoded(COMPRESSED, clouds.compressed(draco_points(), 2, data=bytes(damaged), form="draco"), 2)
+
+
+# --- Packets ---
+
+
+def packets_of(steps: int = 24) -> list[tuple[int, bytes]]:
+    """Packets of a wall around a VLP-16."""
+    pytest.importorskip("velodyne_decoder")
+    return [
+        (
+            T0 + step * 1_327_104,
+            clouds.packet(480 * step, [1500 + 10 * step + laser for laser in range(32)], 1327 * step),
+        )
+        for step in range(steps)
+    ]
+
+
+def library_points(packets: Sequence[tuple[int, bytes]]) -> NDArray[Any]:
+    """The points that the vendor-neutral package makes, with absolute times."""
+    import velodyne_decoder
+
+    made = [velodyne_decoder.VelodynePacket(at / 1e9, data) for at, data in packets]
+    stamp, points = velodyne_decoder.ScanDecoder().decode(velodyne_decoder.PacketVector(made), as_pcl_structs=True)
+    assert abs(stamp.host - packets[-1][0] / 1e9) < 1e-5
+    return np.asarray(points)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_scans_of_packets_are_those_of_the_packages_points(form: str, tmp_path: Path) -> None:
+    ros_version, packets = FORMS[form], packets_of()
+    own = recorded(tmp_path / "own" / form, VELODYNE, [clouds.velodyne(packets, ros_version)], ros_version)
+    points = library_points(packets)
+    usual = recorded(tmp_path / "usual" / form, CLOUD, [clouds.structured(points, ros_version)], ros_version)
+    found = scans_of(own, intensity_field="intensity", frames=pc2scan.FrameOptions(source_frame="lidar"))
+    assert found == scans_of(usual, intensity_field="intensity", frames=pc2scan.FrameOptions(source_frame="lidar"))
+    times = decoded(VELODYNE, clouds.velodyne(packets, ros_version), ros_version).field("time")
+    np.testing.assert_allclose(times, points["time"] + (packets[-1][0] - T0) / 1e9, atol=2e-6)
+    assert times.min() > -1e-4
+
+
+def test_a_point_is_where_the_manual_says() -> None:
+    """VLP-16 manual, 9.3: laser 0 looks down by 15 degrees, laser 1 up by 1; units of 2 mm; azimuth is clockwise."""
+    pytest.importorskip("velodyne_decoder")
+    distances = [0] * 32
+    distances[0], distances[1] = 2500, 5000
+    data = clouds.velodyne([(T0, clouds.packet(9000, distances, 0))] * 2, 2)
+    points = recorded_cloud(decoded(VELODYNE, data, 2)).structured_points()
+    ranges = np.sqrt(points["x"] ** 2 + points["y"] ** 2 + points["z"] ** 2)
+    down, up = points[ranges < 7.5], points[ranges > 7.5]
+    np.testing.assert_allclose(np.degrees(np.arcsin(down["z"] / 5.0)), -15, atol=0.3)
+    np.testing.assert_allclose(np.degrees(np.arcsin(up["z"] / 10.0)), 1, atol=0.3)
+    # ROS's x is ahead, at azimuth 0, and y to the left: 90 degrees clockwise are to the right.
+    assert (down["y"] < -4.5).all()
+    assert (np.abs(down["x"]) < 0.5).all()
+
+
+def test_packets_without_returns_and_no_packets_are_no_points() -> None:
+    pytest.importorskip("velodyne_decoder")
+    for packets in ([], [(T0, clouds.packet(0, [0] * 32, 0))]):
+        assert recorded_cloud(decoded(VELODYNE, clouds.velodyne(packets, 2), 2)).points == 0
+    with pytest.raises(DecodeError, match="unsupported Velodyne model"):
+        decoded(VELODYNE, clouds.velodyne([(T0, clouds.packet(0, [0] * 32, 0, model=99))], 2), 2)
+
+
+def test_packets_of_a_real_lidar_are_the_points_of_another_decoder() -> None:
+    """Nebula's cloud: of one turn, cut where it cuts, with both returns."""
+    pytest.importorskip("velodyne_decoder")
+    folder = RECORDINGS / "velodyne_vlp16_packets"
+    if not folder.is_dir():
+        pytest.skip("needs the real recordings")
+    text = next(folder.glob("*.pcd")).read_bytes()
+    head, _, body = text.partition(b"DATA binary\n")
+    assert b"WIDTH 14831" in head
+    kinds = [*(("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("i", "u1"), ("type", "u1"), ("ring", "<u2"))]
+    kinds += [(name, "<f4") for name in ("azimuth", "elevation", "distance")] + [("time", "<u4")]
+    theirs = np.frombuffer(body, kinds, 14831) if len(body) >= 14831 * 28 else None
+    assert theirs is not None
+    found = []
+    for cloud in pc2scan.clouds(folder / "packets.db3"):
+        points = cloud.points()
+        found.append(np.stack([points[name].astype(np.float64) for name in ("x", "y", "z", "ring")], axis=1))
+    ours = np.concatenate(found)
+    near = 0
+    for ring in range(16):
+        own = ours[ours[:, 3] == ring][:, :3]
+        other = theirs[::20][theirs["ring"][::20] == ring]
+        for each in np.stack([other["x"], other["y"], other["z"]], axis=1):
+            near += bool((np.abs(own - each).max(axis=1) < 0.02).any())
+    assert near > 0.99 * len(theirs[::20])
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "kind"), [("DracoPy", "draco", COMPRESSED), ("velodyne_decoder", "velodyne", VELODYNE)]
+)
+def test_a_missing_extra_is_named(package: str, extra: str, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pc2scan.messages.velodyne import _library
+
+    _library.cache_clear()
+    monkeypatch.setitem(sys.modules, package, None)
+    if kind == COMPRESSED:
+        data = clouds.compressed(draco_points(), 2, data=b"DRACO", form="draco")
+    else:
+        data = clouds.velodyne([(T0, clouds.packet(0, [0] * 32, 0))], 2)
+    with pytest.raises(DecodeError) as caught:
+        decoded(kind, data, 2)
+    assert caught.value.hint == f"pip install 'pc2scan[{extra}]'"
+
+
+# --- Which topics ---
+
+
+def test_what_is_beside_a_cloud_is_not_converted_unless_it_is_named(tmp_path: Path) -> None:
+    types = {"/raw": [CLOUD], "/raw/zstd": [COMPRESSED], "/livox": [clouds.LIVOX[1]], "/tf": ["tf2_msgs/msg/TFMessage"]}
+    assert usual_topics(types, CLOUDS) == ["/raw", "/livox"]
+    del types["/raw"], types["/livox"]
+    assert usual_topics(types, CLOUDS) == ["/raw/zstd"]
+    streams = Stream("/raw", CLOUD), Stream("/raw/zstd", COMPRESSED)
+    points = clouds.lidar_points(1)
+    made = clouds.structured(points, 2), clouds.compressed(points, 2)
+    items = tuple(
+        builders.Item(stream, T0 + step, {2: data})
+        for step, (stream, data) in enumerate(zip(streams, made, strict=True))
+    )
+    source = builders.write_mcap(tmp_path / "a.mcap", Recording(streams, items), Mcap())
+    assert [topic.topic for topic in pc2scan.convert(source).topics if topic.target == "/scan"] == ["/raw"]
+    assert [cloud.topic for cloud in pc2scan.clouds(source)] == ["/raw"]
+    found = pc2scan.convert(source, topics="/raw/zstd", overwrite=True)
+    assert [topic.topic for topic in found.topics if topic.target == "/scan"] == ["/raw/zstd"]

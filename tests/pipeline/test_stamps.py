@@ -1,0 +1,287 @@
+"""Lidars on their own clock: with corrected stamps, everything is as if the clock had been right."""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.bags.opening import open_recording
+from pc2scan.errors import UsageError
+from pc2scan.messages.laserscan import decode_laserscan
+from pc2scan.messages.pointcloud2 import decode_pointcloud2
+from pc2scan.messages.stamps import move_point_times, set_stamp, stamp_in
+from support.builders import SECOND, cloud, points_of, write_mcap, write_rosbag1
+from support.tables import rows
+from support.worlds.moving import Lidar, write_world
+from support.worlds.posed import recording
+
+TABLES = Path(__file__).with_name("stamps.txt")
+WRITERS: dict[str, Any] = {"mcap": write_mcap, "bag": write_rosbag1}
+HEIGHTS: dict[str, Any] = {"min_height": -20.0, "max_height": 20.0}
+
+#: What a lidar's clock is ahead: since boot, TAI, another year, and a little.
+OFFSETS = {
+    "-1699999000s": -1_699_999_000 * SECOND,
+    "37s": 37 * SECOND,
+    "31536000.25": 31_536_000 * SECOND + SECOND // 4,
+    "-120ms": -120_000_000,
+}
+
+
+def messages(path: Path, topic: str) -> list[tuple[int, bytes]]:
+    with closing(open_recording(path)) as reader:
+        own = [each for each in reader.connections if each.topic == topic]
+        return [(each.log_time_ns, bytes(each.data)) for each in reader.messages(own)]
+
+
+def converted(path: Path, name: str, **options: Any) -> tuple[Path, pc2scan.Report]:
+    out = path.with_name(f"{name}{path.suffix}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pc2scan.RecordingWarning)
+        how: dict[str, Any] = {"target_frame": "odom", "keep_clouds": True} | HEIGHTS | options
+        return out, pc2scan.convert(path, out, **how)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+@pytest.mark.parametrize("text", OFFSETS)
+def test_a_corrected_clock_is_the_right_clock_to_the_bit(text: str, suffix: str, tmp_path: Path) -> None:
+    right = WRITERS[suffix](tmp_path / f"right.{suffix}", recording("tf"))
+    wrong = WRITERS[suffix](tmp_path / f"wrong.{suffix}", recording("tf", offset_ns=OFFSETS[text]))
+    expected, _ = converted(right, "a")
+    undone = text.removeprefix("-") if text.startswith("-") else f"-{text}"
+    found, report = converted(wrong, "b", time_offset=undone)
+    assert not any("clock" in text for text in report.warnings)
+    for topic in ("/scan", "/points", "/tf"):
+        assert messages(found, topic) == messages(expected, topic), topic
+    # One topic alone, and every door.
+    found, _ = converted(wrong, "c", time_offset=f"/points={undone}")
+    assert messages(found, "/scan") == messages(expected, "/scan")
+    how: dict[str, Any] = {"target_frame": "base_link"} | HEIGHTS
+    streams = pc2scan.scans(wrong, "/points", time_offset=undone, **how), pc2scan.scans(right, "/points", **how)
+    for one, other in zip(*streams, strict=True):
+        assert (one.stamp_ns, one.ranges.tobytes()) == (other.stamp_ns, other.ranges.tobytes())
+    pages = pc2scan.view(wrong, time_offset=undone, **how), pc2scan.view(right, **how)
+    assert len({str(page).count("2023-11-14") for page in pages}) == 1
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_log_times_become_stamps(suffix: str, tmp_path: Path) -> None:
+    wrong = WRITERS[suffix](tmp_path / f"wrong.{suffix}", recording("tf", offset_ns=-1_600_000_000 * SECOND))
+    found, _ = converted(wrong, "b", stamps="log")
+    scans = messages(found, "/scan")
+    assert len(scans) == 5
+    form = {"mcap": "cdr", "bag": "ros1"}[suffix]
+    assert [decode_laserscan(data, form).stamp_ns for _, data in scans] == [log for log, _ in scans]
+    assert [decode_pointcloud2(data, form).stamp_ns for _, data in messages(found, "/points")] == [
+        log for log, _ in scans
+    ]
+
+
+def test_recorded_scans_are_corrected_too(tmp_path: Path) -> None:
+    """In loops, exports, maps and pages, on the way back, and where they are converted to scans."""
+    right = converted(
+        write_mcap(tmp_path / "right.mcap", recording("tf")), "r", target_frame="base_link", keep_clouds=False
+    )[0]
+    wrong = converted(
+        write_mcap(tmp_path / "wrong.mcap", recording("tf")), "w", target_frame="base_link", keep_clouds=False
+    )[0]
+    how: dict[str, Any] = {"time_offset": "/scan=-5s"}
+    pc2scan.export(right, tmp_path / "r.csv")
+    pc2scan.export(wrong, tmp_path / "w.csv", **how)
+    stamps = [
+        [int(line.split(",")[0]) for line in (tmp_path / name).read_text("utf-8").splitlines()[1:]]
+        for name in ("r.csv", "w.csv")
+    ]
+    assert [stamp + 5 * SECOND for stamp in stamps[1]] == stamps[0]
+    found = tmp_path / "o.mcap"
+    ways: dict[str, dict[str, Any]] = {
+        "/cloud": {"reverse": True},
+        "/new": {"rebin": True, "topics": "/scan:=/new", "min_height": -1.0},
+    }
+    for topic, options in ways.items():
+        pc2scan.convert(wrong, found, overwrite=True, time_offset="-5s", **options)
+        assert [stamp_in(each, "cdr") for _, each in messages(found, topic)] == stamps[1]
+    assert "22:13:15" in pc2scan.view(wrong, topics="/scan", **how).html
+    assert "22:13:15" not in pc2scan.view(wrong, topics="/scan").html
+
+
+def test_an_offset_is_measured_against_the_transforms(tmp_path: Path) -> None:
+    """Clouds are logged 5 ms after their stamps, transforms 2 ms."""
+    for text, offset_ns in OFFSETS.items():
+        wrong = write_mcap(tmp_path / "w.mcap", recording("tf", offset_ns=offset_ns))
+        found, report = converted(wrong, "b", time_offset="auto", overwrite=True)
+        stamps = [decode_laserscan(data, "cdr").stamp_ns for _, data in messages(found, "/scan")]
+        logged = [log for log, _ in messages(found, "/scan")]
+        (note,) = (note for note in report.notes if "time_offset" in note)
+        if text == "-120ms":
+            # A slow driver may delay messages by as much.
+            assert "time_offset is 0: its first stamps fit to the stamps of /tf" in note
+            continue
+        assert {log - stamp for log, stamp in zip(logged, stamps, strict=True)} == {2_000_003}
+        assert f"time_offset is {-offset_ns / 1e9 + 0.003:.3f} s, measured against the stamps of /tf" in note
+        # What is printed can be typed.
+        again, _ = converted(wrong, "c", time_offset=note.split("time_offset=")[1].strip("`"), overwrite=True)
+        assert messages(again, "/scan") == messages(found, "/scan")
+
+
+def test_without_transforms_the_log_times_are_the_clock(tmp_path: Path) -> None:
+    wrong = write_mcap(tmp_path / "w.mcap", recording(offset_ns=-1_600_000_000 * SECOND))
+    _, report = converted(wrong, "b", time_offset="auto", target_frame="")
+    assert any("measured against the log times in the first 5 messages" in note for note in report.notes)
+
+
+def test_a_clock_that_jumps_is_not_corrected_without_a_word(tmp_path: Path) -> None:
+    made = recording("tf", offset_ns=-100 * SECOND)
+    late = recording("tf")
+    items = [
+        a if a.log_time_ns < made.items[-9].log_time_ns else b for a, b in zip(made.items, late.items, strict=True)
+    ]
+    path = write_mcap(tmp_path / "w.mcap", replace(made, items=tuple(items)))
+    _, report = converted(path, "b", time_offset="100s")
+    assert any("the difference of the clocks is not constant; `stamps=log`" in text for text in report.warnings)
+
+
+@pytest.mark.parametrize("kind", ["turning", "packets"])
+def test_deskewing_follows_the_corrected_clock(kind: str, tmp_path: Path) -> None:
+    """The points' times count from the stamp here; absolute ones are moved, see below."""
+    how: dict[str, Any] = {"deskew": True, "fixed_frame": "odom", "target_frame": "base_link"} | HEIGHTS
+    found = []
+    for clock, options in ((0.0, {}), (250.0, {"time_offset": "-250"})):
+        path = write_world(tmp_path / f"{clock}.mcap", [Lidar(kind=kind, clock=clock)], seconds=0.5)
+        out, _ = converted(path, f"out{clock}", **how, **options)
+        found.append(messages(out, "/scan"))
+    assert found[0] == found[1] != []
+
+
+# --- Bytes ---
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("stamp_ns", [1, SECOND, 1_700_000_000_123_456_789, 2**31 * SECOND - 1])
+def test_a_stamp_is_replaced_and_nothing_else(version: int, stamp_ns: int) -> None:
+    form = {1: "ros1", 2: "cdr"}[version]
+    for frame in ("", "lidar", "a/long/name"):
+        data = cloud(points_of(1), version, seq=7, stamp_ns=5 * SECOND + 3, frame_id=frame)
+        copy = bytearray(data)
+        assert set_stamp(copy, form, stamp_ns)
+        assert stamp_in(copy, form) == stamp_ns
+        assert bytes(copy) == cloud(points_of(1), version, seq=7, stamp_ns=stamp_ns, frame_id=frame)
+
+
+def test_a_stamp_that_does_not_fit_is_the_nearest_that_does() -> None:
+    for form, version, most in (("ros1", 1, 2**32), ("cdr", 2, 2**31)):
+        copy = bytearray(cloud(points_of(1), version))
+        assert not set_stamp(copy, form, -5)
+        assert stamp_in(copy, form) == 1
+        assert not set_stamp(copy, form, 2**70)
+        assert stamp_in(copy, form) == most * SECOND - 1
+
+
+@pytest.mark.parametrize("kind", ["<f8", "<u4", "<f4"])
+@pytest.mark.parametrize("shift_s", [-1_600_000_000, 37, 86_400])
+def test_absolute_point_times_are_moved(kind: str, shift_s: int) -> None:
+    from pc2scan.messages.pointcloud2 import PointField, encode_pointcloud2
+
+    stamp_ns = 1_700_000_000 * SECOND
+    unit = {"<f8": 1.0, "<u4": 1e9, "<f4": 1.0}[kind]
+    # Only 64 bits hold times since 1970; the others count from the stamp.
+    begin = 1_700_000_000.0 if kind == "<f8" else 0.0
+    times = [begin + share for share in (0.0125, 0.0, 0.1)]
+    values = np.array([(i, 0, 0, round(time * unit) if "u" in kind else time) for i, time in enumerate(times)],
+                      [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", kind)])  # fmt: skip
+    values["t"][1] = 0
+    code = {"<f8": 8, "<u4": 6, "<f4": 7}[kind]
+    fields = [*(PointField(name, 4 * i, 7) for i, name in enumerate("xyz")), PointField("t", 12, code)]
+    data = bytearray(
+        encode_pointcloud2(
+            serialization="cdr", sequence=0, stamp_ns=stamp_ns, frame_id="a", fields=fields,
+            point_step=values.itemsize, data=values.tobytes(), is_dense=True,
+        )
+    )  # fmt: skip
+    move_point_times(data, "cdr", shift_s * SECOND)
+    moved = decode_pointcloud2(bytes(data), "cdr").field("t")
+    expected = values["t"].copy()
+    if kind == "<f8":
+        expected[[0, 2]] += shift_s
+    assert moved.tolist() == expected.tolist()
+
+
+# --- Wrong options ---
+
+
+@pytest.mark.parametrize(("options", "said"), rows(TABLES, "wrong options"))
+def test_wrong_options_say_what_to_type(options: dict[str, Any], said: str, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", recording("tf"))
+    with pytest.raises(pc2scan.Pc2ScanError) as caught:
+        pc2scan.convert(path, tmp_path / "b.mcap", **options)
+    assert said in f"{caught.value} {caught.value.hint}"
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_a_trajectory_of_another_time_is_refused_with_the_offset(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", recording())
+    poses = tmp_path / "p.tum"
+    poses.write_text("".join(f"{step / 10} {step} 0 0 0 0 0 1\n" for step in range(9)), encoding="utf-8")
+    how: dict[str, Any] = {"trajectory": poses, "trajectory_frames": "odom:base_link", "target_frame": "odom"}
+    with pytest.raises(UsageError, match="no pose is of the time of a message") as caught:
+        converted(path, "b", **how)
+    assert "its times count from its beginning" in str(caught.value.hint)
+    typed = str(caught.value.hint).split("`time_offset=")[1].split("`")[0]
+    out, report = converted(path, "b", **how, time_offset=typed)
+    assert len(messages(out, "/scan")) == 5
+    assert not report.skipped
+
+
+# --- What info finds ---
+
+
+#: What a lidar's clock is ahead of the transforms, and what info says and proposes.
+CLOCKS = {
+    "since its start": (-1_699_999_000 * SECOND, "its clock counts from its start", "auto"),
+    "TAI": (37 * SECOND, "PTP counts TAI, which is 37 s ahead of UTC", "-37s"),
+    "GPS": (18 * SECOND, "GPS time is 18 s ahead of UTC", "-18s"),
+    "another year": (-315_360_000 * SECOND, "its clock says", "auto"),
+    "seconds": (-3 * SECOND, "3 s behind those of /tf", "auto"),
+}
+
+
+@pytest.mark.parametrize("name", CLOCKS)
+def test_info_says_which_clock_a_lidar_has_and_proposes_the_option(name: str, tmp_path: Path) -> None:
+    offset_ns, said, proposed = CLOCKS[name]
+    path = write_mcap(tmp_path / "a.mcap", recording("tf", offset_ns=offset_ns))
+    found = pc2scan.info(path)
+    (warning,) = (text for text in found.warnings if "the stamps of" in text)
+    assert said in warning
+    assert f"`time_offset={proposed}`" in warning
+    (call,) = found.proposals
+    assert call.options["time_offset"] == proposed
+    # What is proposed is right.
+    out, report = converted(path, "b", **call.options)
+    assert len(messages(out, "/scan")) == 5
+    assert not any("clock" in text for text in report.warnings)
+
+
+@pytest.mark.parametrize("offset_ns", [0, -300_000_000])
+def test_a_sound_clock_is_no_finding(offset_ns: int, tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", recording("tf", offset_ns=offset_ns))
+    found = pc2scan.info(path)
+    assert not found.warnings
+    assert all("time_offset" not in call.options for call in found.proposals)
+
+
+def test_a_recording_that_was_played_back_has_one_clock(tmp_path: Path) -> None:
+    """All its stamps are a year before its log times."""
+    made = recording("tf")
+    year_ns = 31_536_000 * SECOND
+    later = replace(made, items=tuple(replace(each, log_time_ns=each.log_time_ns + year_ns) for each in made.items))
+    assert not pc2scan.info(write_mcap(tmp_path / "a.mcap", later)).warnings
+    alone = recording("odometry", offset_ns=0)
+    later = replace(alone, items=tuple(replace(each, log_time_ns=each.log_time_ns + year_ns) for each in alone.items))
+    assert not pc2scan.info(write_mcap(tmp_path / "b.mcap", later)).warnings

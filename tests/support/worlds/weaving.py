@@ -1,0 +1,96 @@
+"""A simulated robot that weaves, and odometry of it that is not as it should be: late, rough, with another scale."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from pc2scan.core.rigid import Rigid
+from support.worlds.moving import Drive, Lidar, write_world
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["REAR", "RINGS", "Fault", "Weaving", "write_weaving"]
+
+
+@dataclass(frozen=True, slots=True)
+class Weaving(Drive):
+    """A robot that turns to and fro by 0.8 rad, ``hertz`` times a second, on its way through the room."""
+
+    hertz: float = 0.4
+
+    def angles(self, times: Floats) -> tuple[Floats, Floats, Floats]:
+        """Roll, pitch and yaw; see `Drive`."""
+        phase = 2 * math.pi * self.tilt_hz * times
+        yaw = 0.8 * np.sin(2 * math.pi * self.hertz * times)
+        return self.tilt * np.sin(phase), self.tilt * np.cos(phase), yaw
+
+    def positions(self, times: Floats) -> Floats:
+        """Where base_link is in odom; see `Drive`."""
+        return np.stack([0.8 * np.sin(0.8 * times), 0.5 * np.cos(0.5 * times), 0 * times], axis=1)
+
+
+#: A lidar with sixteen rings, and one that looks to the rear.
+RINGS = Lidar(elevations=tuple(np.linspace(-15, 15, 16).tolist()), columns=600)
+REAR = replace(RINGS, topic="/rear", frame="rear", mount=Rigid.from_rpy(0.0, 0.0, math.pi, (-0.3, 0.0, 0.5)))
+
+
+class Fault(NamedTuple):
+    """What is wrong with odometry.
+
+    Attributes
+    ----------
+    late
+        Seconds by which its poses are older than their stamps.
+    metres, degrees
+        The standard deviations of its noise.
+    scale
+        The share of the yaw that it measures.
+    is_level
+        Whether it has no roll and pitch.
+    """
+
+    late: float = 0.0
+    metres: float = 0.0
+    degrees: float = 0.0
+    scale: float = 1.0
+    is_level: bool = False
+
+
+_SOUND = Fault()
+_WEAVING = Weaving()
+
+
+def write_weaving(
+    path: Path,
+    lidars: Sequence[Lidar] | None = None,
+    fault: Fault = _SOUND,
+    drive: Drive = _WEAVING,
+    *,
+    odometry_hz: float = 100.0,
+    frames: Callable[[str], str] = str,
+) -> Path:
+    """Write three seconds of a robot that drives, with odometry that has a fault."""
+
+    def odometry(time: float) -> Rigid:
+        at = np.array([time - fault.late])
+        roll, pitch, yaw = (
+            0.0 if fault.is_level and axis < 2 else float(drive.angles(at)[axis][0]) for axis in range(3)
+        )
+        random = np.random.default_rng(round((time + 10) * 1e6))
+        dx, dy, turned = (random.normal(0, 1, 3) * (fault.metres, fault.metres, math.radians(fault.degrees))).tolist()
+        x, y, _ = drive.positions(at)[0].tolist()
+        return Rigid.from_rpy(roll, pitch, fault.scale * yaw + turned, (x + dx, y + dy, 0.0))
+
+    return write_world(
+        path, lidars or [RINGS], drive, seconds=3.0, odometry_hz=odometry_hz, odometry=odometry, frames=frames
+    )

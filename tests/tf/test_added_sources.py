@@ -1,0 +1,324 @@
+"""Poses of topics and files, and robots' models, as transforms: the same scans as with the same transforms on /tf."""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+import pc2scan
+from pc2scan.bags.opening import open_recording
+from pc2scan.core.rigid import Rigid
+from pc2scan.errors import Pc2ScanError, UsageError, stamp_text
+from support.builders import STRING, T0, Item, Stream, item, string, write_mcap, write_rosbag1
+from support.tables import rows
+from support.worlds.posed import KINDS, SAMPLES, message, pose_at, recording
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from support.builders import Recording
+
+TABLES = Path(__file__).with_name("added_sources.txt")
+
+HEIGHTS: dict[str, Any] = {"min_height": -20.0, "max_height": 20.0}
+WRITERS: dict[str, Any] = {"mcap": write_mcap, "bag": write_rosbag1}
+
+
+def scans_of(path: Path, **options: Any) -> list[tuple[int, str, bytes]]:
+    """The scans of a recording's clouds in odom."""
+    return read(pc2scan.scans(path, "/points", **({"target_frame": "odom"} | HEIGHTS | options)))
+
+
+def read(stream: pc2scan.Scans) -> list[tuple[int, str, bytes]]:
+    """Stamps, frames and ranges; a scan in odom is not what SLAM wants, which is a warning."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pc2scan.RecordingWarning)
+        return [(scan.stamp_ns, scan.frame, scan.ranges.tobytes()) for scan in stream]
+
+
+def rigid(pose: Sequence[float]) -> Rigid:
+    return Rigid(np.array(pose[3:]), np.array(pose[:3]))
+
+
+def is_pose(tree: pc2scan.FrameTree, stamp_ns: int) -> bool:
+    """Whether the robot is where it drives. At the stamp of a sample, too, tf2 interpolates."""
+    return np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-12)
+
+
+def are_near(one: tuple[int, str, bytes], other: tuple[int, str, bytes], rtol: float = 1e-5) -> bool:
+    """Whether nearly all ranges of two scans are the same; a point at the edge of a beam may be in the next one."""
+    a, b = (np.frombuffer(each[2], np.float32) for each in (one, other))
+    return one[:2] == other[:2] and float(np.isclose(a, b, rtol=rtol).mean()) > 0.99
+
+
+def written(folder: Path, made: Recording, name: str = "a", suffix: str = "mcap") -> Path:
+    path: Path = WRITERS[suffix](folder / f"{name}.{suffix}", made)
+    return path
+
+
+@pytest.fixture
+def by_tf(tmp_path: Path) -> list[tuple[int, str, bytes]]:
+    found = scans_of(written(tmp_path, recording("tf"), "tf"))
+    assert len({ranges for _, _, ranges in found}) == 5
+    return found
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "tf"])
+def test_poses_of_a_topic_are_transforms_to_the_bit(
+    kind: str, suffix: str, tmp_path: Path, by_tf: list[tuple[int, str, bytes]]
+) -> None:
+    path = written(tmp_path, recording(kind), kind, suffix)
+    frame = ":base_link" if kind in ("pose", "covariance") else ""
+    assert scans_of(path, odom_topic=f"/{kind}{frame}") == by_tf
+    # Typed frames replace those of the messages.
+    other = written(tmp_path, recording(kind, frames=("world", "robot")), "other", suffix)
+    assert scans_of(other, odom_topic=f"/{kind}:odom:base_link") == by_tf
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_the_output_has_the_transforms_that_were_used(suffix: str, tmp_path: Path) -> None:
+    source = written(tmp_path, recording("odometry"), "odometry", suffix)
+    out = tmp_path / f"out.{suffix}"
+    report = pc2scan.convert(source, out, target_frame="base_link", odom_topic="/odometry", **HEIGHTS)
+    (entry,) = (topic for topic in report.topics if topic.action == "added")
+    assert (entry.topic, entry.target, entry.messages_in, entry.messages_out) == ("/odometry", "/tf", 16, 16)
+    frames = pc2scan.tf(out)
+    expected = pc2scan.tf(written(tmp_path, recording("tf"), "tf", suffix))
+    assert not frames.warnings
+    for stamp_ns in (*SAMPLES, SAMPLES[2] + 7):
+        assert frames.lookup("odom", "lidar", stamp_ns).pose == expected.lookup("odom", "lidar", stamp_ns).pose
+    times = {name: [log for topic, log in _log_times(out) if topic == name] for name in ("/odometry", "/tf")}
+    assert times["/odometry"] == times["/tf"]
+    assert len(times["/tf"]) == 16
+
+
+def _log_times(path: Path) -> list[tuple[str, int]]:
+    with closing(open_recording(path)) as reader:
+        return [(message.connection.topic, message.log_time_ns) for message in reader.messages()]
+
+
+def test_a_needed_frame_that_no_transform_has_is_found(tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
+    path = written(tmp_path, recording("odometry"), "odometry")
+    stream = pc2scan.scans(path, target_frame="odom", **HEIGHTS)
+    assert read(stream) == by_tf
+    assert any("the poses of /odometry are used (base_link in odom)" in note for note in stream.notes)
+    # Nothing is taken that was not needed: wrong odometry beside good transforms changes nothing.
+    both = written(tmp_path, recording("tf", "odometry", pose=pose_at), "both")
+    assert scans_of(both) == by_tf
+    report = pc2scan.convert(both, tmp_path / "out.mcap", target_frame="odom", **HEIGHTS)
+    assert not [topic for topic in report.topics if topic.action == "added"]
+    # Consumers read transforms alone.
+    assert pc2scan.check(pc2scan_out(tmp_path, path)).exit_status in (0, 1)
+
+
+def pc2scan_out(folder: Path, path: Path) -> Path:
+    out = folder / "scans.mcap"
+    pc2scan.convert(path, out, target_frame="base_link", **HEIGHTS)
+    return out
+
+
+def test_two_topics_with_a_missing_frame_are_not_guessed_among(tmp_path: Path) -> None:
+    path = written(tmp_path, recording("odometry", "transform"))
+    with pytest.raises(Pc2ScanError, match="no transform has the frame 'odom'") as caught:
+        scans_of(path)
+    assert str(caught.value.hint).startswith("`odom_topic=/odometry` uses the poses")
+    unnamed = written(tmp_path, recording("pose"), "unnamed")
+    with pytest.raises(Pc2ScanError, match="no transform has the frame 'odom'") as caught:
+        scans_of(unnamed)
+    assert str(caught.value.hint).startswith("`odom_topic=/pose:base_link` uses the poses")
+    tree = pc2scan.tf(path)
+    assert tree.frames
+    check = pc2scan.info(path, target_frame="odom")
+    assert sum("has poses of base_link in odom" in text for text in check.warnings) == 2
+
+
+def test_poses_of_a_topic_replace_other_transforms(tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
+    """Wheels on /tf, laser odometry as a topic: the named topic is used, and written instead."""
+    wheels = recording("tf", pose=lambda _: (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0))
+    laser = recording("odometry")
+    odometry = [each for each in laser.items if each.stream.topic == "/odometry"]
+    extra = [each for each in wheels.items if each.stream.topic == "/tf"]
+    path = written(tmp_path, recording(extra=[*extra, *odometry]))
+    assert scans_of(path) != by_tf
+    assert scans_of(path, odom_topic="/odometry") == by_tf
+    out = tmp_path / "out.mcap"
+    report = pc2scan.convert(path, out, target_frame="odom", odom_topic="/odometry", **HEIGHTS)
+    assert "/odometry replaces the transforms of base_link in odom" in report.notes
+    assert is_pose(pc2scan.tf(out), SAMPLES[3])
+    assert pc2scan.tf(out).frames[0].transforms == len(SAMPLES)
+
+
+def test_odometry_of_a_mounted_lidar_moves_the_robot(tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
+    mount = rigid((0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0))
+
+    def of_lidar(stamp_ns: int) -> Sequence[float]:
+        pose = pose_at(stamp_ns)
+        return rigid(pose).compose(mount).pose
+
+    path = written(tmp_path, recording("odometry", frames=("odom", "lidar"), pose=of_lidar))
+    tree = pc2scan.tf(path, odom_topic="/odometry")
+    for stamp_ns in SAMPLES:
+        assert np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-12)
+    found = scans_of(path, odom_topic="/odometry")
+    for one, other in zip(found, by_tf, strict=True):
+        assert are_near(one, other)
+
+
+# --- Trajectories ---
+
+
+def _tum(path: Path, text: str = "{stamp} {pose}\n") -> Path:
+    lines = [text.format(stamp=stamp_text(each), pose=" ".join(map(repr, pose_at(each)))) for each in SAMPLES]
+    path.write_text("# stamp x y z qx qy qz qw\n" + "".join(lines), encoding="utf-8")
+    return path
+
+
+def _kitti(folder: Path) -> dict[str, Any]:
+    matrices = [rigid(pose) for pose in map(pose_at, SAMPLES)]
+    rows = [np.column_stack([each.matrix, each.translation]).ravel().tolist() for each in matrices]
+    poses, times = folder / "poses.txt", folder / "times.txt"
+    poses.write_text("\n".join(" ".join(map(repr, row)) for row in rows), encoding="utf-8")
+    times.write_text("\n".join(map(str, SAMPLES)), encoding="utf-8")
+    return {"trajectory": poses, "trajectory_times": times}
+
+
+FRAMES: dict[str, Any] = {"trajectory_frames": "odom:base_link"}
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_a_trajectory_is_transforms(suffix: str, tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
+    path = written(tmp_path, recording(), suffix=suffix)
+    tum: dict[str, Any] = {"trajectory": _tum(tmp_path / "poses.tum")}
+    assert scans_of(path, **tum, **FRAMES) == by_tf
+    for one, other in zip(scans_of(path, **_kitti(tmp_path), **FRAMES), by_tf, strict=True):
+        assert are_near(one, other, rtol=1e-5)
+    out = tmp_path / f"out.{suffix}"
+    report = pc2scan.convert(path, out, target_frame="base_link", **tum, **FRAMES, **HEIGHTS)
+    (entry,) = (topic for topic in report.topics if topic.action == "added")
+    # From the last pose before the recording to the first one after it.
+    assert entry.target == "/tf"
+    assert entry.messages_out == 14
+    assert is_pose(pc2scan.tf(out), SAMPLES[5])
+    times = [log for _, log in _log_times(out)]
+    assert times == sorted(times)
+
+
+def test_evo_writes_what_is_read(tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
+    """Its stamps are float64, to a quarter of a microsecond."""
+    tools = pytest.importorskip("evo.tools.file_interface")
+    read = tools.read_tum_trajectory_file(str(_tum(tmp_path / "poses.tum")))
+    tools.write_tum_trajectory_file(tmp_path / "evo.tum", read)
+    path = written(tmp_path, recording())
+    for one, other in zip(scans_of(path, trajectory=tmp_path / "evo.tum", **FRAMES), by_tf, strict=True):
+        assert are_near(one, other, rtol=1e-4)
+    tools.write_kitti_poses_file(tmp_path / "evo.txt", read)
+    how: dict[str, Any] = {"trajectory": tmp_path / "evo.txt", "trajectory_times": _kitti(tmp_path)["trajectory_times"]}
+    tree = pc2scan.tf(path, **how, **FRAMES)
+    for stamp_ns in SAMPLES:
+        assert np.allclose(tree.lookup("odom", "base_link", stamp_ns).pose, pose_at(stamp_ns), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("content", "said"), rows(TABLES, "wrong files"))
+def test_a_wrong_trajectory_is_refused_with_its_line(content: str, said: str, tmp_path: Path) -> None:
+    path = written(tmp_path, recording())
+    (tmp_path / "p.txt").write_text(content, encoding="utf-8")
+    with pytest.raises(UsageError) as caught:
+        pc2scan.tf(path, trajectory=tmp_path / "p.txt", **FRAMES)
+    assert said in f"{caught.value} {caught.value.hint}"
+    assert "p.txt" in str(caught.value)
+
+
+# --- The robot's model ---
+
+MODEL = """<?xml version="1.0"?>
+<robot name="r">
+  <link name="base_link"/><link name="lidar"/>
+  <joint name="mount" type="fixed">
+    <parent link="base_link"/><child link="lidar"/>
+    <origin xyz="0 0 0.5" rpy="0 0 0"/>
+  </joint>
+  <joint name="wheel_joint" type="continuous"><parent link="base_link"/><child link="wheel"/></joint>
+</robot>
+"""
+
+
+def described(text: str) -> Item:
+    stream = Stream("/robot_description", STRING, latched=True)
+    return item(stream, SAMPLES[0] - 7, lambda version, _: string(text, version))
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_a_models_fixed_joints_are_static_transforms(
+    suffix: str, tmp_path: Path, by_tf: list[tuple[int, str, bytes]]
+) -> None:
+    (tmp_path / "robot.urdf").write_text(MODEL, encoding="utf-8")
+    bare = written(tmp_path, recording("tf", mounted=False), "bare", suffix)
+    with pytest.raises(Pc2ScanError, match="no transform has the source frame 'lidar'"):
+        scans_of(bare)
+    assert scans_of(bare, urdf=tmp_path / "robot.urdf") == by_tf
+    known = written(tmp_path, recording("tf", mounted=False, extra=[described(MODEL)]), "known", suffix)
+    stream = pc2scan.scans(known, target_frame="odom", **HEIGHTS)
+    assert read(stream) == by_tf
+    assert any("1 fixed joint of /robot_description is used: lidar in base_link" in note for note in stream.notes)
+    # The recording's own transforms win.
+    other = MODEL.replace("0 0 0.5", "3 4 5")
+    assert scans_of(written(tmp_path, recording("tf", extra=[described(other)]), "own", suffix)) == by_tf
+    out = tmp_path / f"out.{suffix}"
+    pc2scan.convert(known, out, target_frame="base_link", write_static_tf=True, **HEIGHTS)
+    assert pc2scan.tf(out).lookup("base_link", "lidar").translation.tolist() == [0, 0, 0.5]
+
+
+@pytest.mark.parametrize(("content", "said"), rows(TABLES, "wrong models"))
+def test_a_wrong_model_is_refused_in_a_file_and_passed_over_in_a_recording(
+    content: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "r.urdf").write_text(content, encoding="utf-8")
+    path = written(tmp_path, recording("tf", extra=[described(content)]))
+    with pytest.raises(UsageError) as caught:
+        pc2scan.tf(path, urdf=tmp_path / "r.urdf")
+    assert said in f"{caught.value} {caught.value.hint}"
+    assert any(
+        text.startswith("/robot_description: the robot's model cannot be used") for text in pc2scan.tf(path).warnings
+    )
+
+
+# --- Hostile messages ---
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "tf"])
+def test_cut_messages_are_counted(kind: str, tmp_path: Path) -> None:
+    whole = {version: message(kind, version, 0, T0, ("odom", "base_link"), pose_at(T0)) for version in (1, 2)}
+    stream = Stream(f"/{kind}", KINDS[kind])
+    cut = [
+        Item(stream, T0 + size, {version: data[:size] for version, data in whole.items()})
+        for size in range(min(map(len, whole.values())))
+    ]
+    path = written(tmp_path, recording(kind, extra=cut))
+    tree = pc2scan.tf(path, odom_topic=f"/{kind}:odom:base_link")
+    assert is_pose(tree, SAMPLES[4])
+    assert any("cannot be decoded" in text for text in tree.warnings)
+
+
+def test_a_topic_without_messages_has_no_poses(tmp_path: Path) -> None:
+
+    made = recording("odometry")
+    path = written(
+        tmp_path, replace(made, items=tuple(each for each in made.items if each.stream.topic != "/odometry"))
+    )
+    with pytest.raises(Pc2ScanError, match="/odometry: has no poses"):
+        pc2scan.tf(path, odom_topic="/odometry")
+
+
+@pytest.mark.parametrize(("options", "said"), rows(TABLES, "wrong options"))
+def test_wrong_options_say_what_to_type(options: dict[str, Any], said: str, tmp_path: Path) -> None:
+    path = written(tmp_path, recording("odometry", "pose"))
+    with pytest.raises(Pc2ScanError) as caught:
+        pc2scan.tf(path, **options)
+    assert said in f"{caught.value} {caught.value.hint}"
