@@ -25,7 +25,7 @@ from pc2scan.messages.laserscan import decode_laserscan  # noqa: E402
 from support.worlds.moving import BEGIN_NS, WALLS, Drive, Lidar, off_the_walls, returns_in_odom, write_world  # noqa: E402  # not installed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
@@ -36,6 +36,16 @@ COMMON = (
 )  # fmt: skip
 DESKEW = ("--deskew", "--fixed-frame", "odom")
 GOOD, BAD = "#1f5fa8", "#d1342f"
+
+
+class CornerLidar(Lidar):
+    """A lidar at a corner of a robot, which hides a quarter of the room from it."""
+
+    def sweeps(self, seconds: float) -> Iterator[tuple[float, NDArray[np.float64], NDArray[np.float64]]]:
+        """When each message begins, the times of its rays after that, and their directions (N, 3)."""
+        for begin, times, directions in super().sweeps(seconds):
+            seen = np.arctan2(np.abs(directions[:, 1]), directions[:, 0]) < np.radians(135)
+            yield begin, times[seen], directions[seen]
 
 
 @dataclass(frozen=True)
@@ -67,12 +77,12 @@ ROBOTS = (
     Robot(
         Drive(speed=1.5, turn=1.0),
         (
-            Lidar("/front", "front", Rigid.from_rpy(0.0, 0.0, 0.0, (0.3, 0.0, 0.5)), kind="rosette"),
-            Lidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, np.pi, (-0.3, 0.0, 0.5)), kind="rosette", phase=0.03),
+            CornerLidar("/front", "front", Rigid.from_rpy(0.0, 0.0, np.pi / 4, (0.4, 0.3, 0.5))),
+            CornerLidar("/rear", "rear", Rigid.from_rpy(0.0, 0.0, -3 * np.pi / 4, (-0.4, -0.3, 0.5)), phase=0.03),
         ),
         ("--topic", "/front:=/scan"),
         ("--topic", "/front:=/scan", "--topic", "/rear:=/scan", *DESKEW),
-        ("one of two lidars", "--topic /front:=/scan --topic /rear:=/scan\n--deskew --fixed-frame odom"),
+        ("one of two lidars, at a corner", "--topic /front:=/scan --topic /rear:=/scan\n--deskew --fixed-frame odom"),
     ),
 )
 

@@ -125,6 +125,11 @@ def test_advice_about_several_tilted_sensors_reads_the_transforms_once(
     assert max(decompressed.values()) == 2
 
 
+def test_info_reads_each_chunk_once(drive: Path, decompressed: Counter[int]) -> None:
+    assert pc2scan.info(drive).proposals
+    assert max(decompressed.values()) == 1
+
+
 def test_scans_in_python_are_made_in_two_readings_as_well(drive: Path, decompressed: Counter[int]) -> None:
     options: dict[str, Any] = {"topics": "/front", **DESKEWED, **LEVEL, "scan_time": "auto", "beams": "auto"}
     assert list(pc2scan.scans(drive, **options))

@@ -1,124 +1,105 @@
-"""Samples of many topics, against the plain way: one look-up in the recording for each sample."""
+"""Samples of many topics, against the plain way: the first message of each part of the time."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pc2scan.bags.observers import Observer, Spread, observe
+from pc2scan.bags.units import Unit
 from pc2scan.inspect.sampling import sampled
-from pc2scan.model import Connection, RawMessage, Summary
+from pc2scan.model import Connection, RawMessage, copied_message
+from support.memory_reader import MemoryReader
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Callable, Collection, Iterator
 
-#: Bytes of a chunk.
-CHUNK = 1_000
+    from pc2scan.model import ChunkRule
 
-
-class Recording:
-    """Messages in chunks of some, each of which tells the topics in it; stands in for a reader."""
-
-    def __init__(self, rows: list[tuple[int, str]], in_a_chunk: int, *, starts_anew: bool = False) -> None:
-        self.connections = {
-            name: Connection(n, name, "t", "cdr") for n, name in enumerate(sorted({r[1] for r in rows}))
-        }
-        rows = sorted(rows, key=lambda row: row[0])
-        self.chunks = [rows[start : start + in_a_chunk] for start in range(0, len(rows), in_a_chunk)]
-        self.bytes_read = self.loads = self.streams = 0
-        self.starts_anew = starts_anew
-        size = CHUNK * len(self.chunks)
-        self.summary = Summary("mcap", "", ("none",), size, len(rows), rows[0][0], rows[-1][0])
-
-    def messages(
-        self, connections: Collection[Connection] | None = None, start_ns: int | None = None, stop_ns: int | None = None
-    ) -> Iterator[RawMessage]:
-        assert connections is not None
-        wanted = {connection.topic for connection in connections}
-        self.streams += 1
-        if self.starts_anew:
-            self.bytes_read = 0
-        for chunk in self.chunks:
-            if stop_ns is not None and chunk[0][0] >= stop_ns:
-                return
-            if chunk[-1][0] < (start_ns or 0) or wanted.isdisjoint(name for _, name in chunk):
-                continue
-            self.bytes_read += CHUNK
-            self.loads += 1
-            for n, (time_ns, name) in enumerate(chunk):
-                if name in wanted and time_ns >= (start_ns or 0) and (stop_ns is None or time_ns < stop_ns):
-                    yield RawMessage(self.connections[name], time_ns, b"%d" % n, time_ns)
-
-    def sampled(self, samples: int) -> list[tuple[str, int, bytes]]:
-        topics: dict[str, Any] = {name: [connection] for name, connection in self.connections.items()}
-        start_ns, end_ns = self.summary.start_ns, self.summary.end_ns
-        assert start_ns is not None
-        assert end_ns is not None
-        found = sampled(self, topics, samples, start_ns, end_ns)  # type: ignore[arg-type]  # all that is needed of one
-        return [(m.connection.topic, m.log_time_ns, bytes(m.data)) for m in found]
-
-    def one_by_one(self, samples: int) -> list[tuple[str, int, bytes]]:
-        start_ns, end_ns = self.summary.start_ns or 0, self.summary.end_ns or 0
-        taken = []
-        for name, connection in self.connections.items():
-            seen = start_ns - 1
-            for step in range(samples):
-                begin = max(start_ns + (end_ns - start_ns) * step // samples, seen + 1)
-                message = next(self.messages([connection], begin), None)
-                if message is None:
-                    break
-                seen = message.log_time_ns
-                taken.append((name, seen, bytes(message.data)))
-        return taken
+NAMES = "abcd"
+CONNECTIONS = [Connection(number, name, "t", "cdr") for number, name in enumerate(NAMES)]
 
 
-@given(
-    rows=st.lists(st.tuples(st.integers(0, 60), st.sampled_from("aaaabbcd")), min_size=1, max_size=120),
-    in_a_chunk=st.integers(1, 40),
-    samples=st.integers(1, 12) | st.sampled_from([1000, 10**30]),
-    starts_anew=st.booleans(),
-)
-def test_the_same_samples_as_one_by_one(
-    rows: list[tuple[int, str]], in_a_chunk: int, samples: int, starts_anew: bool
+class Chunks(MemoryReader):
+    """Messages in chunks of some, which overlap in time; it counts how often each is loaded."""
+
+    has_chunks = True
+
+    def __init__(self, rows: list[tuple[int, int, bytes]], in_a_chunk: int) -> None:
+        super().__init__(Path("made"), CONNECTIONS, rows)
+        # Not sorted: chunks may overlap.
+        self.chunks = [rows[begin : begin + in_a_chunk] for begin in range(0, len(rows), in_a_chunk)]
+        self.loads = [0] * len(self.chunks)
+
+    def units(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> Iterator[Unit]:
+        del rule
+        wanted = {each.id for each in (self.connections if connections is None else connections)}
+
+        def held(row: tuple[int, int, bytes]) -> bool:
+            return row[0] in wanted and (start_ns or 0) <= row[1] and (stop_ns is None or row[1] < stop_ns)
+
+        def load(number: int) -> Any:
+            def loaded(callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:
+                assert not whole
+                self.loads[number] += 1
+                rows = filter(held, self.chunks[number])
+                return [callback(RawMessage(CONNECTIONS[own], time, data, time)) for own, time, data in rows]
+
+            return loaded
+
+        listed = [number for number, chunk in enumerate(self.chunks) if any(map(held, chunk))]
+        listed.sort(key=lambda number: min(time for _, time, _ in self.chunks[number]))
+        for number in listed:
+            yield Unit(min(time for _, time, _ in self.chunks[number]), (number,), 100, load(number))
+
+
+def one_by_one(rows: list[tuple[int, int, bytes]], samples: int, stop_ns: int) -> list[tuple[int, bytes]]:
+    parts = min(samples, stop_ns)
+    found: list[tuple[int, bytes]] = []
+    for own in range(len(NAMES)):
+        first: dict[int, tuple[int, bytes]] = {}
+        for _, time, data in sorted((row for row in rows if row[0] == own), key=lambda row: row[1]):
+            first.setdefault(time * parts // stop_ns, (own, data))
+        found += first.values()
+    return sorted(found)
+
+
+ROWS = st.lists(st.tuples(st.integers(0, len(NAMES) - 1), st.integers(0, 60)), min_size=1, max_size=80)
+
+
+@given(times=ROWS, in_a_chunk=st.integers(1, 20), samples=st.integers(1, 12) | st.just(10**30))
+def test_samples_are_the_first_messages_of_equal_parts(
+    times: list[tuple[int, int]], in_a_chunk: int, samples: int
 ) -> None:
-    recording = Recording(rows, in_a_chunk, starts_anew=starts_anew)
-    found = recording.sampled(samples)
-    assert found == sorted(found, key=lambda row: row[1])
-    assert sorted(found) == sorted(recording.one_by_one(samples))
+    rows = [(own, time, b"%d" % number) for number, (own, time) in enumerate(times)]
+    topics = {each.topic: [each] for each in CONNECTIONS}
+    for reader in (MemoryReader(Path("made"), CONNECTIONS, rows), Chunks(rows, in_a_chunk)):
+        found = list(sampled(reader, topics, samples, 0, 61))
+        assert [each.log_time_ns for each in found] == sorted(each.log_time_ns for each in found)
+        assert sorted((each.connection.id, bytes(each.data)) for each in found) == one_by_one(rows, samples, 61)
+        if isinstance(reader, Chunks):
+            assert max(reader.loads) <= 1
 
 
-def test_most_of_a_long_recording_is_not_read() -> None:
-    rows = [(10 * n, name) for n in range(100_000) for name in "ab"]
-    recording = Recording(rows, 20)
-    assert len(recording.sampled(10)) == 20
-    assert recording.loads <= 20
+def test_chunks_between_the_samples_are_not_loaded() -> None:
+    rows = [(0, time, b"") for time in range(100)]
+    reader = Chunks(rows, 5)
+    observer = Observer(CONNECTIONS, copied_message, start_ns=0, stop_ns=100, spread=Spread(0, 100, 4))
+    observe(reader, [observer])
+    assert [each.log_time_ns for each in observer.found] == [0, 25, 50, 75]
+    assert sum(reader.loads) == 4
 
 
-def test_a_rare_topic_is_found_by_the_index() -> None:
-    rows = [(10 * n, "common") for n in range(100_000)] + [(0, "rare"), (700_001, "rare")]
-    recording = Recording(rows, 20)
-    assert [row for row in recording.sampled(10) if row[0] == "rare"] == [("rare", 0, b"1"), ("rare", 700_001, b"2")]
-    assert recording.loads <= 60
-
-
-def test_one_chunk_is_read_a_few_times_whatever_the_topics() -> None:
-    for topics in (1, 10, 1_000, 2_000):
-        recording = Recording([(n, f"/{n % topics}") for n in range(2_000)], 2_000)
-        assert len(recording.sampled(10)) == min(10 * topics, 2_000)
-        assert recording.loads <= 4
-
-
-def test_many_topics_in_many_chunks_are_read_a_few_times() -> None:
-    recording = Recording([(n, f"/{n % 3_000}") for n in range(30_000)], 10)
-    assert len(recording.sampled(10)) == 30_000
-    assert recording.loads <= 3 * len(recording.chunks)
-
-
-@pytest.mark.parametrize("samples", [10, 10_000])
-def test_more_samples_than_messages_need_few_streams(samples: int) -> None:
-    """Two chunks have messages of one time: a stream that begins there reads the first one again."""
-    recording = Recording([(3, "b"), (6, "a"), (6, "a")], 1, starts_anew=True)
-    assert recording.sampled(samples) == [("b", 3, b"0"), ("a", 6, b"0")]
-    assert recording.streams <= 4
+def test_all_messages_are_samples_if_there_are_no_more() -> None:
+    assert Spread.of(0, 100, samples=5, messages=5) is None
+    assert Spread.of(0, 100, samples=5, messages=6) == Spread(0, 100, 5)
+    assert Spread.of(0, 3, samples=5) == Spread(0, 3, 3)

@@ -17,14 +17,49 @@ from pc2scan.model import RawMessage, copied_message
 from .units import FirstTimes, Handle, merge_by_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Sequence
+    from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+    from collections.abc import Set as AbstractSet
 
     from pc2scan.model import Connection
 
     from .reader import Reader
     from .units import Loaded, Unit
 
+#: Units are listed for each part, to skip those between; of more parts, all units are read.
+_MOST_PARTS = 1_000
+
 _Value = TypeVar("_Value")
+
+
+class Spread(NamedTuple):
+    """Equal parts of a time, of each of which the first message is wanted.
+
+    Attributes
+    ----------
+    start_ns, stop_ns
+        The time: ``start_ns <= log_time_ns < stop_ns``.
+    parts
+        How many parts it has.
+    """
+
+    start_ns: int
+    stop_ns: int
+    parts: int
+
+    @classmethod
+    def of(cls, start_ns: int, stop_ns: int, samples: int, messages: int | None = None) -> Spread | None:
+        """Return the parts for so many samples; None if all messages are wanted, because there are no more of them."""
+        if messages is not None and samples >= messages:
+            return None
+        return cls(start_ns, stop_ns, max(1, min(samples, stop_ns - start_ns)))
+
+    def part_of(self, time_ns: int) -> int:
+        """Return the part that a time is in."""
+        return (time_ns - self.start_ns) * self.parts // (self.stop_ns - self.start_ns)
+
+    def begin_ns(self, part: int) -> int:
+        """Return the first time of a part."""
+        return self.start_ns - (self.start_ns - self.stop_ns) * part // self.parts
 
 
 @dataclass(slots=True, eq=False)
@@ -43,6 +78,8 @@ class Observer(Generic[_Value]):
         How many messages are wanted; None: all.
     start_ns, stop_ns
         Only messages with ``start_ns <= log_time_ns < stop_ns``; None: no limit.
+    spread
+        Only the first message of each of these parts is wanted; None: of no parts.
     keep
         Receives the values, in the order of log time; None: `found` does.
     is_needless
@@ -56,17 +93,20 @@ class Observer(Generic[_Value]):
     most: int | None = None
     start_ns: int | None = None
     stop_ns: int | None = None
+    spread: Spread | None = None
     keep: Callable[[_Value], object] | None = None
     is_needless: Callable[[], bool] | None = None
     found: list[_Value] = field(default_factory=list)
     _count: int = 0
     _first: FirstTimes | None = None
     _has_ended: bool = False
+    _earliest: dict[int, int] = field(default_factory=dict)
+    _filled: set[int] = field(default_factory=set)
 
     @property
-    def selection(self) -> tuple[frozenset[int], int | None, int | None]:
-        """The ids of the connections, and the limits of the log time."""
-        return frozenset(each.id for each in self.connections), self.start_ns, self.stop_ns
+    def selection(self) -> tuple[frozenset[int], int | None, int | None, Spread | None]:
+        """The ids of the connections, the limits of the log time, and its parts."""
+        return frozenset(each.id for each in self.connections), self.start_ns, self.stop_ns, self.spread
 
     @property
     def is_done(self) -> bool:
@@ -74,14 +114,19 @@ class Observer(Generic[_Value]):
         return (
             self._has_ended
             or (self.most is not None and self._count >= self.most)
+            or (self.spread is not None and len(self._filled) == self.spread.parts)
             or (self.is_needless is not None and self.is_needless())
         )
 
     @property
     def takes_all_messages(self) -> bool:
         """Whether it takes all messages as they are."""
-        limits = (self.most, self.start_ns, self.stop_ns, self.is_needless)
-        return self.take is copied_message and limits == (None, None, None, None)
+        limits = (self.most, self.start_ns, self.stop_ns, self.spread, self.is_needless)
+        return self.take is copied_message and limits == (None,) * 5
+
+    def wants(self, parts: AbstractSet[int]) -> bool:
+        """Return whether a message of any of these parts is wanted."""
+        return not self.is_done and (self.spread is None or not parts <= self._filled)
 
     def end(self) -> None:
         """Note that there are no more messages."""
@@ -94,6 +139,11 @@ class Observer(Generic[_Value]):
             self.stop_ns is not None and time_ns >= self.stop_ns
         ):
             return None
+        if self.spread is not None:
+            part = self.spread.part_of(time_ns)
+            if part in self._filled or time_ns > self._earliest.setdefault(part, time_ns):
+                return None
+            self._earliest[part] = time_ns
         if self.most is not None:
             if self.is_done:
                 return None
@@ -106,8 +156,13 @@ class Observer(Generic[_Value]):
         except MessageError:
             return self, None
 
-    def add(self, value: _Value | None) -> bool:
+    def add(self, value: _Value | None, log_time_ns: int) -> bool:
         """Count the next message, and keep its value; return whether no more messages are wanted."""
+        if self.spread is not None:
+            part = self.spread.part_of(log_time_ns)
+            if part in self._filled:
+                return False
+            self._filled.add(part)
         if self.most is not None:
             if self.is_done:
                 return False
@@ -117,7 +172,7 @@ class Observer(Generic[_Value]):
                 self.found.append(value)
             else:
                 self.keep(value)
-        return self.most is not None and self.is_done
+        return (self.most is not None or self.spread is not None) and self.is_done
 
 
 class _Seen(NamedTuple):
@@ -178,11 +233,17 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Non
 
     sort_out()
     selections = {observer.selection: observer for observer in observers}
-    starts, stops = zip(*((start, stop) for _, start, stop in selections), strict=True)
-    is_wanted = _unit_filter(reader, observers) if len(selections) > 1 else lambda _: True
-    units = reader.units(
-        list(connections.values()), None if None in starts else min(starts), None if None in stops else max(stops)
-    )
+    starts, stops = zip(*((start, stop) for _, start, stop, _ in selections), strict=True)
+    is_wanted: Callable[[Unit], bool] = lambda _: True  # noqa: E731
+    spread = next((observer for observer in observers if observer.spread is not None), None)
+    if reader.has_chunks and (len(selections) > 1 or spread is not None):
+        is_wanted = _unit_filter(reader, observers)
+    if spread is not None and not reader.has_chunks:
+        units: Iterable[Unit] = _units_of_parts(reader, spread)
+    else:
+        units = reader.units(
+            list(connections.values()), None if None in starts else min(starts), None if None in stops else max(stops)
+        )
     # Twice: when units are announced to the system, and when they are due.
     chosen = (unit for unit in units if is_wanted(unit))
     loading = partial(_load_wanted, is_wanted)
@@ -194,24 +255,52 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Non
             assert isinstance(seen, _Seen)
             has_enough = False
             for observer, value in seen.values:
-                has_enough |= observer.add(value)
+                has_enough |= observer.add(value, seen.log_time_ns)
             if has_enough:
                 sort_out()
                 if not any(by_connection.values()):
                     return
 
 
+def _units_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Unit]:
+    """Yield the units of the parts of a recording with rows, up to the first message of each."""
+    spread = observer.spread
+    assert spread is not None
+    if spread.parts > _MOST_PARTS:
+        yield from reader.units(observer.connections, observer.start_ns, observer.stop_ns)
+        return
+    for part in range(spread.parts):
+        for unit in reader.units(observer.connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
+            if not observer.wants({part}):
+                break
+            yield unit
+
+
 def _unit_filter(reader: Reader, observers: Sequence[Observer[Any]]) -> Callable[[Unit], bool]:
     """Return a function that finds out whether an observer still wants messages of a unit."""
-    listed: dict[object, frozenset[tuple[int, ...]]] = {}
-    places: list[tuple[Observer[Any], frozenset[tuple[int, ...]]]] = []
+    listed: dict[object, dict[tuple[int, ...], set[int]]] = {}
+    places: list[tuple[Observer[Any], dict[tuple[int, ...], set[int]]]] = []
     for observer in observers:
         key = observer.selection
         if key not in listed:
-            units = reader.units(observer.connections, observer.start_ns, observer.stop_ns)
-            listed[key] = frozenset(unit.place for unit in units)
+            listed[key] = _parts_of_units(reader, observer)
         places.append((observer, listed[key]))
-    return lambda unit: any(unit.place in own and not observer.is_done for observer, own in places)
+    return lambda unit: any(unit.place in own and observer.wants(own[unit.place]) for observer, own in places)
+
+
+def _parts_of_units(reader: Reader, observer: Observer[Any]) -> dict[tuple[int, ...], set[int]]:
+    """Return the places of the units that an observer wants, with the parts that each may have messages of."""
+    spread, connections = observer.spread, observer.connections
+    if spread is None:
+        return {unit.place: set() for unit in reader.units(connections, observer.start_ns, observer.stop_ns)}
+    if spread.parts > _MOST_PARTS:
+        # Any part, which is never filled.
+        return {unit.place: {-1} for unit in reader.units(connections, observer.start_ns, observer.stop_ns)}
+    found: dict[tuple[int, ...], set[int]] = {}
+    for part in range(spread.parts):
+        for unit in reader.units(connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
+            found.setdefault(unit.place, set()).add(part)
+    return found
 
 
 def _load_wanted(

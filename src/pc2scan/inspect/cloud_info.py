@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -122,23 +122,18 @@ class CloudLook:
     Attributes
     ----------
     parts
-        These points, each (3, N), without those at (0, 0, 0) or with NaN.
+        These points once they are described, each (3, N), without those at (0, 0, 0) or with NaN.
     """
 
-    def __init__(self, topic: str, most: int, places: Placer) -> None:
-        self._result = CloudInfo(topic, target_frame=places.target_frame)
+    def __init__(self, topic: str, most: int) -> None:
+        self._result = CloudInfo(topic)
         self._most = most
-        self._places = places
         self.parts: list[NDArray[np.floating[Any]]] = []
-        self._frames: dict[str, None] = {}
         self._problems: dict[str, None] = {}
-        self._sizes: list[int] = []
-        self._zeros = 0
-        self._invalid = 0
+        self._sampled: list[_Sampled] = []
 
-    def add(self, message: RawMessage) -> None:
-        """Add a cloud."""
-        self._result.sampled += 1
+    def take(self, message: RawMessage) -> _Sampled | str:
+        """Return what is kept of a cloud, or why it cannot be described."""
         try:
             cloud = CLOUDS[message.connection.ros_type](message.connection.serialization)(message.data)
             coordinates = cloud.xyz()
@@ -148,31 +143,60 @@ class CloudLook:
                 points = np.stack([_as_floats(_thinned(c, step)) for c in coordinates])
                 # Points at the sensor are no returns, wherever the sensor is in the target frame.
                 zero = (points == 0).all(axis=0)
-            points = points[:, ~zero]
-            place = self._places.place(cloud.frame_id, cloud.stamp_ns)
-            if place.target_from_source is not None:
-                points = place.target_from_source.apply(points.T).T
-        except (DecodeError, TransformError) as err:
-            self._problems[f"{err.message} ({err.hint})" if err.hint else err.message] = None
-            return
-        if not self._sizes:
-            _describe(self._result, cloud, message)
-        self._frames[cloud.frame_id] = None
-        self._sizes.append(count)
-        invalid = np.isnan(points).any(axis=0)
-        self.parts.append(points[:, ~invalid] if invalid.any() else points)
-        self._zeros += int(zero.sum())
-        self._invalid += int(invalid.sum())
+            described = CloudInfo(self._result.topic)
+            _describe(described, cloud, message)
+        except DecodeError as err:
+            return _problem(err)
+        return _Sampled(cloud.frame_id, cloud.stamp_ns, count, points[:, ~zero], int(zero.sum()), described)
 
-    def described(self, mounting: Mounting | None) -> CloudInfo:
-        """Return the properties, with the mounting of the first clouds."""
+    def add(self, sampled: _Sampled | str) -> None:
+        """Add what was kept of a cloud."""
+        self._result.sampled += 1
+        if isinstance(sampled, str):
+            self._problems[sampled] = None
+        else:
+            self._sampled.append(sampled)
+
+    def described(self, places: Placer, mounting: Mounting | None) -> CloudInfo:
+        """Return the properties of the clouds in the frame of scans, with the mounting of the first clouds."""
         result = self._result
-        result.frames, result.problems = tuple(self._frames), tuple(self._problems)
-        if self._sizes:
-            result.points_min, result.points_max = min(self._sizes), max(self._sizes)
-            _measure(result, self.parts, self._invalid, self._zeros)
+        result.target_frame = places.target_frame
+        placed: list[_Sampled] = []
+        for each in self._sampled:
+            try:
+                place = places.place(each.frame_id, each.stamp_ns)
+            except TransformError as err:
+                self._problems[_problem(err)] = None
+                continue
+            points, transform = each.points, place.target_from_source
+            placed.append(each if transform is None else each._replace(points=transform.apply(points.T).T))
+        self._sampled.clear()
+        result.frames, result.problems = tuple(dict.fromkeys(each.frame_id for each in placed)), tuple(self._problems)
+        if placed:
+            first = placed[0].described
+            result.shape, result.point_step, result.fields = first.shape, first.point_step, first.fields
+            result.points_min = min(each.size for each in placed)
+            result.points_max = max(each.size for each in placed)
+            self.parts = [each.points[:, ~np.isnan(each.points).any(axis=0)] for each in placed]
+            invalid = sum(each.points.shape[1] - part.shape[1] for each, part in zip(placed, self.parts, strict=True))
+            _measure(result, self.parts, invalid, sum(each.zeros for each in placed))
             result.mounting = mounting
         return result
+
+
+class _Sampled(NamedTuple):
+    """What is kept of a cloud: its size, some of its points, (3, N), and how many are at (0, 0, 0)."""
+
+    frame_id: str
+    stamp_ns: int
+    size: int
+    points: NDArray[np.floating[Any]]
+    zeros: int
+    described: CloudInfo
+
+
+def _problem(err: DecodeError | TransformError) -> str:
+    return f"{err.message} ({err.hint})" if err.hint else err.message
 
 
 def _as_floats(column: NDArray[Any]) -> NDArray[np.floating[Any]]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from pc2scan.bags.destinations import default_destination
+from pc2scan.bags.observers import Observer
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.core.params import ProjectionParams
@@ -17,6 +18,7 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import UsageError, leading
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.messages.imu import IMU
+from pc2scan.model import copied_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
@@ -27,14 +29,12 @@ from pc2scan.tf.placing import FrameOptions, Placer
 
 from .cloud_info import CloudInfo, CloudLook
 from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, proposals
-from .sampling import sampled
+from .sampling import spread_over
 from .scan_info import ScanInfo, ScanLook
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
-
-    from numpy.typing import NDArray
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
@@ -295,8 +295,10 @@ def info(
         imus = [topic.topic for topic in topics if has_clouds and topic.msgtype == IMU and topic.messages]
         names = {each.topic for each in shown}
         connections = [each for each in reader.connections if each.topic in names and samples]
+        survey = Survey(reader, others, asked, Span(None, None, start_ns or 0))
+        looks = _looks(survey, shown, samples if connections else 0, start_ns, end_ns)
         found = _survey(
-            Survey(reader, others, asked, Span(None, None, start_ns or 0)),
+            survey,
             connections,
             imus,
             end_ns,
@@ -306,7 +308,11 @@ def info(
         )
         topics = [_with_own_rate(topic, found.facts, start_ns, end_ns) for topic in topics]
         shown = [topic for topic in topics if topic.topic in names and topic.msgtype in (*CLOUDS, *SCANS)]
-        clouds, scans, parts = _samples(reader, shown, samples, start_ns, end_ns, found.places, found.mountings())
+        mountings, rates = found.mountings(), {topic.topic: topic.rate_hz for topic in shown}
+        of_clouds = {topic: look for topic, look in looks.items() if isinstance(look, CloudLook)}
+        clouds = tuple(look.described(found.places, mountings.get(topic)) for topic, look in of_clouds.items())
+        of_scans = {topic: look for topic, look in looks.items() if isinstance(look, ScanLook)}
+        scans = tuple(look.described(rates[topic]) for topic, look in of_scans.items())
         warnings = [*found.warnings]
         if not any(topic.msgtype in {*CLOUDS, *SCANS} for topic in topics):
             from pc2scan.messages.other_clouds import instead_of_clouds  # noqa: PLC0415  # most recordings have clouds
@@ -320,7 +326,7 @@ def info(
                 found.facts[each.topic],
                 each.mounting,
                 found.buffer,
-                parts[each.topic],
+                of_clouds[each.topic].parts,
                 bool(each.zero_share),
                 seconds[each.topic],
             )
@@ -550,39 +556,33 @@ def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicI
     return [topic for topic in known if topic.topic in found] if names else known
 
 
-def _samples(
-    reader: Reader,
-    topics: Sequence[TopicInfo],
-    samples: int,
-    start_ns: int | None,
-    end_ns: int | None,
-    places: Placer,
-    mountings: Mapping[str, Mounting | None],
-) -> tuple[tuple[CloudInfo, ...], tuple[ScanInfo, ...], Mapping[str, Sequence[NDArray[Any]]]]:
-    """Return the properties of the clouds and scans of topics, and points of the clouds.
+def _looks(
+    survey: Survey, topics: Sequence[TopicInfo], samples: int, start_ns: int | None, end_ns: int | None
+) -> dict[str, CloudLook | ScanLook]:
+    """Ask for samples of each topic, spread over the recording; return what collects their properties.
 
-    A topic with both counts as one of clouds.
+    A topic with clouds and scans counts as one of clouds.
     """
     clouds = {topic.topic for topic in topics if topic.msgtype in CLOUDS}
-    scans = {topic.topic for topic in topics} - clouds
     connections: dict[str, list[Connection]] = {topic.topic: [] for topic in topics}
-    if not connections or start_ns is None or end_ns is None:
-        return (), (), {}
-    for connection in reader.connections:
-        wanted = clouds if connection.ros_type in CLOUDS else scans if connection.ros_type in SCANS else ()
-        if connection.topic in wanted:
+    if not connections or not samples or start_ns is None or end_ns is None:
+        return {}
+    for connection in survey.reader.connections:
+        kinds = CLOUDS if connection.topic in clouds else SCANS
+        if connection.topic in connections and connection.ros_type in kinds:
             connections[connection.topic].append(connection)
     # The points are in memory until all topics have been read: of as many messages as there are, not as were asked for.
-    taken = min(samples, max(topic.messages for topic in topics if topic.topic in connections))
+    taken = min(samples, max(topic.messages for topic in topics))
     most = min(_MAX_POINTS, _MAX_POINTS_HELD // len(connections)) // taken + 1
-    cloud_looks = {name: CloudLook(name, most, places) for name in connections if name in clouds}
-    rates = {topic.topic: topic.rate_hz for topic in topics if topic.msgtype in SCANS}
-    scan_looks = {name: ScanLook(name, rates[name], most) for name in connections if name in scans}
-    looks: dict[str, CloudLook | ScanLook] = {**cloud_looks, **scan_looks}
-    for message in sampled(reader, connections, samples, start_ns, end_ns):
-        looks[message.connection.topic].add(message)
-    return (
-        tuple(look.described(mountings.get(name)) for name, look in cloud_looks.items()),
-        tuple(look.described() for look in scan_looks.values()),
-        {name: look.parts for name, look in cloud_looks.items()},
-    )
+    looks: dict[str, CloudLook | ScanLook] = {}
+    for topic, own in connections.items():
+        observer: Observer[Any] = Observer(own, copied_message, start_ns=start_ns, stop_ns=end_ns + 1)
+        observer.spread = spread_over(own, samples, start_ns, end_ns + 1)
+        if topic in clouds:
+            cloud_look = looks[topic] = CloudLook(topic, most)
+            observer.take, observer.keep = cloud_look.take, cloud_look.add
+        else:
+            looks[topic] = scan_look = ScanLook(topic, most)
+            observer.keep = scan_look.add
+        survey.observers.append(observer)
+    return looks

@@ -134,15 +134,12 @@ class ScanLook:
     ----------
     topic
         The topic's name.
-    rate_hz
-        The rate of its scans; None if unknown.
     most
         How many ranges of a scan are used; of longer scans every second, third, ... range is used.
     """
 
-    def __init__(self, topic: str, rate_hz: float | None, most: int) -> None:
+    def __init__(self, topic: str, most: int) -> None:
         self._topic = topic
-        self._rate_hz = rate_hz
         self._most = most
         self._sampled = 0
         self._scans: list[ConsumerScan] = []
@@ -169,18 +166,18 @@ class ScanLook:
         low, high = np.float32(scan.range_min), np.float32(scan.range_max)
         self._returns.append(ranges[(ranges >= low) & (ranges <= high) & (ranges < np.inf)].copy())
 
-    def described(self) -> ScanInfo:
-        """Return the properties."""
+    def described(self, rate_hz: float | None) -> ScanInfo:
+        """Return the properties; ``rate_hz`` is the rate of the topic."""
         problems = tuple(self._problems)
         if not self._scans:
-            return ScanInfo(self._topic, self._sampled, self._rate_hz, problems=problems)
+            return ScanInfo(self._topic, self._sampled, rate_hz, problems=problems)
         first = self._scans[0]
         beams = [scan.beams for scan in self._scans]
         total = max(1, sum(beams))
         return ScanInfo(
             self._topic,
             sampled=self._sampled,
-            rate_hz=self._rate_hz,
+            rate_hz=rate_hz,
             frames=tuple(self._first_of),
             beams_min=min(beams),
             beams_max=max(beams),

@@ -161,7 +161,4 @@ def spread_messages(
         stop_ns = min(stop_ns, span.stop_ns)
     if start_ns >= stop_ns:
         return
-    for message in sampled(reader, topics, count, start_ns, stop_ns - 1):
-        # The first message after the last moment may be outside of the cut.
-        if message.log_time_ns < stop_ns:
-            yield message
+    yield from sampled(reader, topics, count, start_ns, stop_ns)
