@@ -57,7 +57,9 @@ REAL = [
 def test_no_false_alarm_on_real_recordings(source: Path, tmp_path: Path) -> None:
     """With the commands that `info` proposes, and with odometry where there is any."""
     shown = run("info", source)
-    assert (shown.status, "warning" in shown.stderr) == (0, False)
+    # The highway's clouds are indeed stamped fifty years after its other messages.
+    told = [line for line in shown.stderr.splitlines() if "warning" in line and "18,333 days ahead" not in line]
+    assert (shown.status, told) == (0, [])
     lines = [line.split("#")[0] for line in shown.stdout.splitlines() if line.strip().startswith("pc2scan convert")]
     assert lines
     for number, line in enumerate(lines):
