@@ -5,7 +5,7 @@ By hand::
     pc2scan view drive.bag -o page.html --clouds 1
     python tests/benchmarks/page.py page.html
 
-Needs playwright, and Chromium at /usr/bin/chromium. The mouse drags each slider for four seconds, with a step every 25 ms.
+Needs playwright, and Chromium at /usr/bin/chromium. The mouse drags each slider for four seconds, a step every 25 ms.
 ``painted`` is the time from an input event until the frame with it is on the screen, ``own code`` the part of it that
 the page's code takes. Several pages are measured one after the other, so that two versions can be compared.
 """
@@ -47,7 +47,7 @@ document.addEventListener("DOMContentLoaded", () => {
 
 def main(pages: list[Path]) -> None:
     """Print median and 95 % of each page and slider, ms."""
-    from playwright.sync_api import sync_playwright  # noqa: PLC0415  # needed here only
+    from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
