@@ -212,7 +212,7 @@ class Lidar:
             return Directions()
         middles = [_middle(each.directions) for each in samples]
         steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
-        step = float(np.median(steps))
+        step = median(steps)
         # Packets follow each other; a pattern jumps.
         if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
             return Directions(is_part=True)
@@ -242,7 +242,7 @@ class Lidar:
             groups = [
                 np.logical_or.reduce(clouds[n : n + count]).sum() for n in range(0, len(clouds) - count + 1, count)
             ]
-            if np.median(groups) >= _ENOUGH * every.sum():
+            if median(groups) >= _ENOUGH * every.sum():
                 return count
         return _MOST_CLOUDS
 
