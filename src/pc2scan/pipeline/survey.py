@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
-from pc2scan.core.floor import MOST_CLOUDS, CloudSample
+from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.tf.reading import RobotTransforms, TransformReading
@@ -92,8 +92,7 @@ class TopicFacts:
         """
         observer = self.ask(("samples", moved), lambda points, _: CloudSample.of(points), _MOST_SAMPLES)
         if not moved:
-            found = observer.found
-            observer.is_needless = lambda: bool(found) and (found[0].floor is not None or len(found) >= MOST_CLOUDS)
+            observer.is_needless = lambda: are_enough(observer.found)
 
     def ask(self, fact: Hashable, take: Callable[[Points, RawMessage], Any], most: int) -> Observer[Any]:
         """Ask for what is taken of each of so many clouds, under a name.
@@ -142,7 +141,7 @@ class TopicFacts:
             except TransformError:
                 continue
             clouds.append(sample.placed_in(place.frame_id, place.target_from_source))
-            if clouds[0].floor is not None or len(clouds) == MOST_CLOUDS:
+            if are_enough(clouds):
                 break
         return clouds
 
