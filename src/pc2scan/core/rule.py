@@ -72,7 +72,7 @@ class Rejection(NamedTuple):
         return self.title or self.name.replace("_", " ")
 
 
-_DEFAULT_MIN_HEIGHT = "upstream's default min_height drops everything at z <= 0; `min_height` sets it below the sensor"
+_DEFAULT_MIN_HEIGHT = "the node's default min_height drops everything at z <= 0; `min_height` sets it below the sensor"
 _OUTSIDE = "outside angle_min and angle_max (is x forward in this frame?)"
 
 #: The reasons of the loops over points, in the order of the counts that they return.
