@@ -82,6 +82,12 @@ class TopicFacts:
         """Ask for the headers of so many messages."""
         self._ask("headers", self._header, most, self.connections)
 
+    def ask_last_headers(self, start_ns: int, most: int) -> None:
+        """Ask for the headers of so many messages from a log time on."""
+        span = self._span
+        start_ns = start_ns if span.start_ns is None else max(start_ns, span.start_ns)
+        self._observers["last headers"] = Observer(self.connections, self._header, most, start_ns, span.stop_ns)
+
     def ask_samples(self, *, moved: bool) -> None:
         """Ask for samples of points.
 
@@ -119,6 +125,11 @@ class TopicFacts:
     def headers(self) -> Sequence[Header]:
         """The headers, in the order of log time."""
         return self.found("headers")
+
+    @property
+    def last_headers(self) -> Sequence[Header]:
+        """The headers that `ask_last_headers` asked for."""
+        return self.found("last headers")
 
     @property
     def frame(self) -> str:
