@@ -16,10 +16,11 @@ import pytest
 import zstandard
 
 import pc2scan
+from pc2scan.bags import units
 from pc2scan.errors import MissingError, Pc2ScanError, RecordingError
 from pc2scan.files.store import RemotePath
-from support import RECORDINGS, ROOT, needs_shared
-from support.builders import CONTENT, write_db3, write_rosbag1
+from support import ROOT
+from support.builders import CONTENT, POINTS, SECOND, T0, Recording, cloud, item, points_of, write_db3, write_rosbag1
 from support.command import run
 from support.stores import memory_store, s3_server
 from support.tables import rows
@@ -233,9 +234,19 @@ def test_an_upload_that_fails_leaves_nothing(
     assert bucket.find("/out") == []
 
 
-@needs_shared
-def test_only_ranges_are_read(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = RECORDINGS / "luminar_highway.bag"
+def test_only_ranges_are_read(bucket: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clouds = [
+        item(
+            POINTS,
+            T0 + number * SECOND,
+            lambda version, n: cloud(points_of(n, 25_000), version, stamp_ns=T0 + n * SECOND),
+            number,
+        )
+        for number in range(100)
+    ]
+    recording = write_rosbag1(tmp_path / "drive.bag", Recording((POINTS,), tuple(clouds)), chunk_size=50_000)
+    # Ahead of what is read, 32 MiB are fetched, lest anybody wait.
+    monkeypatch.setattr(units, "_ANNOUNCED_BYTES", 1 << 18)
     read: list[int] = []
     bytes_at: Callable[..., Any] = RemotePath.bytes_at
 
@@ -248,7 +259,7 @@ def test_only_ranges_are_read(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> N
     bucket.put_file(str(recording), "/bucket/drive.bag")
     found = pc2scan.info("memory://bucket/drive.bag", samples=1)
     assert found.as_dict()["topics"] == pc2scan.info(recording, samples=1).as_dict()["topics"]
-    assert 0 < sum(read) < recording.stat().st_size * 0.8
+    assert 0 < sum(read) < recording.stat().st_size * 0.6
 
 
 class FinishedThread(threading.Thread):
@@ -263,6 +274,8 @@ class FinishedThread(threading.Thread):
 def test_a_conversion_fetches_each_byte_once(
     thread: type[threading.Thread], bucket: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Ahead of what is read, 32 MiB are fetched, lest anybody wait.
+    monkeypatch.setattr(units, "_ANNOUNCED_BYTES", 1 << 18)
     read: list[int] = []
     bytes_at: Callable[..., Any] = RemotePath.bytes_at
 

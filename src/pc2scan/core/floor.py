@@ -148,9 +148,14 @@ def _angle(cosine: float) -> float:
     return math.acos(max(-1.0, min(1.0, float(cosine))))
 
 
+def are_enough(samples: Sequence[CloudSample]) -> bool:
+    """Return whether the first clouds show how a sensor is mounted: one with a level floor, or `MOST_CLOUDS`."""
+    return len(samples) >= MOST_CLOUDS or (len(samples) > 0 and samples[0].floor is not None)
+
+
 def enough_to_judge(samples: Sequence[CloudSample]) -> Sequence[CloudSample]:
-    """Return the clouds that show how a sensor is mounted: the first one if its floor is level, else the first few."""
-    return samples[: 1 if samples and samples[0].floor is not None else MOST_CLOUDS]
+    """Return as many of the first clouds as are enough (`are_enough`), or all if there are fewer."""
+    return samples[: 1 if are_enough(samples[:1]) else MOST_CLOUDS]
 
 
 def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:

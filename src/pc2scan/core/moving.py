@@ -39,3 +39,7 @@ class MovingTransform(NamedTuple):
     node_times: NDArray[np.float64]
     rows: NDArray[np.float64]
     timed: bool = False
+
+    def as_float32(self) -> MovingTransform:
+        """Return itself: it is as the loops apply it, like the result of `pc2scan.core.rigid.Rigid.as_float32`."""
+        return self

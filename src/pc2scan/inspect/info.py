@@ -427,11 +427,11 @@ def _survey(
     moved = bool(places.target_frame)
     facts = survey.topics(each for each in connections if each.ros_type in CLOUDS)
     flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in facts)
-    for each in facts.values():
-        each.ask_samples(moved=moved)
-        ask_facts(each, end_ns)
-    for each in flat.values():
+    for each in (*facts.values(), *flat.values()):
         each.ask_headers(HEADERS)
+        each.ask_samples(moved=moved)  # of LaserScans there are none
+    for each in facts.values():
+        ask_facts(each, end_ns)
     clocks = Clocks(survey, facts.values())
     readings = {topic: _imu_reading(survey, topic) for topic in imus}
     if reads_all:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,10 +15,10 @@ from pc2scan.core.percentiles import median, median_low
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import TransformError
 from pc2scan.pipeline.clocks import are_doubtful
-from pc2scan.pipeline.measurements import ShapeRequest, ask_shapes, regular_step, shapes_of
-from pc2scan.pipeline.point_times import ask_times, time_warnings
+from pc2scan.pipeline.measurements import ShapeRequest, regular_step, shapes_of
+from pc2scan.pipeline.point_times import TURNS, time_warnings, times_of
 from pc2scan.pipeline.stages.deskew import PointTime
-from pc2scan.pipeline.stages.turn import AZIMUTH, turn_sample
+from pc2scan.pipeline.survey import Fact
 from pc2scan.result import Call
 from pc2scan.tf.motion import sensor_motion, spread_of_up
 from pc2scan.tf.mounting import sensor_exclusion
@@ -98,16 +98,10 @@ def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
     end_ns
         The log time of the recording's last message; None without messages.
     """
-    facts.ask_headers(HEADERS)
+    for fact in (_TURNS, _PATTERN, _TIMES, _SHAPE.fact):
+        facts.ask(fact)
     if end_ns is not None:
         facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
-    facts.ask(AZIMUTH, lambda points, message: turn_sample(points, message.log_time_ns), HEADERS)
-    facts.ask("pattern", _sparse_points, HEADERS)
-    ask_times(facts, PointTime())
-    ask_shapes(facts, _SHAPE, _SHAPES)
-
-
-_SHAPE = ShapeRequest(step=True, sweep=True)
 
 
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
@@ -117,6 +111,12 @@ def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
+
+
+_TURNS = replace(TURNS, most=HEADERS)
+_PATTERN = Fact(_sparse_points, HEADERS)
+_TIMES = times_of(PointTime())
+_SHAPE = ShapeRequest(step=True, sweep=True, most=_SHAPES)
 
 
 class Directions(NamedTuple):
@@ -184,7 +184,7 @@ class Lidar:
     @cached_property
     def duration(self) -> float:
         """The time that the points of a cloud take by their own times, seconds; 0 without plausible ones."""
-        times = self.facts.found(PointTime())
+        times = self.facts.found(_TIMES)
         if not times or any(time_warnings(self.facts, PointTime())):
             return 0.0
         return median([each.high - each.low for each in times])
@@ -195,13 +195,13 @@ class Lidar:
         clouds = EdgeClouds(self.mounting.frame, self.facts.headers, self.facts.last_headers)
         if not self.duration:
             return clouds
-        times = self.facts.found(PointTime())
+        times = self.facts.found(_TIMES)
         return clouds._replace(before=min(each.low for each in times), after=max(each.high for each in times))
 
     @cached_property
     def time_field(self) -> str:
         """The field with the times of points."""
-        return str(self.facts.found(PointTime())[0].field)
+        return self.facts.found(_TIMES)[0].field
 
     @cached_property
     def step(self) -> float | None:
@@ -224,13 +224,13 @@ class Lidar:
     @cached_property
     def covered(self) -> float:
         """The share of all directions that a cloud has."""
-        samples = self.facts.found(AZIMUTH)
+        samples = self.facts.found(_TURNS)
         return median([each.directions.bit_count() * _STEP / math.tau for each in samples]) if samples else 0.0
 
     @cached_property
     def directions(self) -> Directions:
         """Whether a cloud is a part of a turn."""
-        samples = self.facts.found(AZIMUTH)
+        samples = self.facts.found(_TURNS)
         union = 0
         for each in samples:
             union |= each.directions
@@ -238,7 +238,7 @@ class Lidar:
             return Directions()
         middles = [_middle(each.directions) for each in samples]
         steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
-        step = float(np.median(steps))
+        step = median(steps)
         # Packets follow each other; a pattern jumps.
         if not abs(step) > _STEP / 4 or (np.abs(steps - step) < max(0.5 * abs(step), _STEP)).mean() < _ENOUGH:
             return Directions(is_part=True)
@@ -255,7 +255,7 @@ class Lidar:
             return 0
         clouds = [
             filled
-            for each in self.facts.found("pattern")
+            for each in self.facts.found(_PATTERN)
             if (filled := _filled_beams(self._in_target(each, self.mounting.frame), heights.low, heights.high))
             is not None
         ]
@@ -268,7 +268,7 @@ class Lidar:
             groups = [
                 np.logical_or.reduce(clouds[n : n + count]).sum() for n in range(0, len(clouds) - count + 1, count)
             ]
-            if np.median(groups) >= _ENOUGH * every.sum():
+            if median(groups) >= _ENOUGH * every.sum():
                 return count
         return _MOST_CLOUDS
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.floor import MOST_CLOUDS, CloudSample
+from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.core.points import NUMBER
 from pc2scan.core.rule import PointCounts
 from pc2scan.errors import DecodeError, MessageError, RecordingError
@@ -230,8 +230,8 @@ def _doubts(samples: Mapping[str, Sequence[CloudSample]], spec: ScanSpec, transf
         return [
             text
             for topic, own in samples.items()
-            for group, number in ((_OF_ONE, 1), (_OF_SEVERAL, MOST_CLOUDS))
-            for text in found_by(group, checks.CloudFacts(topic, spec, transforms, own[:number], [PointCounts()]))
+            for group, clouds in ((_OF_ONE, own[:1]), (_OF_SEVERAL, own))
+            for text in found_by(group, checks.CloudFacts(topic, spec, transforms, clouds, [PointCounts()]))
         ]
 
 
@@ -241,7 +241,7 @@ def _shot(message: RawMessage, stages: _Stages, samples: dict[str, list[CloudSam
     points = CLOUDS[connection.ros_type](connection.serialization)(message.data)
     recorded, placer = stages.place_own(points), stages.place.placer
     moving, stamp_ns = recorded.moving, recorded.stamp_ns
-    if len(own := samples.setdefault(connection.topic, [])) < MOST_CLOUDS:
+    if not are_enough(own := samples.setdefault(connection.topic, [])):
         place = placer.place(points.frame_id, stamp_ns)
         own.append(CloudSample.of(points).placed_in(place.frame_id, place.target_from_source))
     return Shot(

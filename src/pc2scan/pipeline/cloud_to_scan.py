@@ -133,8 +133,7 @@ class CloudToScan(Conversion):
         )
         self._place = PlaceStage(placer, deskew)
         self._select: Callable[[PlacedCloud], PlacedCloud] | None = None
-        # The motion of a deskewed cloud is that of the points that are kept.
-        if filters or deskew is not None:
+        if filters:
             from .stages.selection import SelectStage  # noqa: PLC0415  # only where something is selected
 
             self._select = SelectStage(filters, placer, numbered=keeps_used)
@@ -164,7 +163,8 @@ class CloudToScan(Conversion):
         points, stamp_ns, name = placed.points, placed.stamp_ns, self.params.intensity_field
         intensities = points.field(name) if name else None
         # A transform that is not applied yet is applied in the same loop.
-        scan = beams.projector(*points.xyz(), _transform(placed), intensities)
+        transform = None if placed.transform is None else placed.transform.as_float32()
+        scan = beams.projector(*points.xyz(), transform, intensities)
         counts = scan.counts
         if placed.rejected:
             counts += PointCounts.of_filters(placed.rejected)
@@ -175,21 +175,17 @@ class CloudToScan(Conversion):
         candidate = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
-        used = self._gather_used(placed, beams.projector) if self._keeps_used else None
+        used = self._gather_used(placed, beams.projector, transform) if self._keeps_used else None
         return ConvertedMessage(message, counts, empty, motion, candidate, level=level, used=used, removed=scan.removed)
 
-    def _gather_used(self, placed: PlacedCloud, projector: Projector) -> UsedPoints:
+    def _gather_used(
+        self, placed: PlacedCloud, projector: Projector, transform: Transform | MovingTransform | None
+    ) -> UsedPoints:
         """Return which of the decoded points the beams read."""
         from pc2scan.messages.used_points import UsedPoints  # noqa: PLC0415  # only where they are kept
 
         points = placed.points
-        numbers, beams = projector.read(*points.xyz(), _transform(placed))
+        numbers, beams = projector.read(*points.xyz(), transform)
         if self._select is not None:
             numbers = points.field(NUMBER).reshape(-1)[numbers]
         return UsedPoints(placed.whole, numbers, beams)
-
-
-def _transform(placed: PlacedCloud) -> Transform | MovingTransform | None:
-    """Return the transform that is not applied to the points yet."""
-    transform = placed.target_from_source
-    return placed.motion if transform is None else transform.as_float32()

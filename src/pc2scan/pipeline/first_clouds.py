@@ -139,6 +139,7 @@ class TopicClouds:
         facts = self._facts()
         for text in found_by(EACH_CLOUD, facts, self._spec.label):
             self._every.warn(text)
+        # A level floor alone is not enough (`are_enough`): heights are judged by the points of all these clouds.
         if len(self._samples) == MOST_CLOUDS:
             self.finish()
         elif len(self._samples) == 1 and facts.are_fine:

@@ -21,6 +21,7 @@ from pc2scan.text import did_you_mean
 from pc2scan.tf.placing import Placer
 
 from .conversion import Measurements
+from .survey import Fact
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from pc2scan.core.layout import BeamLayout
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.timing import Sweep
+    from pc2scan.model import RawMessage
 
     from .options import ScanSpec
     from .survey import TopicFacts
@@ -50,11 +52,19 @@ class ShapeRequest(NamedTuple):
         See `CloudShape`.
     is_placed
         Whether it is measured along the axes of another frame, whose transforms are known later.
+    most
+        In how many clouds.
     """
 
     step: bool
     sweep: bool
     is_placed: bool = False
+    most: int = SHAPES
+
+    @property
+    def fact(self) -> Fact[Any]:
+        """What is taken of clouds: a `CloudShape`, or the columns that it is measured in later."""
+        return Fact(_columns if self.is_placed else _own_shape, self.most, (self,))
 
     @classmethod
     def of(cls, spec: ScanSpec) -> ShapeRequest | None:
@@ -88,14 +98,8 @@ def ask_measurements(facts: TopicFacts, spec: ScanSpec) -> None:
     """Ask for what `measure` reads of a topic."""
     request = ShapeRequest.of(spec)
     if request is not None:
-        ask_shapes(facts, request)
+        facts.ask(request.fact)
     facts.ask_headers(FIRST_CLOUDS if spec.params.scan_time == "auto" else SHAPES if request is not None else 1)
-
-
-def ask_shapes(facts: TopicFacts, request: ShapeRequest, most: int = SHAPES) -> None:
-    """Ask for what the points of so many clouds show of the lidar."""
-    take = _columns if request.is_placed else _shape
-    facts.ask(request, lambda points, _: take(points, request), most)
 
 
 def shapes_of(facts: TopicFacts, request: ShapeRequest, placer: Placer = _OWN_FRAME) -> list[CloudShape]:
@@ -103,7 +107,7 @@ def shapes_of(facts: TopicFacts, request: ShapeRequest, placer: Placer = _OWN_FR
 
     Clouds whose coordinates cannot be read are left out.
     """
-    found = facts.found(request)
+    found = facts.found(request.fact)
     shapes = [_shape(each, request, placer) for each in found] if request.is_placed else found
     return [each for each in shapes if each.is_readable]
 
@@ -150,7 +154,7 @@ def _time_field(fields: Container[str]) -> str | None:
     return next((name for name in TIME_FIELDS if name in fields), None)
 
 
-def _columns(cloud: Points, request: ShapeRequest) -> Points:
+def _columns(cloud: Points, _: RawMessage, request: ShapeRequest) -> Points:
     """Return copies of the columns that show the shape of a cloud; without coordinates that cannot be read."""
     rings = [name for name in RING_FIELDS if name in cloud.fields][: request.step]
     time = _time_field(cloud.fields) if request.sweep else None
@@ -161,6 +165,10 @@ def _columns(cloud: Points, request: ShapeRequest) -> Points:
         with suppress(MessageError):
             columns[time] = cloud.field(time).copy()
     return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, columns)
+
+
+def _own_shape(cloud: Points, _: RawMessage, request: ShapeRequest) -> CloudShape:
+    return _shape(cloud, request)
 
 
 @np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.floor import GOLDEN
-from pc2scan.core.percentiles import percentiles
+from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.sharpness import LEVER, Window, busiest, noise, spread, steps_of
 from pc2scan.core.timing import TIME_FIELDS, fit_sweep, offset_and_unit
 from pc2scan.errors import TransformError
@@ -96,7 +96,7 @@ def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> I
     body = _fastest(links)
     pair = f"from {spec.fixed_frame} to {buffer.frames[body.child]}"
     intervals = np.diff(body.stamps_ns)
-    apart_ns = int(np.median(intervals)) if intervals.size else 0
+    apart_ns = int(median(intervals)) if intervals.size else 0
     if apart_ns > _SLOW_NS:
         yield (
             f"the transforms {pair} come every {apart_ns / 1e9:.3g} s (median), and a cloud takes about "
@@ -147,7 +147,7 @@ def tilt_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer, up: UpSo
 def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
     """Return by how much the direction of up changes within a cloud, radians (90 %)."""
     intervals = np.diff(stamps_ns)
-    between = max(1, round(_CLOUD_NS / max(1, float(np.median(intervals))))) if intervals.size else 1
+    between = max(1, round(_CLOUD_NS / max(1, median(intervals)))) if intervals.size else 1
     if len(ups) <= between:
         return 0.0
     chords = np.linalg.norm(ups[between:] - ups[:-between], axis=1)

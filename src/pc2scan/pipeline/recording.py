@@ -72,7 +72,7 @@ class OpenRecording(NamedTuple):
         ]
 
 
-def open_recording(
+def open_output(
     reader: Reader,
     plan: Plan,
     prepared: Preparation,

@@ -36,7 +36,7 @@ from .checks import request_warnings, result_findings
 from .engine import items_of
 from .plan import make_plan
 from .preparation import prepare, span_of
-from .recording import open_recording, write_items
+from .recording import open_output, write_items
 from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse_unsatisfied, refuse_unusable
 from .report import Report
 from .run_files import OutputOptions, RunFiles
@@ -115,7 +115,7 @@ def run(
             with _writing(target, unfinished, cut) as writer:
                 jobs = options.jobs or cores()
                 threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
-                recording = open_recording(reader, plan, prepared, target, options, cut, writer)
+                recording = open_output(reader, plan, prepared, target, options, cut, writer)
                 report.topics = recording.entries
                 report.add(recording.warnings)
                 if threads is not None:
@@ -241,7 +241,7 @@ def _estimate(
     span = _span_with_messages(reader, plan, options)
     prepared = prepare(reader, files.read, plan, options, span, stack)
     report.add(prepared.warnings, prepared.notes)
-    recording = open_recording(reader, plan, prepared, target, options, None, None)
+    recording = open_output(reader, plan, prepared, target, options, None, None)
     report.topics = recording.entries
     size = forecast(reader, target, recording, options, prepared, report)
     if output.cut is not None:

@@ -124,7 +124,7 @@ class Selection:
     on_error
         What to do with a message that cannot be used: ``skip`` it, or ``fail``.
     verify, strict
-        As for `pc2scan.bags.opening.open_recording`.
+        As for `pc2scan.bags.opening.open_recordings`.
     clock
         How stamps are corrected; None: they are not.
     """

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from operator import attrgetter, mul
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -266,7 +266,7 @@ class MessagesToScan(Conversion):
             # Filters in the target frame see the points where the scan shows them.
             selected = self._early.apply(points, Placement(target, mount) if self._rigid else Placement("", None))
             points, rejected = selected.points, rejected | selected.rejected
-            mount = selected.target_from_source if self._rigid else mount
+            mount = cast("Rigid | None", selected.transform) if self._rigid else mount
         contribution = Contribution(
             number,
             stamp_ns,
@@ -445,7 +445,7 @@ class MessagesToScan(Conversion):
             return member.points, transform if moving is None else moving.transform, member.rejected, motion
         selected = self._late.apply(member.points, Placement(lead.frame_id, transform), moving)
         rejected = {**member.rejected, **selected.rejected}
-        return selected.points, selected.motion or selected.target_from_source, rejected, motion
+        return selected.points, selected.transform, rejected, motion
 
     def _gather_used(
         self, scan: LaserScan, parts: Sequence[PointsPart], sources: Sequence[tuple[int, Points]]
@@ -481,7 +481,7 @@ def _transform_points(points: Points, transform: Rigid | MovingTransform | None,
 
 def _round_transform(transform: Rigid | MovingTransform | None) -> Transform | MovingTransform | None:
     """Return a transform as it is applied to points."""
-    return transform.as_float32() if isinstance(transform, Rigid) else transform
+    return None if transform is None else transform.as_float32()
 
 
 def common_memory(arrays: Iterable[NDArray[Any]]) -> RetainedMemory | None:

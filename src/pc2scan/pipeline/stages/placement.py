@@ -34,24 +34,21 @@ class PlacedCloud:
         The frame that the cloud is converted in, and the transform to it.
     moving
         The motion of its sensor; None if it is not deskewed.
-    target_from_source
-        The transform that is still to be applied to ``points``.
+    transform
+        The transform that is still to be applied to ``points``; of a deskewed cloud, to each at its own time.
     rejected
         How many points were rejected so far, by reason.
     whole
         All points of the message, as decoded.
-    motion
-        The transform that is still to be applied to ``points``, each at its own time; not ``target_from_source``.
     """
 
     points: Points
     stamp_ns: int
     place: Placement
     moving: MovingCloud | None
-    target_from_source: Rigid | None
+    transform: Rigid | MovingTransform | None
     rejected: Mapping[str, int]
     whole: Points
-    motion: MovingTransform | None = None
 
 
 class PlaceStage:
@@ -86,9 +83,11 @@ class PlaceStage:
             If there is no transform.
         """
         moving = None if self.deskew is None else self.deskew(points)
-        seen, stamp_ns = (points, points.stamp_ns) if moving is None else (moving.points, moving.stamp_ns)
-        place = self.placer.place(points.frame_id, stamp_ns)
-        return PlacedCloud(seen, stamp_ns, place, moving, place.target_from_source, _NOTHING, points)
+        if moving is None:
+            place = self.placer.place(points.frame_id, points.stamp_ns)
+            return PlacedCloud(points, points.stamp_ns, place, None, place.target_from_source, _NOTHING, points)
+        place = self.placer.place(points.frame_id, moving.stamp_ns)
+        return PlacedCloud(moving.points, moving.stamp_ns, place, moving, moving.transform, _NOTHING, points)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, PlaceStage):

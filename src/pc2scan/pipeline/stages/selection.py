@@ -29,15 +29,11 @@ if TYPE_CHECKING:
 
 
 class SelectedPoints(NamedTuple):
-    """The selected points, the transform that is still to be applied, and how many points each filter rejected.
-
-    ``motion`` is this transform if points are placed at their own times.
-    """
+    """The selected points, the transform that is still to be applied, and how many points each filter rejected."""
 
     points: Points
-    target_from_source: Rigid | None
+    transform: Rigid | MovingTransform | None
     rejected: dict[str, int]
-    motion: MovingTransform | None = None
 
 
 class _RemainingPoints:
@@ -87,8 +83,8 @@ class SelectStage:
         if self._numbered:
             shape = points.xyz()[0].shape
             points = points.replace({NUMBER: np.arange(math.prod(shape)).reshape(shape)}, points.frame_id)
-        points, transform, rejected, motion = self.apply(points, placed.place, placed.moving)
-        return replace(placed, points=points, target_from_source=transform, rejected=rejected, motion=motion)
+        points, transform, rejected = self.apply(points, placed.place, placed.moving)
+        return replace(placed, points=points, transform=transform, rejected=rejected)
 
     def apply(self, points: Points, place: Placement, moving: MovingCloud | None = None) -> SelectedPoints:
         """Select points of a cloud.
@@ -134,9 +130,7 @@ class SelectStage:
         if Frame.TARGET in seen.by_frame:
             return SelectedPoints(seen.by_frame[Frame.TARGET], None, rejected)
         kept = seen.by_frame[Frame.SOURCE]
-        if moving is not None:
-            return SelectedPoints(kept, None, rejected, moving.transform_of(kept))
-        return SelectedPoints(kept, place.target_from_source, rejected)
+        return SelectedPoints(kept, place.target_from_source if moving is None else moving.transform_of(kept), rejected)
 
     def _place(
         self,

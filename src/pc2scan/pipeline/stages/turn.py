@@ -159,7 +159,7 @@ def turn_sample(points: Points, log_time_ns: int) -> TurnSample:
     angles = np.arctan2(y, x)[np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))]
     near, turns = turn_by_order(angles)
     places = ((angles / (2 * np.pi) + 0.5) * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
-    directions = sum(1 << place for place in np.unique(places).tolist())
+    directions = sum(1 << place for place in np.flatnonzero(np.bincount(places)).tolist())
     return TurnSample(
         points.stamp_ns, log_time_ns, turns if near >= 0.5 and abs(turns) >= LEAST_TURN else 0.0, directions
     )
