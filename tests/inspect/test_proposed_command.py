@@ -84,8 +84,9 @@ WORLDS = {
 }
 
 
+#: Its first cloud ends, by its stamp, where transforms begin.
 HALL: dict[str, Any] = {
-    "target_frame": "base_link", "deskew": True, "fixed_frame": "odom", "beams": "auto",
+    "target_frame": "base_link", "deskew": True, "fixed_frame": "odom", "beams": "auto", "start": 0.01,
 }  # fmt: skip
 
 
@@ -138,6 +139,40 @@ def scans_of(path: Path) -> list[LaserScan]:
         return [decode_laserscan(each.data, each.connection.serialization) for each in reader.messages(flat)]
 
 
+@pytest.mark.parametrize(
+    ("known", "lidars", "reasons"),
+    [
+        ((-0.4, 3.5), (FRONT,), {}),
+        ((0.254, 3.5), (FRONT,), {"start": "transforms to odom begin 0.25 s after the first cloud"}),
+        ((-0.4, 2.654), (FRONT,), {"end": "transforms to odom end 0.36 s before the last cloud"}),
+        (
+            (0.254, 2.654),
+            (FRONT, REAR),
+            {
+                "start": "transforms to odom begin 0.25 s after the first cloud",
+                "end": "transforms to odom end 0.36 s before the last cloud",
+            },
+        ),
+    ],
+)
+def test_clouds_without_transforms_are_left_out(
+    known: tuple[float, float], lidars: tuple[Lidar, ...], reasons: dict[str, str], tmp_path: Path
+) -> None:
+    path = write_world(tmp_path / "drive.mcap", lidars, Drive(), seconds=3.0, known=known)
+    (call,) = pc2scan.info(path).proposals
+    assert {name: why for name, why in call.reasons.items() if name in {"start", "end"}} == reasons
+    report = pc2scan.convert(path, tmp_path / "scans.mcap", **call.options)
+    assert (report.warnings, [topic.skipped for topic in report.topics if topic.skipped]) == ([], [])
+    uncut = {name: value for name, value in call.options.items() if name not in reasons}
+    whole = pc2scan.convert(path, tmp_path / "whole.mcap", **uncut)
+    # Nothing is cut that transforms place.
+    kept, every = (
+        sum(topic.messages_out for topic in each.topics if topic.target == "/scan") for each in (report, whole)
+    )
+    assert sum(topic.skipped for topic in whole.topics) > 0 or not reasons
+    assert kept == every > 10
+
+
 #: What `info` proposes for recordings that other people made, and for the fixtures, besides preset and heights.
 RECORDED: dict[str, dict[str, Any]] = {
     # Its odometry is simulated, from the year 1970.
@@ -164,8 +199,7 @@ def test_real_recordings(name: str, tmp_path: Path) -> None:
     special = {key: value for key, value in call.options.items() if key not in {"preset", "min_height", "max_height"}}
     assert special == {key: special.get(key) if value is ... else value for key, value in RECORDED[name].items()}
     report = pc2scan.convert(source, tmp_path / "scans.mcap", **call.options)
-    # The last cloud of the fixture ends after the last transform.
-    assert sum(topic.skipped for topic in report.topics) <= 1
+    assert not any(topic.skipped for topic in report.topics)
     assert not report.warnings
     (scans,) = (each for each in pc2scan.check(tmp_path / "scans.mcap").topics if each.topic == "/scan")
     # Without odometry, most consumers cannot place scans.

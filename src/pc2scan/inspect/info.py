@@ -28,6 +28,7 @@ from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.placing import FrameOptions, Placer
 
 from .cloud_info import CloudInfo, CloudLook
+from .edges import EDGE_NS
 from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, proposals
 from .sampling import spread_over
 from .scan_info import ScanInfo, ScanLook
@@ -329,6 +330,7 @@ def info(
                 of_clouds[each.topic].parts,
                 bool(each.zero_share),
                 seconds[each.topic],
+                (start_ns or 0, end_ns if found.knows_end else None),
             )
             for each in clouds
             if each.mounting is not None
@@ -377,6 +379,8 @@ class _Surveyed(NamedTuple):
         What is wrong with the clocks of topics.
     warnings
         About transforms, clocks and units.
+    knows_end
+        Whether all transforms at the end of the recording are known.
     """
 
     facts: Mapping[str, TopicFacts]
@@ -385,6 +389,7 @@ class _Surveyed(NamedTuple):
     ups: Mapping[str, UpEstimate | UsageError]
     clocks: Mapping[str, ClockFinding]
     warnings: Sequence[str]
+    knows_end: bool
 
     def mountings(self) -> dict[str, Mounting | None]:
         """Return how the clouds of each topic are mounted."""
@@ -426,7 +431,7 @@ def _survey(
         each.ask_headers(HEADERS)
         each.ask_samples(moved=moved)  # of LaserScans there are none
     for each in facts.values():
-        ask_facts(each)
+        ask_facts(each, end_ns)
     clocks = Clocks(survey, facts.values())
     readings = {topic: _imu_reading(survey, topic) for topic in imus}
     if reads_all:
@@ -434,18 +439,18 @@ def _survey(
     elif has_clouds:
         survey.ask_robot(_moments(survey.span.first_ns, end_ns) if facts else ())
     survey.read()
-    buffer, warnings = None, list[str]()
+    buffer, warnings, knows_end = None, list[str](), True
     if survey.transforms is not None:
         found = survey.transforms.finish()
         buffer, warnings = found.buffer, [*found.warnings, *found.notes]
     elif survey.robot is not None:
-        buffer = survey.robot.finish()
+        buffer, knows_end = survey.robot.finish(), not survey.robot.is_cut
     wrong = clocks.findings()
     warnings += (each.text for each in wrong.values())
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
     ups = {topic: _up(reading) for topic, reading in readings.items()}
     places = places._replace(buffer=buffer if moved else None)
-    return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings)
+    return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)
 
 
 def _with_own_rate(
@@ -539,10 +544,11 @@ def _mark(topic: str) -> str:
 
 
 def _moments(start_ns: int, end_ns: int | None) -> list[int]:
-    """Return the times at which the motion of the robot is looked at."""
+    """Return the times at which the motion of the robot is looked at: spread, and at the end."""
     if end_ns is None:
         return []
-    return [start_ns + (end_ns - start_ns) * number // _MOMENTS for number in range(_MOMENTS)]
+    spread = [start_ns + (end_ns - start_ns) * number // _MOMENTS for number in range(_MOMENTS)]
+    return [*spread, max(start_ns, end_ns - EDGE_NS + 1)]
 
 
 def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicInfo]:

@@ -25,6 +25,8 @@ from pc2scan.tf.mounting import sensor_exclusion
 from pc2scan.tf.static import StaticTransform
 from pc2scan.tf.summary import BODIES
 
+from .edges import EDGE_NS, EdgeClouds, edge_cuts
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
@@ -42,9 +44,10 @@ if TYPE_CHECKING:
 #: The preset whose scans all consumers accept.
 _PRESET = "slam_toolbox"
 
-#: How many clouds of a topic are looked at, how many for the shape of their rings, and the largest of a pattern that is
-#: sparse, points.
+#: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
+#: shape of their rings, and the largest of a pattern that is sparse, points.
 HEADERS = 21
+_LAST_HEADERS = 400
 _SHAPES = 3
 _SPARSE = 60_000
 
@@ -85,10 +88,20 @@ _BEYOND = 15.0
 _LONG = 5.0
 
 
-def ask_facts(facts: TopicFacts) -> None:
-    """Ask for the facts about a topic with clouds that a command depends on."""
+def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
+    """Ask for the facts about a topic with clouds that a command depends on.
+
+    Parameters
+    ----------
+    facts
+        The topic.
+    end_ns
+        The log time of the recording's last message; None without messages.
+    """
     for fact in (_TURNS, _PATTERN, _TIMES, _SHAPE.fact):
         facts.ask(fact)
+    if end_ns is not None:
+        facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
 
 
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
@@ -139,6 +152,9 @@ class Lidar:
         Whether points at (0, 0, 0) stand for no return.
     seconds
         How long it measured.
+    span_ns
+        The log times of the recording's first and last message; the last one is None if not all transforms there are
+        known.
     """
 
     facts: TopicFacts
@@ -147,6 +163,7 @@ class Lidar:
     clouds: Sequence[NDArray[np.floating[Any]]]
     has_zeros: bool
     seconds: float
+    span_ns: tuple[int, int | None]
 
     @property
     def topic(self) -> str:
@@ -171,6 +188,15 @@ class Lidar:
         if not times or any(time_warnings(self.facts, PointTime())):
             return 0.0
         return median([each.high - each.low for each in times])
+
+    @property
+    def edges(self) -> EdgeClouds:
+        """Its clouds at the edges of the recording."""
+        clouds = EdgeClouds(self.mounting.frame, self.facts.headers, self.facts.last_headers)
+        if not self.duration:
+            return clouds
+        times = self.facts.found(_TIMES)
+        return clouds._replace(before=min(each.low for each in times), after=max(each.high for each in times))
 
     @cached_property
     def time_field(self) -> str:
@@ -452,7 +478,10 @@ def _choices(
     if (clock := clocks.get(lidar.topic)) is not None:
         yield Choice("time_offset", clock.time_offset, clock.reason)
     yield from _heights(group)
-    yield from _times(group, ups)
+    times = list(_times(group, ups))
+    yield from times
+    if clock is None:
+        yield from _edges(group, next((each.value for each in times if each.name == "fixed_frame"), ""))
     yield from _exclusions(group)
     yield from _beams(group)
 
@@ -515,6 +544,15 @@ def _times(group: Sequence[Lidar], ups: Mapping[str, UpEstimate]) -> Iterator[Ch
         yield Choice("fixed_frame", within_scan.fixed, "the frame that does not move with the robot")
     if not tilts:
         yield from _level_by_imu(lidar, ups)
+
+
+def _edges(group: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
+    """Yield the cut that leaves out clouds which no transform places in the fixed frame, if there is such a frame."""
+    buffer = group[0].buffer
+    if not fixed or buffer is None:
+        return
+    for cut in edge_cuts([each.edges for each in group], buffer, fixed, *group[0].span_ns):
+        yield Choice(cut.option, cut.seconds, cut.reason)
 
 
 def _moves(motion: SensorMotion | None) -> bool:

@@ -122,6 +122,12 @@ class TopicFacts:
         """Ask for the headers of so many messages."""
         self._ask(Header, self._header, most, self.connections)
 
+    def ask_last_headers(self, start_ns: int, most: int) -> None:
+        """Ask for the headers of so many messages from a log time on."""
+        span = self._span
+        start_ns = start_ns if span.start_ns is None else max(start_ns, span.start_ns)
+        self._observers["last headers"] = Observer(self.connections, self._header, most, start_ns, span.stop_ns)
+
     def ask_samples(self, *, moved: bool) -> None:
         """Ask for samples of points.
 
@@ -150,6 +156,11 @@ class TopicFacts:
     def headers(self) -> Sequence[Header]:
         """The headers, in the order of log time: as many as any caller of `ask_headers` wants."""
         return self._observed(Header).found
+
+    @property
+    def last_headers(self) -> Sequence[Header]:
+        """The headers that `ask_last_headers` asked for."""
+        return self._observed("last headers").found
 
     @property
     def frame(self) -> str:
