@@ -24,7 +24,7 @@ from .conversion import Measurements
 from .survey import Fact
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence
+    from collections.abc import Callable, Container, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -218,6 +218,40 @@ def _angles(cloud: Points, placer: Placer) -> NDArray[np.float64]:
     return angles
 
 
+def require_fields(
+    spec: ScanSpec, fields: Container[str], what: str, hint: Callable[[str], str], point_time: str = ""
+) -> None:
+    """Raise if a field that an output needs is missing.
+
+    Parameters
+    ----------
+    spec
+        The output.
+    fields
+        Those that there are.
+    what
+        What has them, in the plural.
+    hint
+        Returns the hint for a missing field.
+    point_time
+        The field with the times of points; empty: none is requested by its name.
+    """
+    name = spec.params.intensity_field
+    asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
+    asked += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
+    if point_time:
+        asked.append(("point_time", f"`point_time` is {spec.point_time!r}", point_time))
+    for option, request, field in asked:
+        if field not in fields:
+            raise ParameterError(f"{request}, which {what} do not have", name=option, hint=hint(field))
+
+
+def unknown_step(why: str) -> ParameterError:
+    """Return the error that the number of beams cannot be measured."""
+    hint = "give a number of `beams`, or an `angle_increment`"
+    return ParameterError(f"beams is auto, but {why}", name="beams", hint=hint)
+
+
 def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     """Raise if no cloud has a requested field."""
     if not facts.headers:
@@ -225,19 +259,14 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     topic = facts.topic
     fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
     there = f"their fields are: {', '.join(fields) or 'none'}"
-    name = spec.params.intensity_field
-    asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
-    asked += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
-    if spec.point_time.partition(":")[0] == "azimuth":
-        pass
-    elif spec.point_time:
-        asked.append(("point_time", f"`point_time` is {spec.point_time!r}", spec.point_time.partition(":")[0]))
-    for option, request, field in asked:
-        if field not in fields:
-            near = did_you_mean(field, fields)
-            raise ParameterError(
-                f"{request}, which the clouds on {topic} do not have", name=option, hint=f"{near} {there}".strip()
-            )
+    time = spec.point_time.partition(":")[0]
+    require_fields(
+        spec,
+        fields,
+        f"the clouds on {topic}",
+        lambda field: f"{did_you_mean(field, fields)} {there}".strip(),
+        "" if time == "azimuth" else time,
+    )
     if spec.deskew and not spec.point_time and not any(name in fields for name in TIME_FIELDS):
         raise ParameterError(
             f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
@@ -282,11 +311,9 @@ def _resolution(topic: str, shapes: Sequence[CloudShape], params: ProjectionPara
     known = sum(each.step is not None for each in shapes)
     step = regular_step(shapes)
     if step is None:
-        raise ParameterError(
-            f"beams is auto, but the azimuth resolution of the clouds on {topic} cannot be measured: the points of "
-            f"{len(shapes) - known} of the first {len(shapes)} are in no regular rings",
-            name="beams",
-            hint="give a number of `beams`, or an `angle_increment`",
+        raise unknown_step(
+            f"the azimuth resolution of the clouds on {topic} cannot be measured: the points of "
+            f"{len(shapes) - known} of the first {len(shapes)} are in no regular rings"
         )
     layout = params.at_resolution(step).layout
     notes.append(

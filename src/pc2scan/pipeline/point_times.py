@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core import kernel
-from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns, offset_and_unit
-from pc2scan.errors import DecodeError
+from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns
 
-from .stages.deskew import mask_zero_times
 from .stages.turn import FIRST_CLOUDS, measure_turn, turn_sample
 from .survey import Fact
 
@@ -106,26 +103,20 @@ TURNS = Fact(_turn, FIRST_CLOUDS)
 
 def _times(points: Points, _: RawMessage, point_time: PointTime) -> PointTimes | None:
     """Return the times of a cloud's points; None if it has none."""
-    name = point_time.field_of(points)
-    whole = points.field(name).dtype.kind in "iu"
-    points = mask_zero_times(points, name, point_time.unit)
-    x, y, values = points.field("x"), points.field("y"), points.field(name)
-    if values.shape != x.shape:
-        raise DecodeError(f"{name} has several values a point")
-    low, high, measured, unknown = kernel.span(x, values)
-    if measured - unknown < 2:
+    known = point_time.read(points)
+    low, high = known.low, known.high
+    if known.measured - known.unknown < 2:
         return None
-    offset, unit = offset_and_unit(low, high, points.stamp_ns, point_time.unit, whole=whole)
-    low, high = (low - offset) * unit, (high - offset) * unit
+    x, y = points.field("x"), points.field("y")
     ordered = True
     if x.size > _RUN and high > low:
         begins = np.linspace(0, x.size - _RUN, _RUNS).astype(np.intp)
         chosen = np.unravel_index(begins[:, np.newaxis] + np.arange(_RUN), x.shape)
-        seconds = (values[chosen].astype(np.float64) - offset) * unit
+        seconds = known.at(chosen)
         with np.errstate(invalid="ignore"):
             angles = np.arctan2(y[chosen].astype(np.float64), x[chosen].astype(np.float64))
         ordered = _are_ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
-    return PointTimes(points.stamp_ns, name, low, high, unit, ordered)
+    return PointTimes(points.stamp_ns, known.field, low, high, known.unit, ordered)
 
 
 def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
