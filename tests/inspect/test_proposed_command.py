@@ -18,6 +18,7 @@ from pc2scan.inspect.proposals import body_of
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from support import RECORDINGS, ROOT, needs_shared
 from support.command import run
+from support.situations import hall
 from support.worlds.moving import Drive, Lidar, off_the_walls, returns_in_odom, write_imu, write_world
 
 if TYPE_CHECKING:
@@ -171,6 +172,18 @@ def test_clouds_without_transforms_are_left_out(
     )
     assert sum(topic.skipped for topic in whole.topics) > 0 or not reasons
     assert kept == every > 10
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.5, 2.0, 4.0, 8.0])
+def test_a_recorded_mount_that_is_off_is_said_and_corrected(degrees: float, tmp_path: Path) -> None:
+    path = hall(mount=(0.2, 0.0, 0.6), turned=math.radians(degrees))(tmp_path)
+    found = pc2scan.info(path)
+    (call,) = found.proposals
+    is_off = degrees > 1.0
+    said = f"/points: frame 'base_link' is tilted by {degrees:.1f} deg by the transform of 'lidar'"
+    assert [text.startswith(said) for text in found.warnings] == [True] * is_off
+    assert (call.options["target_frame"], "static_tf" in call.options) == ("base_link", is_off)
+    assert not pc2scan.convert(path, tmp_path / "scans.mcap", **call.options).warnings
 
 
 #: What `info` proposes for recordings that other people made, and for the fixtures, besides preset and heights.

@@ -26,6 +26,7 @@ from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.placing import FrameOptions, Placer
+from pc2scan.tf.summary import BODIES
 
 from .cloud_info import CloudInfo, CloudLook
 from .edges import EDGE_NS
@@ -394,7 +395,21 @@ class _Surveyed(NamedTuple):
     def mountings(self) -> dict[str, Mounting | None]:
         """Return how the clouds of each topic are mounted."""
         moved = bool(self.places.target_frame)
-        return {topic: each.mounting(self.places, self.buffer, moved=moved) for topic, each in self.facts.items()}
+        found = {topic: each.mounting(self.places, self.buffer, moved=moved) for topic, each in self.facts.items()}
+        return found if moved else {topic: self._in_body(topic, each) for topic, each in found.items()}
+
+    def _in_body(self, topic: str, own: Mounting | None) -> Mounting | None:
+        """Return how clouds that are level are mounted on the robot, if its transform tilts them."""
+        if own is None or own.fault or self.buffer is None:
+            return own
+        named = (own.target_frame, *BODIES) if own.target_frame else BODIES
+        body = next((name for name in named if name in self.buffer.frames), "")
+        if not body or body == own.frame.removeprefix("/"):
+            return own
+        there = self.facts[topic].mounting(
+            self.places._replace(target_frame=body, buffer=self.buffer), self.buffer, moved=False
+        )
+        return own if there is None or not there.fault else there
 
 
 def _survey(
