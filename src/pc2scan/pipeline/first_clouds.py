@@ -67,6 +67,8 @@ class FirstClouds:
         What was found so far.
     advice
         Options with heights that suit the clouds, by their topic and the output.
+    no_returns
+        The share of points outside the heights that are no returns, by their topic and the output.
     surroundings
         What is seen where the robot moves most, with the labels of the outputs.
     """
@@ -81,6 +83,7 @@ class FirstClouds:
         self.warnings: list[str] = []
         self.notes: list[str] = []
         self.advice: dict[tuple[str, ScanSpec], str] = {}
+        self.no_returns: dict[tuple[str, ScanSpec], float] = {}
         self.surroundings: list[tuple[str, Surroundings]] = []
         self._warn = warn
         self._topics: dict[tuple[str, ScanSpec], TopicClouds] = {}
@@ -139,6 +142,8 @@ class TopicClouds:
         facts = self._facts()
         for text in found_by(EACH_CLOUD, facts, self._spec.label):
             self._every.warn(text)
+        if sample.zeros:
+            self._every.no_returns[self._topic, self._spec] = facts.no_returns / max(facts.total.total, 1)
         # A level floor alone is not enough (`are_enough`): heights are judged by the points of all these clouds.
         if len(self._samples) == JUDGED_CLOUDS:
             self.finish()

@@ -78,7 +78,7 @@ class Preparation(NamedTuple):
             tally.finish()
             self.firsts.finish()
         finally:
-            report.add(self.firsts.warnings, self.firsts.notes, self.firsts.advice)
+            report.add(self.firsts.warnings, self.firsts.notes, self.firsts.advice, self.firsts.no_returns)
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
