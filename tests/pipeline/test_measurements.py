@@ -118,7 +118,7 @@ def test_one_cloud_has_no_interval(tmp_path: Path) -> None:
 
 
 def test_only_the_first_clouds_within_the_cut_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure_module, "FIRST_CLOUDS", 5)
+    monkeypatch.setattr(measure_module, "STAMPS", 5)
     intervals = [3] * 4 + [1] * 4 + [2] * 8
     stamps = (T0 + np.cumsum([0, *intervals]) * SECOND // 10).tolist()
     items = recorded(FRONT, stamps, turning(columns=8), NAMES)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from .survey import TopicFacts
 
 #: How many clouds are read to measure the scan time, and how many to measure the time and the width of a beam.
-FIRST_CLOUDS = 51
+STAMPS = 51
 SHAPES = 11
 
 _OWN_FRAME = Placer()
@@ -99,7 +99,7 @@ def ask_measurements(facts: TopicFacts, spec: ScanSpec) -> None:
     request = ShapeRequest.of(spec)
     if request is not None:
         facts.ask(request.fact)
-    facts.ask_headers(FIRST_CLOUDS if spec.params.scan_time == "auto" else SHAPES if request is not None else 1)
+    facts.ask_headers(STAMPS if spec.params.scan_time == "auto" else SHAPES if request is not None else 1)
 
 
 def shapes_of(facts: TopicFacts, request: ShapeRequest, placer: Placer = _OWN_FRAME) -> list[CloudShape]:
@@ -285,14 +285,14 @@ def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str])
     layout = (params.at_resolution(step) if step else params).layout
     scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
     if scan_time == "auto":
-        stamps = [each.stamp_ns for each in facts.headers[:FIRST_CLOUDS]]
+        stamps = [each.stamp_ns for each in facts.headers[:STAMPS]]
         interval = median_interval_ns(stamps)
         scan_time = (interval or 0) / 1e9
         notes.append(
             f"{topic}: scan_time is 0, because there are no two different stamps to measure it between"
             if interval is None
             else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
-            f"{'its' if len(stamps) < FIRST_CLOUDS else 'the first'} {len(stamps)} stamps"
+            f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps)} stamps"
         )
     if time_increment == "auto":
         time_increment, first_beam_ns, found = _beams(shapes, layout)

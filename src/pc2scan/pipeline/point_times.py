@@ -9,7 +9,7 @@ import numpy as np
 
 from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns
 
-from .stages.turn import FIRST_CLOUDS, measure_turn, turn_sample
+from .stages.turn import TURN_CLOUDS, measure_turn, turn_sample
 from .survey import Fact
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def _turn(points: Points, message: RawMessage) -> TurnSample:
 
 
 #: What clouds show of how a lidar turns.
-TURNS = Fact(_turn, FIRST_CLOUDS)
+TURNS = Fact(_turn, TURN_CLOUDS)
 
 
 def _times(points: Points, _: RawMessage, point_time: PointTime) -> PointTimes | None:

@@ -169,7 +169,7 @@ def measure_sources(
 
     Returns
     -------
-    Measured
+    Measurements
         The measurements of the leading topic.
     callable
         Makes the grouper of messages; None: each message becomes a scan by itself.

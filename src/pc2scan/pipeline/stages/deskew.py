@@ -136,7 +136,10 @@ class PointTime:
             points = _mask_zero_times(points, name, self.unit)
         x, values = points.field("x"), points.field(name)
         if values.shape != x.shape:
-            raise DecodeError(f"{name} has several values a point", stamp_ns=points.stamp_ns)
+            message = f"its field {name} has several values a point"
+            raise DecodeError(
+                message, stamp_ns=points.stamp_ns, hint="if another field has the times, name it: `point_time=FIELD`"
+            )
         low, high, measured, unknown = kernel.span(x, values)
         if not given and measured > unknown:
             offset, unit = offset_and_unit(low, high, points.stamp_ns, self.unit, whole=whole)
