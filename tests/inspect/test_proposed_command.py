@@ -18,6 +18,7 @@ from pc2scan.inspect.proposals import body_of
 from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from support import RECORDINGS, ROOT, needs_shared
 from support.command import run
+from support.situations import hall
 from support.worlds.moving import Drive, Lidar, off_the_walls, returns_in_odom, write_imu, write_world
 
 if TYPE_CHECKING:
@@ -84,8 +85,9 @@ WORLDS = {
 }
 
 
+#: Its first cloud ends, by its stamp, where transforms begin.
 HALL: dict[str, Any] = {
-    "target_frame": "base_link", "deskew": True, "fixed_frame": "odom", "beams": "auto",
+    "target_frame": "base_link", "deskew": True, "fixed_frame": "odom", "beams": "auto", "start": 0.01,
 }  # fmt: skip
 
 
@@ -138,6 +140,52 @@ def scans_of(path: Path) -> list[LaserScan]:
         return [decode_laserscan(each.data, each.connection.serialization) for each in reader.messages(flat)]
 
 
+@pytest.mark.parametrize(
+    ("known", "lidars", "reasons"),
+    [
+        ((-0.4, 3.5), (FRONT,), {}),
+        ((0.254, 3.5), (FRONT,), {"start": "transforms to odom begin 0.25 s after the first cloud"}),
+        ((-0.4, 2.654), (FRONT,), {"end": "transforms to odom end 0.36 s before the last cloud"}),
+        (
+            (0.254, 2.654),
+            (FRONT, REAR),
+            {
+                "start": "transforms to odom begin 0.25 s after the first cloud",
+                "end": "transforms to odom end 0.36 s before the last cloud",
+            },
+        ),
+    ],
+)
+def test_clouds_without_transforms_are_left_out(
+    known: tuple[float, float], lidars: tuple[Lidar, ...], reasons: dict[str, str], tmp_path: Path
+) -> None:
+    path = write_world(tmp_path / "drive.mcap", lidars, Drive(), seconds=3.0, known=known)
+    (call,) = pc2scan.info(path).proposals
+    assert {name: why for name, why in call.reasons.items() if name in {"start", "end"}} == reasons
+    report = pc2scan.convert(path, tmp_path / "scans.mcap", **call.options)
+    assert (report.warnings, [topic.skipped for topic in report.topics if topic.skipped]) == ([], [])
+    uncut = {name: value for name, value in call.options.items() if name not in reasons}
+    whole = pc2scan.convert(path, tmp_path / "whole.mcap", **uncut)
+    # Nothing is cut that transforms place.
+    kept, every = (
+        sum(topic.messages_out for topic in each.topics if topic.target == "/scan") for each in (report, whole)
+    )
+    assert sum(topic.skipped for topic in whole.topics) > 0 or not reasons
+    assert kept == every > 10
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.5, 2.0, 4.0, 8.0])
+def test_a_recorded_mount_that_is_off_is_said_and_corrected(degrees: float, tmp_path: Path) -> None:
+    path = hall(mount=(0.2, 0.0, 0.6), turned=math.radians(degrees))(tmp_path)
+    found = pc2scan.info(path)
+    (call,) = found.proposals
+    is_off = degrees > 1.0
+    said = f"/points: frame 'base_link' is tilted by {degrees:.1f} deg by the transform of 'lidar'"
+    assert [text.startswith(said) for text in found.warnings] == [True] * is_off
+    assert (call.options["target_frame"], "static_tf" in call.options) == ("base_link", is_off)
+    assert not pc2scan.convert(path, tmp_path / "scans.mcap", **call.options).warnings
+
+
 #: What `info` proposes for recordings that other people made, and for the fixtures, besides preset and heights.
 RECORDED: dict[str, dict[str, Any]] = {
     # Its odometry is simulated, from the year 1970.
@@ -164,8 +212,7 @@ def test_real_recordings(name: str, tmp_path: Path) -> None:
     special = {key: value for key, value in call.options.items() if key not in {"preset", "min_height", "max_height"}}
     assert special == {key: special.get(key) if value is ... else value for key, value in RECORDED[name].items()}
     report = pc2scan.convert(source, tmp_path / "scans.mcap", **call.options)
-    # The last cloud of the fixture ends after the last transform.
-    assert sum(topic.skipped for topic in report.topics) <= 1
+    assert not any(topic.skipped for topic in report.topics)
     assert not report.warnings
     (scans,) = (each for each in pc2scan.check(tmp_path / "scans.mcap").topics if each.topic == "/scan")
     # Without odometry, most consumers cannot place scans.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+import pc2scan
 from pc2scan.core.floor import CloudSample
 from pc2scan.core.params import ProjectionParams
 from pc2scan.core.points import Points
@@ -25,7 +26,7 @@ from pc2scan.pipeline.report import Report, TopicReport
 from pc2scan.requests import conversion_of
 from pc2scan.tf.builder import TransformBuilder
 from support.tables import rows
-from support.worlds.mounted import PLACES, cloud, mounted
+from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -123,6 +124,20 @@ def test_a_check_of_the_counts(attributes: dict[str, Any], name: str, text: str)
     assert found[name][0].startswith(text)
     warnings, notes = checks.result_findings(report)
     assert [text for texts in found.values() for text in texts] == warnings + notes
+
+
+@pytest.mark.parametrize("lowest", [0.1, -1.1])
+def test_points_that_are_no_returns_are_not_outside_the_heights(lowest: float, tmp_path: Path) -> None:
+    """Every other point is at (0, 0, 0), which the default heights reject, as the node does."""
+    points = np.random.default_rng(1).uniform((-5.0, -5.0, lowest), (5.0, 5.0, lowest + 1.9), (3000, 3))
+    points[::2] = 0.0
+    outside = (points[1::2, 2] < 0).mean()
+    told = [f"/scan: {outside:.0%} of the returns were outside the heights"] if lowest < 0 else []
+    path = write_clouds(tmp_path / "drive.mcap", [points.astype(np.float32)] * 4)
+    report = pc2scan.convert(path, tmp_path / "scans.mcap", range_min=0.1)
+    (scans,) = (topic for topic in report.topics if topic.target == "/scan")
+    assert scans.points.height >= 6000
+    assert [":".join(text.split(":")[:2]) for text in report.warnings if "heights" in text] == told
 
 
 @pytest.mark.parametrize(("counts", "name", "text"), rows(TABLE, "joined"))

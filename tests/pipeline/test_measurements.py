@@ -16,7 +16,7 @@ from pc2scan.pipeline import measurements as measure_module
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.measurements import ask_measurements, measure
 from pc2scan.pipeline.options import ScanSpec
-from pc2scan.pipeline.survey import Survey
+from pc2scan.pipeline.survey import Fact, Survey
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import FrameOptions, Placer
 from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, item, write_mcap
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pc2scan.core.points import Points
+    from pc2scan.model import RawMessage
     from pc2scan.pipeline.conversion import Measurements
 
 TURN = 2 * math.pi
@@ -83,6 +85,32 @@ def test_each_topic_has_its_own_scan_time(tmp_path: Path) -> None:
     ]
 
 
+def test_a_fact_is_observed_once_and_each_reader_has_as_many_as_it_wants(tmp_path: Path) -> None:
+    taken: list[int] = []
+
+    def stamp(points: Points, _: RawMessage, offset_ns: int) -> int:
+        taken.append(points.stamp_ns)
+        return points.stamp_ns - offset_ns
+
+    stamps = [T0 + n * SECOND // 10 for n in range(8)]
+    clouds = Recording((FRONT,), tuple(recorded(FRONT, stamps, turning(columns=8), NAMES)))
+    reader = open_recording(write_mcap(tmp_path / "drive.mcap", clouds))
+    survey = Survey(reader, [], FrameOptions(), Span(None, None, 0))
+    facts = survey.facts(list(reader.connections))
+    few, many, other = Fact(stamp, 2, (T0,)), Fact(stamp, 5, (T0,)), Fact(stamp, 3, (0,))
+    for fact in (few, many, other):
+        facts.ask(fact)
+    survey.read()
+    reader.close()
+    assert [len(facts.found(fact)) for fact in (few, many, other)] == [2, 5, 3]
+    assert (facts.found(few), facts.found(other)) == ([0, SECOND // 10], stamps[:3])
+    assert len(taken) == 8
+    with pytest.raises(LookupError, match="nobody asked for"):
+        facts.found(Fact(stamp, 2, (1,)))
+    with pytest.raises(LookupError, match="nobody asked for"):
+        _ = facts.headers
+
+
 def test_one_cloud_has_no_interval(tmp_path: Path) -> None:
     timings, notes = measured(tmp_path, recorded(FRONT, [T0], turning(), NAMES), ProjectionParams(scan_time="auto"))
     assert timings["/front"].scan_time == 0
@@ -90,7 +118,7 @@ def test_one_cloud_has_no_interval(tmp_path: Path) -> None:
 
 
 def test_only_the_first_clouds_within_the_cut_are_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(measure_module, "FIRST_CLOUDS", 5)
+    monkeypatch.setattr(measure_module, "STAMPS", 5)
     intervals = [3] * 4 + [1] * 4 + [2] * 8
     stamps = (T0 + np.cumsum([0, *intervals]) * SECOND // 10).tolist()
     items = recorded(FRONT, stamps, turning(columns=8), NAMES)

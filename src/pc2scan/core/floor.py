@@ -24,7 +24,7 @@ _Points: TypeAlias = "NDArray[np.float64]"
 
 #: How many clouds of a topic are judged if the first one has no level floor, how many points of each are sampled, and
 #: with how many a cloud is not judged.
-MOST_CLOUDS = 3
+JUDGED_CLOUDS = 3
 MOST_POINTS = 2_000
 FEWEST_POINTS = 300
 
@@ -149,13 +149,13 @@ def _angle(cosine: float) -> float:
 
 
 def are_enough(samples: Sequence[CloudSample]) -> bool:
-    """Return whether the first clouds show how a sensor is mounted: one with a level floor, or `MOST_CLOUDS`."""
-    return len(samples) >= MOST_CLOUDS or (len(samples) > 0 and samples[0].floor is not None)
+    """Return whether the first clouds show how a sensor is mounted: one with a level floor, or `JUDGED_CLOUDS`."""
+    return len(samples) >= JUDGED_CLOUDS or (len(samples) > 0 and samples[0].floor is not None)
 
 
 def enough_to_judge(samples: Sequence[CloudSample]) -> Sequence[CloudSample]:
     """Return as many of the first clouds as are enough (`are_enough`), or all if there are fewer."""
-    return samples[: 1 if are_enough(samples[:1]) else MOST_CLOUDS]
+    return samples[: 1 if are_enough(samples[:1]) else JUDGED_CLOUDS]
 
 
 def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:

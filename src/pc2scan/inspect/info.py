@@ -26,8 +26,10 @@ from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.placing import FrameOptions, Placer
+from pc2scan.tf.summary import BODIES
 
 from .cloud_info import CloudInfo, CloudLook
+from .edges import EDGE_NS
 from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, proposals
 from .sampling import spread_over
 from .scan_info import ScanInfo, ScanLook
@@ -329,6 +331,7 @@ def info(
                 of_clouds[each.topic].parts,
                 bool(each.zero_share),
                 seconds[each.topic],
+                (start_ns or 0, end_ns if found.knows_end else None),
             )
             for each in clouds
             if each.mounting is not None
@@ -377,6 +380,8 @@ class _Surveyed(NamedTuple):
         What is wrong with the clocks of topics.
     warnings
         About transforms, clocks and units.
+    knows_end
+        Whether all transforms at the end of the recording are known.
     """
 
     facts: Mapping[str, TopicFacts]
@@ -385,11 +390,26 @@ class _Surveyed(NamedTuple):
     ups: Mapping[str, UpEstimate | UsageError]
     clocks: Mapping[str, ClockFinding]
     warnings: Sequence[str]
+    knows_end: bool
 
     def mountings(self) -> dict[str, Mounting | None]:
         """Return how the clouds of each topic are mounted."""
         moved = bool(self.places.target_frame)
-        return {topic: each.mounting(self.places, self.buffer, moved=moved) for topic, each in self.facts.items()}
+        found = {topic: each.mounting(self.places, self.buffer, moved=moved) for topic, each in self.facts.items()}
+        return found if moved else {topic: self._in_body(topic, each) for topic, each in found.items()}
+
+    def _in_body(self, topic: str, own: Mounting | None) -> Mounting | None:
+        """Return how clouds that are level are mounted on the robot, if its transform tilts them."""
+        if own is None or own.fault or self.buffer is None:
+            return own
+        named = (own.target_frame, *BODIES) if own.target_frame else BODIES
+        body = next((name for name in named if name in self.buffer.frames), "")
+        if not body or body == own.frame.removeprefix("/"):
+            return own
+        there = self.facts[topic].mounting(
+            self.places._replace(target_frame=body, buffer=self.buffer), self.buffer, moved=False
+        )
+        return own if there is None or not there.fault else there
 
 
 def _survey(
@@ -422,11 +442,11 @@ def _survey(
     moved = bool(places.target_frame)
     facts = survey.topics(each for each in connections if each.ros_type in CLOUDS)
     flat = survey.topics(each for each in connections if each.ros_type in SCANS and each.topic not in facts)
-    for each in facts.values():
-        each.ask_samples(moved=moved)
-        ask_facts(each)
-    for each in flat.values():
+    for each in (*facts.values(), *flat.values()):
         each.ask_headers(HEADERS)
+        each.ask_samples(moved=moved)  # of LaserScans there are none
+    for each in facts.values():
+        ask_facts(each, end_ns)
     clocks = Clocks(survey, facts.values())
     readings = {topic: _imu_reading(survey, topic) for topic in imus}
     if reads_all:
@@ -434,18 +454,18 @@ def _survey(
     elif has_clouds:
         survey.ask_robot(_moments(survey.span.first_ns, end_ns) if facts else ())
     survey.read()
-    buffer, warnings = None, list[str]()
+    buffer, warnings, knows_end = None, list[str](), True
     if survey.transforms is not None:
         found = survey.transforms.finish()
         buffer, warnings = found.buffer, [*found.warnings, *found.notes]
     elif survey.robot is not None:
-        buffer = survey.robot.finish()
+        buffer, knows_end = survey.robot.finish(), not survey.robot.is_cut
     wrong = clocks.findings()
     warnings += (each.text for each in wrong.values())
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
     ups = {topic: _up(reading) for topic, reading in readings.items()}
     places = places._replace(buffer=buffer if moved else None)
-    return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings)
+    return _Surveyed({**facts, **flat}, places, buffer, ups, wrong, warnings, knows_end)
 
 
 def _with_own_rate(
@@ -539,10 +559,11 @@ def _mark(topic: str) -> str:
 
 
 def _moments(start_ns: int, end_ns: int | None) -> list[int]:
-    """Return the times at which the motion of the robot is looked at."""
+    """Return the times at which the motion of the robot is looked at: spread, and at the end."""
     if end_ns is None:
         return []
-    return [start_ns + (end_ns - start_ns) * number // _MOMENTS for number in range(_MOMENTS)]
+    spread = [start_ns + (end_ns - start_ns) * number // _MOMENTS for number in range(_MOMENTS)]
+    return [*spread, max(start_ns, end_ns - EDGE_NS + 1)]
 
 
 def _described(topics: Sequence[TopicInfo], names: Sequence[str]) -> list[TopicInfo]:

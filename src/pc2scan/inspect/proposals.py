@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -15,15 +15,17 @@ from pc2scan.core.percentiles import median, median_low
 from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import TransformError
 from pc2scan.pipeline.clocks import are_doubtful
-from pc2scan.pipeline.measurements import ShapeRequest, ask_shapes, regular_step, shapes_of
-from pc2scan.pipeline.point_times import ask_times, time_warnings
+from pc2scan.pipeline.measurements import ShapeRequest, regular_step, shapes_of
+from pc2scan.pipeline.point_times import TURNS, time_warnings, times_of
 from pc2scan.pipeline.stages.deskew import PointTime
-from pc2scan.pipeline.stages.turn import AZIMUTH, turn_sample
+from pc2scan.pipeline.survey import Fact
 from pc2scan.result import Call
 from pc2scan.tf.motion import sensor_motion, spread_of_up
 from pc2scan.tf.mounting import sensor_exclusion
 from pc2scan.tf.static import StaticTransform
 from pc2scan.tf.summary import BODIES
+
+from .edges import EDGE_NS, EdgeClouds, edge_cuts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -42,9 +44,10 @@ if TYPE_CHECKING:
 #: The preset whose scans all consumers accept.
 _PRESET = "slam_toolbox"
 
-#: How many clouds of a topic are looked at, how many for the shape of their rings, and the largest of a pattern that is
-#: sparse, points.
+#: How many clouds of a topic are looked at, how many at most of those in the recording's last second, how many for the
+#: shape of their rings, and the largest of a pattern that is sparse, points.
 HEADERS = 21
+_LAST_HEADERS = 400
 _SHAPES = 3
 _SPARSE = 60_000
 
@@ -85,16 +88,20 @@ _BEYOND = 15.0
 _LONG = 5.0
 
 
-def ask_facts(facts: TopicFacts) -> None:
-    """Ask for the facts about a topic with clouds that a command depends on."""
-    facts.ask_headers(HEADERS)
-    facts.ask(AZIMUTH, lambda points, message: turn_sample(points, message.log_time_ns), HEADERS)
-    facts.ask("pattern", _sparse_points, HEADERS)
-    ask_times(facts, PointTime())
-    ask_shapes(facts, _SHAPE, _SHAPES)
+def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
+    """Ask for the facts about a topic with clouds that a command depends on.
 
-
-_SHAPE = ShapeRequest(step=True, sweep=True)
+    Parameters
+    ----------
+    facts
+        The topic.
+    end_ns
+        The log time of the recording's last message; None without messages.
+    """
+    for fact in (_TURNS, _PATTERN, _TIMES, _SHAPE.fact):
+        facts.ask(fact)
+    if end_ns is not None:
+        facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
 
 
 def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
@@ -104,6 +111,12 @@ def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
+
+
+_TURNS = replace(TURNS, most=HEADERS)
+_PATTERN = Fact(_sparse_points, HEADERS)
+_TIMES = times_of(PointTime())
+_SHAPE = ShapeRequest(step=True, sweep=True, most=_SHAPES)
 
 
 class Directions(NamedTuple):
@@ -139,6 +152,9 @@ class Lidar:
         Whether points at (0, 0, 0) stand for no return.
     seconds
         How long it measured.
+    span_ns
+        The log times of the recording's first and last message; the last one is None if not all transforms there are
+        known.
     """
 
     facts: TopicFacts
@@ -147,6 +163,7 @@ class Lidar:
     clouds: Sequence[NDArray[np.floating[Any]]]
     has_zeros: bool
     seconds: float
+    span_ns: tuple[int, int | None]
 
     @property
     def topic(self) -> str:
@@ -167,15 +184,24 @@ class Lidar:
     @cached_property
     def duration(self) -> float:
         """The time that the points of a cloud take by their own times, seconds; 0 without plausible ones."""
-        times = self.facts.found(PointTime())
+        times = self.facts.found(_TIMES)
         if not times or any(time_warnings(self.facts, PointTime())):
             return 0.0
         return median([each.high - each.low for each in times])
 
+    @property
+    def edges(self) -> EdgeClouds:
+        """Its clouds at the edges of the recording."""
+        clouds = EdgeClouds(self.mounting.frame, self.facts.headers, self.facts.last_headers)
+        if not self.duration:
+            return clouds
+        times = self.facts.found(_TIMES)
+        return clouds._replace(before=min(each.low for each in times), after=max(each.high for each in times))
+
     @cached_property
     def time_field(self) -> str:
         """The field with the times of points."""
-        return str(self.facts.found(PointTime())[0].field)
+        return self.facts.found(_TIMES)[0].field
 
     @cached_property
     def step(self) -> float | None:
@@ -198,13 +224,13 @@ class Lidar:
     @cached_property
     def covered(self) -> float:
         """The share of all directions that a cloud has."""
-        samples = self.facts.found(AZIMUTH)
+        samples = self.facts.found(_TURNS)
         return median([each.directions.bit_count() * _STEP / math.tau for each in samples]) if samples else 0.0
 
     @cached_property
     def directions(self) -> Directions:
         """Whether a cloud is a part of a turn."""
-        samples = self.facts.found(AZIMUTH)
+        samples = self.facts.found(_TURNS)
         union = 0
         for each in samples:
             union |= each.directions
@@ -229,7 +255,7 @@ class Lidar:
             return 0
         clouds = [
             filled
-            for each in self.facts.found("pattern")
+            for each in self.facts.found(_PATTERN)
             if (filled := _filled_beams(self._in_target(each, self.mounting.frame), heights.low, heights.high))
             is not None
         ]
@@ -452,7 +478,10 @@ def _choices(
     if (clock := clocks.get(lidar.topic)) is not None:
         yield Choice("time_offset", clock.time_offset, clock.reason)
     yield from _heights(group)
-    yield from _times(group, ups)
+    times = list(_times(group, ups))
+    yield from times
+    if clock is None:
+        yield from _edges(group, next((each.value for each in times if each.name == "fixed_frame"), ""))
     yield from _exclusions(group)
     yield from _beams(group)
 
@@ -515,6 +544,15 @@ def _times(group: Sequence[Lidar], ups: Mapping[str, UpEstimate]) -> Iterator[Ch
         yield Choice("fixed_frame", within_scan.fixed, "the frame that does not move with the robot")
     if not tilts:
         yield from _level_by_imu(lidar, ups)
+
+
+def _edges(group: Sequence[Lidar], fixed: str) -> Iterator[Choice]:
+    """Yield the cut that leaves out clouds which no transform places in the fixed frame, if there is such a frame."""
+    buffer = group[0].buffer
+    if not fixed or buffer is None:
+        return
+    for cut in edge_cuts([each.edges for each in group], buffer, fixed, *group[0].span_ns):
+        yield Choice(cut.option, cut.seconds, cut.reason)
 
 
 def _moves(motion: SensorMotion | None) -> bool:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.bags.units import FirstTimes
-from pc2scan.core.floor import MOST_CLOUDS, CloudSample
+from pc2scan.core.floor import JUDGED_CLOUDS, CloudSample
 
 from .checks import EACH_CLOUD, FIRST_CLOUDS, FIRST_CLOUDS_NOTES, FRAME, found_by
 from .checks.clouds import CloudFacts, KnownTransforms
@@ -67,6 +67,8 @@ class FirstClouds:
         What was found so far.
     advice
         Options with heights that suit the clouds, by their topic and the output.
+    no_returns
+        The share of points outside the heights that are no returns, by their topic and the output.
     surroundings
         What is seen where the robot moves most, with the labels of the outputs.
     """
@@ -81,6 +83,7 @@ class FirstClouds:
         self.warnings: list[str] = []
         self.notes: list[str] = []
         self.advice: dict[tuple[str, ScanSpec], str] = {}
+        self.no_returns: dict[tuple[str, ScanSpec], float] = {}
         self.surroundings: list[tuple[str, Surroundings]] = []
         self._warn = warn
         self._topics: dict[tuple[str, ScanSpec], TopicClouds] = {}
@@ -124,7 +127,7 @@ class TopicClouds:
         self._every = every
         self._samples: list[CloudSample] = []
         self._counts: list[PointCounts] = []
-        self.times = FirstTimes(MOST_CLOUDS)
+        self.times = FirstTimes(JUDGED_CLOUDS)
 
     def sample(self, points: Points, place: Placement) -> SharedSample:
         """Return a sample of a cloud's points; on any thread."""
@@ -139,8 +142,10 @@ class TopicClouds:
         facts = self._facts()
         for text in found_by(EACH_CLOUD, facts, self._spec.label):
             self._every.warn(text)
+        if sample.zeros:
+            self._every.no_returns[self._topic, self._spec] = facts.no_returns / max(facts.total.total, 1)
         # A level floor alone is not enough (`are_enough`): heights are judged by the points of all these clouds.
-        if len(self._samples) == MOST_CLOUDS:
+        if len(self._samples) == JUDGED_CLOUDS:
             self.finish()
         elif len(self._samples) == 1 and facts.are_fine:
             self.full = True

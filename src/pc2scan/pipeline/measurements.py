@@ -21,21 +21,23 @@ from pc2scan.text import did_you_mean
 from pc2scan.tf.placing import Placer
 
 from .conversion import Measurements
+from .survey import Fact
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence
+    from collections.abc import Callable, Container, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from pc2scan.core.layout import BeamLayout
     from pc2scan.core.params import ProjectionParams
     from pc2scan.core.timing import Sweep
+    from pc2scan.model import RawMessage
 
     from .options import ScanSpec
     from .survey import TopicFacts
 
 #: How many clouds are read to measure the scan time, and how many to measure the time and the width of a beam.
-FIRST_CLOUDS = 51
+STAMPS = 51
 SHAPES = 11
 
 _OWN_FRAME = Placer()
@@ -50,11 +52,19 @@ class ShapeRequest(NamedTuple):
         See `CloudShape`.
     is_placed
         Whether it is measured along the axes of another frame, whose transforms are known later.
+    most
+        In how many clouds.
     """
 
     step: bool
     sweep: bool
     is_placed: bool = False
+    most: int = SHAPES
+
+    @property
+    def fact(self) -> Fact[Any]:
+        """What is taken of clouds: a `CloudShape`, or the columns that it is measured in later."""
+        return Fact(_columns if self.is_placed else _own_shape, self.most, (self,))
 
     @classmethod
     def of(cls, spec: ScanSpec) -> ShapeRequest | None:
@@ -88,14 +98,8 @@ def ask_measurements(facts: TopicFacts, spec: ScanSpec) -> None:
     """Ask for what `measure` reads of a topic."""
     request = ShapeRequest.of(spec)
     if request is not None:
-        ask_shapes(facts, request)
-    facts.ask_headers(FIRST_CLOUDS if spec.params.scan_time == "auto" else SHAPES if request is not None else 1)
-
-
-def ask_shapes(facts: TopicFacts, request: ShapeRequest, most: int = SHAPES) -> None:
-    """Ask for what the points of so many clouds show of the lidar."""
-    take = _columns if request.is_placed else _shape
-    facts.ask(request, lambda points, _: take(points, request), most)
+        facts.ask(request.fact)
+    facts.ask_headers(STAMPS if spec.params.scan_time == "auto" else SHAPES if request is not None else 1)
 
 
 def shapes_of(facts: TopicFacts, request: ShapeRequest, placer: Placer = _OWN_FRAME) -> list[CloudShape]:
@@ -103,7 +107,7 @@ def shapes_of(facts: TopicFacts, request: ShapeRequest, placer: Placer = _OWN_FR
 
     Clouds whose coordinates cannot be read are left out.
     """
-    found = facts.found(request)
+    found = facts.found(request.fact)
     shapes = [_shape(each, request, placer) for each in found] if request.is_placed else found
     return [each for each in shapes if each.is_readable]
 
@@ -150,7 +154,7 @@ def _time_field(fields: Container[str]) -> str | None:
     return next((name for name in TIME_FIELDS if name in fields), None)
 
 
-def _columns(cloud: Points, request: ShapeRequest) -> Points:
+def _columns(cloud: Points, _: RawMessage, request: ShapeRequest) -> Points:
     """Return copies of the columns that show the shape of a cloud; without coordinates that cannot be read."""
     rings = [name for name in RING_FIELDS if name in cloud.fields][: request.step]
     time = _time_field(cloud.fields) if request.sweep else None
@@ -161,6 +165,10 @@ def _columns(cloud: Points, request: ShapeRequest) -> Points:
         with suppress(MessageError):
             columns[time] = cloud.field(time).copy()
     return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, columns)
+
+
+def _own_shape(cloud: Points, _: RawMessage, request: ShapeRequest) -> CloudShape:
+    return _shape(cloud, request)
 
 
 @np.errstate(all="ignore")  # coordinates and times may be any numbers: signalling NaN, the largest numbers
@@ -210,6 +218,40 @@ def _angles(cloud: Points, placer: Placer) -> NDArray[np.float64]:
     return angles
 
 
+def require_fields(
+    spec: ScanSpec, fields: Container[str], what: str, hint: Callable[[str], str], point_time: str = ""
+) -> None:
+    """Raise if a field that an output needs is missing.
+
+    Parameters
+    ----------
+    spec
+        The output.
+    fields
+        Those that there are.
+    what
+        What has them, in the plural.
+    hint
+        Returns the hint for a missing field.
+    point_time
+        The field with the times of points; empty: none is requested by its name.
+    """
+    name = spec.params.intensity_field
+    asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
+    asked += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
+    if point_time:
+        asked.append(("point_time", f"`point_time` is {spec.point_time!r}", point_time))
+    for option, request, field in asked:
+        if field not in fields:
+            raise ParameterError(f"{request}, which {what} do not have", name=option, hint=hint(field))
+
+
+def unknown_step(why: str) -> ParameterError:
+    """Return the error that the number of beams cannot be measured."""
+    hint = "give a number of `beams`, or an `angle_increment`"
+    return ParameterError(f"beams is auto, but {why}", name="beams", hint=hint)
+
+
 def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     """Raise if no cloud has a requested field."""
     if not facts.headers:
@@ -217,19 +259,14 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
     topic = facts.topic
     fields = list(dict.fromkeys(name for each in facts.headers for name in each.fields))
     there = f"their fields are: {', '.join(fields) or 'none'}"
-    name = spec.params.intensity_field
-    asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
-    asked += [(f.name, f"`{f.name}` needs the field {field!r}", field) for f in spec.filters for field in f.fields]
-    if spec.point_time.partition(":")[0] == "azimuth":
-        pass
-    elif spec.point_time:
-        asked.append(("point_time", f"`point_time` is {spec.point_time!r}", spec.point_time.partition(":")[0]))
-    for option, request, field in asked:
-        if field not in fields:
-            near = did_you_mean(field, fields)
-            raise ParameterError(
-                f"{request}, which the clouds on {topic} do not have", name=option, hint=f"{near} {there}".strip()
-            )
+    time = spec.point_time.partition(":")[0]
+    require_fields(
+        spec,
+        fields,
+        f"the clouds on {topic}",
+        lambda field: f"{did_you_mean(field, fields)} {there}".strip(),
+        "" if time == "azimuth" else time,
+    )
     if spec.deskew and not spec.point_time and not any(name in fields for name in TIME_FIELDS):
         raise ParameterError(
             f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
@@ -248,14 +285,14 @@ def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str])
     layout = (params.at_resolution(step) if step else params).layout
     scan_time, time_increment, first_beam_ns = params.scan_time, params.time_increment, 0
     if scan_time == "auto":
-        stamps = [each.stamp_ns for each in facts.headers[:FIRST_CLOUDS]]
+        stamps = [each.stamp_ns for each in facts.headers[:STAMPS]]
         interval = median_interval_ns(stamps)
         scan_time = (interval or 0) / 1e9
         notes.append(
             f"{topic}: scan_time is 0, because there are no two different stamps to measure it between"
             if interval is None
             else f"{topic}: scan_time is {scan_time:.6g} s, the median interval of "
-            f"{'its' if len(stamps) < FIRST_CLOUDS else 'the first'} {len(stamps)} stamps"
+            f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps)} stamps"
         )
     if time_increment == "auto":
         time_increment, first_beam_ns, found = _beams(shapes, layout)
@@ -274,11 +311,9 @@ def _resolution(topic: str, shapes: Sequence[CloudShape], params: ProjectionPara
     known = sum(each.step is not None for each in shapes)
     step = regular_step(shapes)
     if step is None:
-        raise ParameterError(
-            f"beams is auto, but the azimuth resolution of the clouds on {topic} cannot be measured: the points of "
-            f"{len(shapes) - known} of the first {len(shapes)} are in no regular rings",
-            name="beams",
-            hint="give a number of `beams`, or an `angle_increment`",
+        raise unknown_step(
+            f"the azimuth resolution of the clouds on {topic} cannot be measured: the points of "
+            f"{len(shapes) - known} of the first {len(shapes)} are in no regular rings"
         )
     layout = params.at_resolution(step).layout
     notes.append(

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core import kernel
-from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns, offset_and_unit
-from pc2scan.errors import DecodeError
+from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns
 
-from .stages.deskew import mask_zero_times
-from .stages.turn import AZIMUTH, FIRST_CLOUDS, measure_turn, turn_sample
+from .stages.turn import TURN_CLOUDS, measure_turn, turn_sample
+from .survey import Fact
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -20,9 +18,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
+    from pc2scan.model import RawMessage
 
     from .stages.deskew import PointTime
-    from .stages.turn import Turn
+    from .stages.turn import Turn, TurnSample
     from .survey import TopicFacts
 
 #: How many clouds of a topic are read, and how many stamps are needed to know its period.
@@ -75,9 +74,9 @@ class PointTimes(NamedTuple):
 def ask_times(facts: TopicFacts, point_time: PointTime) -> None:
     """Ask for the times of points: those of a field, or the turns of a lidar whose period is to be measured."""
     if point_time.turn is None:
-        facts.ask(point_time, lambda points, _: _times(points, point_time), _CLOUDS)
+        facts.ask(times_of(point_time))
     elif not point_time.turn.period:
-        facts.ask(AZIMUTH, lambda points, message: turn_sample(points, message.log_time_ns), FIRST_CLOUDS)
+        facts.ask(TURNS)
 
 
 def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
@@ -85,31 +84,39 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
 
     Times that are impossible are not among them: those are errors when their cloud is converted.
     """
-    yield from _doubts(facts.topic, facts.found(point_time))
+    if point_time.turn is None:
+        yield from _doubts(facts.topic, facts.found(times_of(point_time)))
 
 
-def _times(points: Points, point_time: PointTime) -> PointTimes | None:
+def times_of(point_time: PointTime) -> Fact[PointTimes]:
+    """Return the fact: the times of points in a field."""
+    return Fact(_times, _CLOUDS, (point_time,))
+
+
+def _turn(points: Points, message: RawMessage) -> TurnSample:
+    return turn_sample(points, message.log_time_ns)
+
+
+#: What clouds show of how a lidar turns.
+TURNS = Fact(_turn, TURN_CLOUDS)
+
+
+def _times(points: Points, _: RawMessage, point_time: PointTime) -> PointTimes | None:
     """Return the times of a cloud's points; None if it has none."""
-    name = point_time.field_of(points)
-    whole = points.field(name).dtype.kind in "iu"
-    points = mask_zero_times(points, name, point_time.unit)
-    x, y, values = points.field("x"), points.field("y"), points.field(name)
-    if values.shape != x.shape:
-        raise DecodeError(f"{name} has several values a point")
-    low, high, measured, unknown = kernel.span(x, values)
-    if measured - unknown < 2:
+    known = point_time.read(points)
+    low, high = known.low, known.high
+    if known.measured - known.unknown < 2:
         return None
-    offset, unit = offset_and_unit(low, high, points.stamp_ns, point_time.unit, whole=whole)
-    low, high = (low - offset) * unit, (high - offset) * unit
+    x, y = points.field("x"), points.field("y")
     ordered = True
     if x.size > _RUN and high > low:
         begins = np.linspace(0, x.size - _RUN, _RUNS).astype(np.intp)
         chosen = np.unravel_index(begins[:, np.newaxis] + np.arange(_RUN), x.shape)
-        seconds = (values[chosen].astype(np.float64) - offset) * unit
+        seconds = known.at(chosen)
         with np.errstate(invalid="ignore"):
             angles = np.arctan2(y[chosen].astype(np.float64), x[chosen].astype(np.float64))
         ordered = _are_ordered(angles, np.where(np.isnan(x[chosen]), np.nan, seconds), high - low)
-    return PointTimes(points.stamp_ns, name, low, high, unit, ordered)
+    return PointTimes(points.stamp_ns, known.field, low, high, known.unit, ordered)
 
 
 def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whole: float) -> bool:
@@ -183,7 +190,7 @@ def measure_turns(topics: Iterable[TopicFacts], point_time: PointTime) -> tuple[
     notes: list[str] = []
     if point_time.turn is not None and not point_time.turn.period:
         for facts in topics:
-            if samples := facts.found(AZIMUTH):
+            if samples := facts.found(TURNS):
                 turns[facts.topic], note = measure_turn(facts.topic, point_time.turn, samples)
                 notes.append(note)
     return turns, notes

@@ -78,7 +78,7 @@ class Preparation(NamedTuple):
             tally.finish()
             self.firsts.finish()
         finally:
-            report.add(self.firsts.warnings, self.firsts.notes, self.firsts.advice)
+            report.add(self.firsts.warnings, self.firsts.notes, self.firsts.advice, self.firsts.no_returns)
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -228,13 +228,6 @@ class _OutputFacts:
                 facts.ask_headers(CLOCK_HEADERS)
             if spec.imu_request:
                 survey.imu(spec.imu_request.topic)
-        if spec.deskew:
-            from .point_times import ask_times  # noqa: PLC0415  # only with deskewing
-            from .stages.deskew import PointTime  # noqa: PLC0415
-
-            self._where = PointTime.parse(spec.point_time)
-            for facts in self._topics.values():
-                ask_times(facts, self._where)
         for combination in (each for each in plan.combinations if each.spec is spec):
             from .combine.measurements import SourceFacts  # noqa: PLC0415  # few scans are of several messages
 
@@ -248,6 +241,14 @@ class _OutputFacts:
             self._alone = survey.topics(plan.sources_of(spec, None))
             for facts in self._alone.values():
                 ask_measurements(facts, spec)
+        if spec.deskew:
+            from .point_times import ask_times  # noqa: PLC0415  # only with deskewing
+            from .stages.deskew import PointTime  # noqa: PLC0415
+
+            self._where = PointTime.parse(spec.point_time)
+            for topics in (self._alone, *(each.facts for each in self._sources)):
+                for facts in topics.values():
+                    ask_times(facts, self._where)
 
     def conversions(
         self, placer: Placer, firsts: FirstClouds

@@ -71,6 +71,9 @@ class TopicReport:
         Whether the topic should have been written but cannot be; ``note`` has the reason.
     advice
         Options with heights that suit the clouds, in a level frame; empty if none are needed.
+    no_returns
+        The share of points that are outside the heights, and at (0, 0, 0), as drivers write for no return; of the first
+        clouds.
     spec
         The request that the output was made by; None if the topic is not converted.
     """
@@ -98,6 +101,7 @@ class TopicReport:
     clouds_kept: bool = False
     lost: bool = False
     advice: str = ""
+    no_returns: float = field(default=0.0, compare=False, repr=False)
     spec: ScanSpec | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -269,13 +273,15 @@ class Report(Result):
         warnings: Sequence[str],
         notes: Sequence[str] = (),
         advice: Mapping[tuple[str, ScanSpec], str] | None = None,
+        no_returns: Mapping[tuple[str, ScanSpec], float] | None = None,
     ) -> None:
-        """Add warnings, notes that it does not have yet, and advice, by the topic and the output that it is about."""
+        """Add warnings, notes that it does not have yet, and what first clouds show, by the topic and the output."""
         self.warnings += warnings
         self.notes += (note for note in notes if note not in self.notes)
         for topic in self.topics:
             if topic.spec is not None:
                 topic.advice = (advice or {}).get((topic.topic, topic.spec), topic.advice)
+                topic.no_returns = (no_returns or {}).get((topic.topic, topic.spec), topic.no_returns)
 
     @property
     def rejections(self) -> dict[str, Rejection]:

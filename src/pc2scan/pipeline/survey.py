@@ -2,12 +2,13 @@
 
 `info`, `check`, conversions and pages ask for the facts that they need, let the recordings be read, and then read the
 facts; so they cannot disagree. A fact that is asked for twice is observed once, and one that is not asked for costs
-nothing. The subjects' modules say what follows from the facts.
+nothing. The subjects' modules declare the facts (`Fact`), and say what follows from them.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
@@ -32,6 +33,40 @@ if TYPE_CHECKING:
 #: How many messages are read to find the first clouds that can be decoded and transformed.
 _MOST_SAMPLES = 30
 
+_Value = TypeVar("_Value")
+
+
+@dataclass(frozen=True)
+class Fact(Generic[_Value]):
+    """What is taken of each of the first clouds of a topic; who asks and who reads it share its declaration.
+
+    Attributes
+    ----------
+    take
+        Returns it, of a cloud, its message and ``given``; clouds of which it is None, or which raise a `MessageError`,
+        are left out. It must keep no view of the message.
+    most
+        Of how many clouds it is wanted. Facts that differ only in this are observed once, of the most.
+    given
+        Further arguments of ``take``.
+    are_enough
+        Whether no more clouds are wanted, by what was taken of the first ones; None: all are.
+    """
+
+    take: Callable[..., _Value | None]
+    most: int = field(compare=False)
+    given: tuple[Hashable, ...] = ()
+    are_enough: Callable[[Sequence[_Value]], bool] | None = None
+
+
+def _sample(points: Points, _: RawMessage) -> CloudSample:
+    return CloudSample.of(points)
+
+
+#: Samples of points, if they are moved into another frame, which the first clouds may lack a transform to; and if not.
+_MOVED_SAMPLES = Fact(_sample, _MOST_SAMPLES)
+_OWN_SAMPLES = Fact(_sample, _MOST_SAMPLES, are_enough=are_enough)
+
 
 class Header(NamedTuple):
     """What a message with a cloud or a scan says of itself.
@@ -54,6 +89,10 @@ class Header(NamedTuple):
     increment: float | None = None
 
 
+def _samples(*, moved: bool) -> Fact[CloudSample]:
+    return _MOVED_SAMPLES if moved else _OWN_SAMPLES
+
+
 class TopicFacts:
     """What the first messages of a topic show.
 
@@ -71,6 +110,7 @@ class TopicFacts:
         self._span = span
         self._clouds = [each for each in connections if each.ros_type not in SCANS]
         self._decoders = {each.id: CLOUDS[each.ros_type](each.serialization) for each in self._clouds}
+        # By `Fact`; the headers, which LaserScans have as well, by `Header`.
         self._observers: dict[Hashable, Observer[Any]] = {}
 
     @property
@@ -80,7 +120,13 @@ class TopicFacts:
 
     def ask_headers(self, most: int) -> None:
         """Ask for the headers of so many messages."""
-        self._ask("headers", self._header, most, self.connections)
+        self._ask(Header, self._header, most, self.connections)
+
+    def ask_last_headers(self, start_ns: int, most: int) -> None:
+        """Ask for the headers of so many messages from a log time on."""
+        span = self._span
+        start_ns = start_ns if span.start_ns is None else max(start_ns, span.start_ns)
+        self._observers["last headers"] = Observer(self.connections, self._header, most, start_ns, span.stop_ns)
 
     def ask_samples(self, *, moved: bool) -> None:
         """Ask for samples of points.
@@ -88,25 +134,17 @@ class TopicFacts:
         Parameters
         ----------
         moved
-            Whether they are moved into another frame, which the first ones may lack a transform to.
+            Whether they are moved into another frame.
         """
-        observer = self.ask(("samples", moved), lambda points, _: CloudSample.of(points), _MOST_SAMPLES)
-        if not moved:
+        self.ask(_samples(moved=moved))
+
+    def ask(self, fact: Fact[Any]) -> None:
+        """Ask for a fact about the first clouds; its observer begins at the first call."""
+        observer = self._ask(
+            fact, lambda message: fact.take(self._points(message), message, *fact.given), fact.most, self._clouds
+        )
+        if (are_enough := fact.are_enough) is not None:
             observer.is_needless = lambda: are_enough(observer.found)
-
-    def ask(self, fact: Hashable, take: Callable[[Points, RawMessage], Any], most: int) -> Observer[Any]:
-        """Ask for what is taken of each of so many clouds, under a name.
-
-        Parameters
-        ----------
-        fact
-            Its name, which is also known to whoever reads it (`found`).
-        take
-            Returns it; None and errors of messages are left out.
-        most
-            How many clouds are wanted.
-        """
-        return self._ask(fact, lambda message: take(self._points(message), message), most, self._clouds)
 
     def delays_from(self, start_ns: int, most: int) -> Observer[int]:
         """Return the observer of the delays from stamps to log times of so many messages, from a log time on."""
@@ -116,18 +154,28 @@ class TopicFacts:
 
     @property
     def headers(self) -> Sequence[Header]:
-        """The headers, in the order of log time."""
-        return self.found("headers")
+        """The headers, in the order of log time: as many as any caller of `ask_headers` wants."""
+        return self._observed(Header).found
+
+    @property
+    def last_headers(self) -> Sequence[Header]:
+        """The headers that `ask_last_headers` asked for."""
+        return self._observed("last headers").found
 
     @property
     def frame(self) -> str:
         """The frame of the first message; empty if there is none."""
         return next((each.frame_id for each in self.headers), "")
 
-    def found(self, fact: Hashable) -> list[Any]:
-        """Return what was taken of the first messages, in the order of log time; nothing if it was not asked for."""
-        observer = self._observers.get(fact)
-        return [] if observer is None else observer.found
+    def found(self, fact: Fact[_Value]) -> list[_Value]:
+        """Return what was taken of the first clouds, in the order of log time, and no more than this fact wants.
+
+        Raises
+        ------
+        LookupError
+            If it was not asked for: a mistake in the program.
+        """
+        return self._observed(fact).found[: fact.most]
 
     def samples(self, placer: Placer, *, moved: bool) -> list[CloudSample]:
         """Return as many samples as show how the sensor is mounted, in the frames of scans.
@@ -135,7 +183,7 @@ class TopicFacts:
         Those that have no place there are left out.
         """
         clouds: list[CloudSample] = []
-        for sample in self.found(("samples", moved)):
+        for sample in self.found(_samples(moved=moved)):
             try:
                 place = placer.place(sample.frame_id, sample.stamp_ns)
             except TransformError:
@@ -166,12 +214,17 @@ class TopicFacts:
 
     def unit_warning(self, *, moved: bool) -> str:
         """Return the warning that the clouds are probably in millimetres; empty if they are not."""
-        first = next(iter(self.found(("samples", moved))), None)
+        first = next(iter(self.found(_samples(moved=moved))), None)
         if first is None:
             return ""
         from pc2scan.tf.mounting import unit_warning  # noqa: PLC0415  # slow to import
 
         return unit_warning(self.topic, first)
+
+    def _observed(self, fact: Hashable) -> Observer[Any]:
+        if fact not in self._observers:
+            raise LookupError(f"nobody asked for {fact} of {self.topic}")
+        return self._observers[fact]
 
     def _ask(
         self, fact: Hashable, take: Callable[[RawMessage], Any], most: int, connections: Sequence[Connection]

@@ -433,6 +433,11 @@ class RobotTransforms:
         if models := _model_connections(reader.connections, options):
             self.observers.append(Observer(models, copied_message, 1))
 
+    @property
+    def is_cut(self) -> bool:
+        """Whether one of the seconds may have more messages than were taken."""
+        return any(len(each.found) >= _SOME_MESSAGES for each in self.observers)
+
     def finish(self) -> TransformBuffer | None:
         """Return the transforms; None if there are none, or it is not clear which ones to use."""
         options = self._options

@@ -217,6 +217,13 @@ def test_points_that_were_not_measured_need_no_time() -> None:
     assert Deskew(frames(), "odom", PointTime())(points(np.empty((0, 3)), np.empty(0, np.uint32))) is None
 
 
+def test_a_field_with_several_times_a_point_is_an_error() -> None:
+    with pytest.raises(DecodeError, match="field t has several values a point") as caught:
+        Deskew(frames(), "odom", PointTime())(points(np.ones((3, 3)), np.arange(6, dtype=np.uint32).reshape(3, 2)))
+    assert caught.value.hint
+    assert caught.value.stamp_ns == T0
+
+
 @pytest.mark.parametrize(("times", "name", "what"), rows(TABLES, "times that cannot be"))
 def test_times_that_cannot_be_are_errors(times: Any, name: str, what: str) -> None:
     with pytest.raises(DecodeError) as caught:

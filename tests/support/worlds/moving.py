@@ -251,18 +251,21 @@ def write_world(
     odometry_hz: float = 100.0,
     odometry: Callable[[float], Rigid] | None = None,
     frames: Callable[[str], str] = str,
+    known: tuple[float, float] | None = None,
     compression: str | None = None,
 ) -> Path:
     """Write an MCAP file of what lidars measure while the robot drives, with the transforms odom, base_link, lidars.
 
     ``odometry`` is odom_from_base_link at a time, if not the robot's pose, ``frames`` the names that frames have in the
-    transforms.
+    transforms. Transforms of the robot are ``known`` from 0.4 s before the clouds to 0.5 s after them, if not at other
+    times.
     """
     odometry = odometry or drive.pose
+    first, last = known or (-0.4, seconds + 0.5)
     rows: list[tuple[int, str, bytes]] = []
     static = [(frames("base_link"), frames(lidar.frame), BEGIN_NS, *lidar.mount.pose) for lidar in lidars]
     rows.append((BEGIN_NS - 500_000_000, "/tf_static", encode_transforms(static, "cdr")))
-    for number in range(round(-0.4 * odometry_hz), round((seconds + 0.5) * odometry_hz)):
+    for number in range(round(first * odometry_hz), round(last * odometry_hz)):
         time = number / odometry_hz
         stamp_ns = BEGIN_NS + round(time * 1e9)
         pose = odometry(time).pose

@@ -120,7 +120,10 @@ class CloudFacts:
         The points are those that were measured, scans have some, heights need no advice, and the first cloud is level
         or too small to be judged.
         """
-        cut = self.total.height >= _NOTABLE_SHARE * max(self.total.total, 1)
+        total, height = self.total.total, self.total.height
+        if self.samples[0].zeros:
+            total, height = total - self.no_returns, height - self.no_returns
+        cut = height >= _NOTABLE_SHARE * max(total, 1)
         needs_heights = (cut and self.is_default("min_height")) or self.lack_heights
         if self.samples[0].lossy or self.are_nearly_empty or needs_heights or any(heights_in_millimetres(self)):
             return False
@@ -132,6 +135,15 @@ class CloudFacts:
         if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
             return False
         return self.spec.level or first.floor_tilted_by_transform is None
+
+    @property
+    def no_returns(self) -> int:
+        """How many of the points outside the heights are at (0, 0, 0), as drivers write for no return."""
+        params = self.spec.params
+        if any(each.name in _PLACE_FILTERS for each in self.spec.filters):
+            return 0  # these come first
+        outside = (each.zeros for each in self.samples if not params.min_height <= each.origin[2] <= params.max_height)
+        return min(sum(outside), self.total.height)
 
     @property
     def are_nearly_empty(self) -> bool:

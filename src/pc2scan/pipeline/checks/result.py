@@ -211,9 +211,13 @@ def points_rejected_by_default(result: TopicResult) -> Iterator[str]:
         return
     for each in result.report.rejections.values():
         share = points.rejected.get(each.name, 0) / points.total if points.total else 0.0
+        no_returns = topic.no_returns if each.name == "height" else 0.0
+        if 0 < no_returns < 1:
+            share = (share - no_returns) / (1 - no_returns)
         if share >= _NOTABLE_SHARE and _surprises(result.spec, each):
             advice = f": {topic.advice}" if topic.advice and each.name == "height" else ""
-            yield f"{topic.target}: {share:.0%} of the points were {each.by_default[1]}{advice}"
+            of = "returns" if no_returns else "points"
+            yield f"{topic.target}: {share:.0%} of the {of} were {each.by_default[1]}{advice}"
 
 
 def filters_without_effect(result: TopicResult) -> Iterator[str]:

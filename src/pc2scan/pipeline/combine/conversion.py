@@ -290,7 +290,8 @@ class MessagesToScan(Conversion):
         """Return the message whose scan a message can be projected for at once; None if it must wait for its group.
 
         It is the message itself if its place does not depend on the scan's time, or if it leads. A message of another
-        topic probably belongs to the leading message that is nearest in time.
+        topic probably belongs to the leading message that is nearest in time. That is a guess: if it is wrong, the
+        message is projected again for the scan that it belongs to. It changes the time that this takes, not the scan.
         """
         if contribution.flat or self._intensity or self._keeps_used or not self._projector.reads_nearest:
             return None
@@ -377,7 +378,7 @@ class MessagesToScan(Conversion):
 
         Returns
         -------
-        Result
+        ConvertedMessage
             The scan, with the counts of all points.
         """
         others: list[PointCounts] = []

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.timing import median_interval_ns
-from pc2scan.errors import ParameterError, UsageError, name_list
+from pc2scan.errors import UsageError, name_list
 from pc2scan.messages.clouds import SCANS
 from pc2scan.pipeline.clocks import are_doubtful, logged_early
 from pc2scan.pipeline.conversion import Measurements
@@ -169,7 +169,7 @@ def measure_sources(
 
     Returns
     -------
-    Measured
+    Measurements
         The measurements of the leading topic.
     callable
         Makes the grouper of messages; None: each message becomes a scan by itself.
@@ -195,7 +195,10 @@ def measure_sources(
         timing, notes = measure(clouds, spec, placer)
         notes = [note for note in notes if note.startswith(f"{lead}: ")]
     if sources.flat:
-        _require_fields(sources.flat, combination)
+        from pc2scan.pipeline.measurements import require_fields  # noqa: PLC0415  # only with LaserScans
+
+        there = "the beams of a LaserScan have intensity, index, x and y"
+        require_fields(spec, _BEAM_FIELDS, f"the scans on {name_list(sources.flat)}", lambda _: there)
     found = timing.get(lead) or _of_scans(sources, notes)
     if asked.every_ns and (spec.params.scan_time == "auto" or spec.origins.get("scan_time", "default") == "default"):
         found = Measurements(asked.every_ns / 1e9, found.time_increment, 0, found.azimuth_step)
@@ -307,29 +310,10 @@ def _of_scans(sources: SourceFacts, notes: list[str]) -> Measurements:
         steps = [each.increment for each in sources.firsts(topic)]
         known = [each for each in steps if each is not None and 0 < each < math.inf]
         if not known:
-            raise ParameterError(
-                f"beams is auto, but no scan on {topic} has an angle_increment",
-                name="beams",
-                hint="give a number of `beams`, or an `angle_increment`",
-            )
+            from pc2scan.pipeline.measurements import unknown_step  # noqa: PLC0415  # loaded by now
+
+            raise unknown_step(f"no scan on {topic} has an angle_increment")
         step = median_low(known)
         count = params.at_resolution(step).layout.count
         notes.append(f"{topic}: beams is {count:,}: the scans have one every {math.degrees(step):.4g} deg")
     return Measurements(scan_time, 0.0, 0, step)
-
-
-def _require_fields(flat: Sequence[str], combination: Combination) -> None:
-    """Raise if a requested field is not one that the beams of LaserScans have."""
-    spec = combination.spec
-    name = spec.params.intensity_field
-    asked = [("intensity_field", f"intensity_field is {name!r}", name)] if name else []
-    asked += [
-        (each.name, f"`{each.name}` needs the field {field!r}", field) for each in spec.filters for field in each.fields
-    ]
-    for option, request, field in asked:
-        if field not in _BEAM_FIELDS:
-            raise ParameterError(
-                f"{request}, which the scans on {name_list(flat)} do not have",
-                name=option,
-                hint="the beams of a LaserScan have intensity, index, x and y",
-            )

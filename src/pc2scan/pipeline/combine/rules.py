@@ -112,7 +112,7 @@ class Rule(ABC):
 
         Returns
         -------
-        list of Entry or None
+        list of SourceMessage or None
             None if messages that may still come would change it.
         """
 

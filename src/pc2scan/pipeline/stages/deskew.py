@@ -119,22 +119,80 @@ class PointTime:
             )
         return name
 
+    def read(self, points: Points) -> FieldTimes:
+        """Return the times of a cloud's points; those of the field `TIME`, if it has that.
+
+        Raises
+        ------
+        DecodeError
+            If the cloud has no field with times, or one with several values a point.
+        """
+        offset, unit = 0.0, 1.0
+        if given := TIME in points.fields:
+            name, whole = TIME, False
+        else:
+            name = self.field_of(points)
+            whole = points.field(name).dtype.kind in "iu"
+            points = _mask_zero_times(points, name, self.unit)
+        x, values = points.field("x"), points.field(name)
+        if values.shape != x.shape:
+            message = f"its field {name} has several values a point"
+            raise DecodeError(
+                message, stamp_ns=points.stamp_ns, hint="if another field has the times, name it: `point_time=FIELD`"
+            )
+        low, high, measured, unknown = kernel.span(x, values)
+        if not given and measured > unknown:
+            offset, unit = offset_and_unit(low, high, points.stamp_ns, self.unit, whole=whole)
+        low, high = (low - offset) * unit, (high - offset) * unit
+        return FieldTimes(points, name, offset, unit, low, high, measured, unknown)
+
+
+class FieldTimes(NamedTuple):
+    """The times of a cloud's points, as a field has them.
+
+    Attributes
+    ----------
+    points
+        The cloud; a time that is not known is NaN or infinite, also where drivers write 0.
+    field
+        The field.
+    offset, unit
+        A point was measured ``(value - offset) * unit`` seconds after the stamp.
+    low, high
+        Of the first and the last point, seconds after the stamp; inf and -inf if no time is known.
+    measured
+        How many points have an ``x`` that is not NaN.
+    unknown
+        How many of them have no time.
+    """
+
+    points: Points
+    field: str
+    offset: float
+    unit: float
+    low: float
+    high: float
+    measured: int
+    unknown: int
+
+    def at(self, places: Any = ...) -> NDArray[np.float64]:
+        """Return the times of the points at some places, or of all, seconds after the stamp."""
+        times: NDArray[np.float64] = self.points.field(self.field)[places].astype(np.float64)
+        return (times - self.offset) * self.unit
+
 
 class _LazyTimes(Mapping[str, "NDArray[Any]"]):
     """The field `TIME` of a cloud, computed on request: the loops over points read times as they are stored."""
 
-    def __init__(self, points: Points, field: str, offset: float, unit: float) -> None:
-        self._points = points
-        self._field = field
-        self._offset = offset
-        self._unit = unit
+    def __init__(self, known: FieldTimes) -> None:
+        self._known = known
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name != TIME:
             raise KeyError(name)
-        times = (self._points.field(self._field).astype(np.float64) - self._offset) * self._unit
+        times = self._known.at()
         # Some drivers set no time for points without a return.
-        times[~np.isfinite(times) | np.isnan(self._points.field("x"))] = np.nan
+        times[~np.isfinite(times) | np.isnan(self._known.points.field("x"))] = np.nan
         return times
 
     def __iter__(self) -> Iterator[str]:
@@ -359,12 +417,9 @@ class Deskew:
         turn, of_scan = self._point_time.turn, TIME in points.fields
         if turn is not None and not of_scan:
             points = points.replace({TIME: turn.times(points)}, points.frame_id)
-        given = TIME in points.fields
-        name = TIME if given else self._point_time.field_of(points)
-        whole = points.field(name).dtype.kind in "iu"
-        points = points if given else mask_zero_times(points, name, self._point_time.unit)
-        values = points.field(name)
-        low, high, measured, unknown = kernel.span(points.field("x"), values)
+        known = self._point_time.read(points)
+        points, name, offset, unit, low, high, measured, unknown = known
+        given = name == TIME
         if not measured:
             return None
         if unknown == measured:
@@ -372,10 +427,6 @@ class Deskew:
             raise DecodeError(
                 message, stamp_ns=points.stamp_ns, hint="if another field has the times, name it: `point_time=FIELD`"
             )
-        offset, unit = 0.0, 1.0
-        if not given:
-            offset, unit = offset_and_unit(low, high, points.stamp_ns, self._point_time.unit, whole=whole)
-        low, high = (low - offset) * unit, (high - offset) * unit
         label = AZIMUTH if turn is not None else "time_increment" if given else name
         self._check(label, low, high, unit, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
         stamp_ns = points.stamp_ns
@@ -405,8 +456,8 @@ class Deskew:
         # A product and a quotient may differ in the last bit: without this, the first and the last points are outside.
         times[0], times[-1] = min(times[0], low), max(times[-1], high)
         if self._sample is not None and not of_scan:
-            self._sample(self._topic, points, lambda places: (values[places].astype(np.float64) - offset) * unit)
-        timed = points if given else points.replace(_LazyTimes(points, name, offset, unit), points.frame_id)
+            self._sample(self._topic, points, known.at)
+        timed = points if given else points.replace(_LazyTimes(known), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
 
@@ -434,7 +485,7 @@ class Deskew:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
 
 
-def mask_zero_times(points: Points, name: str, unit: str) -> Points:
+def _mask_zero_times(points: Points, name: str, unit: str) -> Points:
     """Return points whose times that are 0 are NaN, if the others are absolute.
 
     Drivers write 0 for points without a return. Among times after the stamp, 0 is a time.

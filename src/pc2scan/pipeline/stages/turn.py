@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 AZIMUTH = "azimuth"
 
 #: A turn is measured in this many clouds, and in at least so many.
-FIRST_CLOUDS = 11
+TURN_CLOUDS = 11
 _FEWEST = 4
 
 #: The longest time of a turn, seconds.
