@@ -69,20 +69,21 @@ def test_a_hosts_allocator_stays_as_it_is(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["ROS 1, lz4", "MCAP, none"])
 @pytest.mark.parametrize(
-    "words",
+    ("words", "mib"),
     [
-        ("info", "SOURCE"),
-        ("view", "SOURCE", "-o", "page.html"),
-        ("convert", "SOURCE", "-o", "scans.mcap", "--keep-clouds", "--compression", "lz4", "--jobs", "2"),
+        (("info", "SOURCE"), 100),
+        # The ten clouds that are shown are in memory together.
+        (("view", "SOURCE", "-o", "page.html"), 110),
+        (("convert", "SOURCE", "-o", "scans.mcap", "--keep-clouds", "--compression", "lz4", "--jobs", "2"), 100),
     ],
-    ids=lambda words: words[0],
+    ids=lambda words: words[0] if isinstance(words, tuple) else None,
 )
-def test_100_mb_are_enough_at_any_length(words: tuple[str, ...], form: str, tmp_path: Path) -> None:
+def test_peak_memory_at_any_length(words: tuple[str, ...], mib: int, form: str, tmp_path: Path) -> None:
     # Forty clouds of 131,072 points: four times as many as are sampled and shown, far more than are read ahead.
     source = write_recording(tmp_path, FORMS[form], 40 * CLOUD_BYTES)
     command = [sys.executable, "-c", PEAK, *(str(source) if word == "SOURCE" else word for word in words)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True, cwd=tmp_path)
-    assert int(done.stderr.splitlines()[-1]) < 100 * 1024
+    assert int(done.stderr.splitlines()[-1]) < mib * 1024
 
 
 def test_the_command_keeps_freed_memory(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

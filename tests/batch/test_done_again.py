@@ -197,6 +197,8 @@ class World:
                 return "the source was changed: another checksum"
         elif now != line.source:
             return "the source was changed: another time of modification"
+        if line.outcome == "no clouds":
+            return ""
         if not line.left:
             return f"{line.outcome} before" + (f": {line.error}" if line.error else "")
         if line.output != output:

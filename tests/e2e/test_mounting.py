@@ -159,7 +159,7 @@ def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path:
 REAL: list[tuple[str, float, str, tuple[float, float] | None]] = [
     ("velodyne_vlp32.bag", -0.3, "", (-0.2, 1.2)),
     ("d435_depth.mcap", 0.0, "is an optical frame: z points forward, and up is -y", None),
-    ("luminar_highway.bag", -4.0, "", (-4.2, -1.5)),
+    ("luminar_highway.bag", -4.0, "18,333 days ahead", (-4.2, -1.5)),
     ("ouster_os1_32.mcap", -1.85, "", (-1.7, 0.5)),
 ]
 
