@@ -92,8 +92,9 @@ def test_a_worker_is_killed_and_everything_is_converted(drives: Path, tmp_path: 
     assert "Traceback" not in said
     assert contents(there) == contents(here)
     assert set(outcomes(there).values()) == {"converted"}
-    # The conversion was begun again, unless it was complete when its worker died.
-    assert max(line["attempts"] for line in manifest_of(there).values()) in (1, 2)
+    # The conversion was begun again, unless it was complete when its worker died; and once more if its process, which
+    # ends after its worker, had completed the output by then.
+    assert max(line["attempts"] for line in manifest_of(there).values()) in (1, 2, 3)
 
 
 @slow
