@@ -227,6 +227,8 @@ def _run_jobs(client: Any, tasks: Iterable[_Task], threads: int) -> Generator[Ev
                             elif record.outcome == "died" and len(task.jobs) > 1 and task.retries:
                                 pending.append(_Task((job.retried(),), task.retries - 1))
                             else:
+                                if record.outcome == "died":
+                                    _clean_up_dead(job)
                                 yield Event(
                                     "done", job.key, replace(record, attempts=max(record.attempts, attempts[job.key]))
                                 )
@@ -263,6 +265,14 @@ def _results(client: Any, futures: Sequence[Any]) -> dict[str, list[ManifestReco
     except Exception:  # noqa: BLE001  # a result is lost; each is asked for by itself, which says why
         return {}
     return {future.key: record for future, record in zip(finished, records, strict=True)}
+
+
+def _clean_up_dead(job: Job) -> None:
+    """Remove what a conversion left whose worker died; its process may hold the output until it has ended, too."""
+    deadline = time.monotonic() + _CLEANUP_SECONDS
+    with suppress(Pc2ScanError):
+        while not clean_up(path_or_url(job.destination)) and time.monotonic() < deadline:
+            time.sleep(_POLL_SECONDS)
 
 
 def _wait_for_end(inbox: SimpleQueue[tuple[str, str, Any]], running: dict[str, float]) -> None:

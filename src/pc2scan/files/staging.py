@@ -157,8 +157,10 @@ def temporary_path(dst: Path) -> Iterator[Path]:
                 remove(partial)
 
 
-def clean_up(dst: Path, *, recorded: bool = False) -> None:
+def clean_up(dst: Path, *, recorded: bool = False) -> bool:
     """Remove the files that a killed run left beside a destination, and restore those that it had set aside.
+
+    Returns whether nothing of any run is left there.
 
     Nothing is done for a destination that another run is writing. The journal of numbered files that are all in place
     stays until they are ``recorded`` elsewhere.
@@ -169,9 +171,10 @@ def clean_up(dst: Path, *, recorded: bool = False) -> None:
         If something cannot be removed.
     """
     if isinstance(dst, UrlPath) or not any(map(os.path.lexists, working_names(dst))):
-        return
+        return True
     with suppress(DestinationError), only_run(dst):
         recover_output(dst, keep_journal=not recorded)
+    return not any(map(os.path.lexists, working_names(dst)))
 
 
 def recover_output(dst: Path, *, keep_journal: bool = False) -> Record | None:
