@@ -35,7 +35,7 @@ _DEPTH = _Kind(
     "play the recording into depthimage_to_laserscan, which makes scans, or depth_image_proc, which makes clouds",
 )
 
-#: In the order in which errors name them. Types that can be converted are left out, so a row may stay when one can.
+#: In the order in which errors name them. Types that can be converted are skipped, so a row may stay when one can.
 _KINDS = (
     _Kind("velodyne_msgs/VelodynePacket", "Velodyne packets", _with("velodyne_pointcloud")),
     _Kind(
