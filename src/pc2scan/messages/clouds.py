@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
+from importlib import import_module
 from typing import TypeAlias
 
 from pc2scan.core.points import Points
@@ -19,10 +20,12 @@ from .pointcloud2 import POINTCLOUD2, as_pointcloud2, encode_cloud, point_decode
 Decode: TypeAlias = Callable[[Buffer], Points]
 
 
-def _livox(serialization: str) -> Decode:
-    from .livox import livox_decoder  # noqa: PLC0415  # few recordings have them
+def _imported(module: str, function: str, serialization: str) -> Decode:
+    """Return the decoder of a module, which is imported here: few recordings have its messages."""
+    return partial(getattr(import_module(f"{__package__}.{module}"), function), serialization=serialization)
 
-    return livox_decoder(serialization)
+
+_LIVOX = partial(_imported, "livox", "decode_livox")
 
 
 def _compressed(serialization: str) -> Decode:
@@ -31,28 +34,16 @@ def _compressed(serialization: str) -> Decode:
     return compressed_cloud_decoder(serialization)
 
 
-def _pointcloud(serialization: str) -> Decode:
-    from .pointcloud import pointcloud_decoder  # noqa: PLC0415  # few recordings have them
-
-    return pointcloud_decoder(serialization)
-
-
-def _velodyne(serialization: str) -> Decode:
-    from .velodyne import velodyne_decoder  # noqa: PLC0415  # few recordings have them
-
-    return velodyne_decoder(serialization)
-
-
 #: By ROS type in ROS 2's spelling, the function that makes the decoder of a serialisation (``ros1`` or ``cdr``). A
 #: decoder is fastest if it is used for only one topic.
 CLOUDS: dict[str, Callable[[str], Decode]] = {
     POINTCLOUD2: point_decoder,
-    "livox_ros_driver/msg/CustomMsg": _livox,
-    "livox_ros_driver2/msg/CustomMsg": _livox,
+    "livox_ros_driver/msg/CustomMsg": _LIVOX,
+    "livox_ros_driver2/msg/CustomMsg": _LIVOX,
     "point_cloud_interfaces/msg/CompressedPointCloud2": _compressed,
     "draco_point_cloud_transport/msg/CompressedPointCloud2": _compressed,
-    "sensor_msgs/msg/PointCloud": _pointcloud,
-    "velodyne_msgs/msg/VelodyneScan": _velodyne,
+    "sensor_msgs/msg/PointCloud": partial(_imported, "pointcloud", "decode_pointcloud"),
+    "velodyne_msgs/msg/VelodyneScan": partial(_imported, "velodyne", "decode_velodyne"),
 }
 
 

@@ -7,7 +7,6 @@ padding. In CDR each begins at a multiple of four bytes, so there is a byte of p
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +18,6 @@ from .pointcloud2 import CloudFields, PointCloud2, PointField, StructuredCloud, 
 from .wire import Cursor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from pc2scan.model import Buffer
@@ -97,11 +94,6 @@ class LivoxFields(CloudFields):
         points["timestamp"] = cloud.field("offset_time").astype(np.int64) + cloud.stamp_ns
         header = StructuredCloud(cloud.sequence, cloud.stamp_ns, cloud.frame_id, points)
         return structured_cloud(header, is_dense=cloud.is_dense)
-
-
-def livox_decoder(serialization: str) -> Callable[[Buffer], Points]:
-    """Return the decoder of messages in a serialisation: ``ros1`` or ``cdr``."""
-    return partial(decode_livox, serialization=serialization)
 
 
 def decode_livox(data: Buffer, serialization: str) -> Points:

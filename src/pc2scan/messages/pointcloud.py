@@ -6,7 +6,6 @@ float32, and for each channel its name and an array of float32, one for each poi
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,18 +17,11 @@ from .pointcloud2 import MAX_FIELDS
 from .wire import Cursor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from pc2scan.model import Buffer
 
 _AXES = ("x", "y", "z")
-
-
-def pointcloud_decoder(serialization: str) -> Callable[[Buffer], Points]:
-    """Return the decoder of messages in a serialisation: ``ros1`` or ``cdr``."""
-    return partial(decode_pointcloud, serialization=serialization)
 
 
 def decode_pointcloud(data: Buffer, serialization: str) -> Points:

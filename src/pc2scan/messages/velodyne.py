@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import atexit
 import gc
-from functools import cache, partial
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,8 +20,6 @@ from .pointcloud2 import CloudFields, StructuredCloud, structured_cloud
 from .wire import Cursor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from pc2scan.model import Buffer
@@ -35,11 +33,6 @@ _POINT = np.dtype(
         *(("intensity", "<f4"), ("time", "<f4"), ("column", "<u2"), ("ring", "u1"), ("return_type", "u1")),
     ]
 )
-
-
-def velodyne_decoder(serialization: str) -> Callable[[Buffer], Points]:
-    """Return the decoder of messages in a serialisation: ``ros1`` or ``cdr``."""
-    return partial(decode_velodyne, serialization=serialization)
 
 
 def decode_velodyne(data: Buffer, serialization: str) -> Points:
