@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .odometry import Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
+    from .progress import Meter
     from .report import Report
     from .stages.deskew import Deskew, PointTime
     from .survey import Survey, TopicFacts
@@ -104,6 +105,7 @@ def prepare(
     warn: Callable[[str], None] | None = None,
     *,
     transform_frames: Collection[str] | None = None,
+    meter: Meter | None = None,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -119,6 +121,8 @@ def prepare(
         Called immediately with warnings about the first clouds.
     transform_frames
         The frames that the caller needs transforms of, even if the conversion needs none; None: it needs no transforms.
+    meter
+        Counts the work of the preparation and of the conversion that follows; None: nothing is reported.
     """
     asked = options.frames
     # Added transforms are written to the output, even if it needs none.
@@ -159,7 +163,10 @@ def prepare(
         for facts in placed:
             facts.ask_headers(CLOCK_HEADERS)
     outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
-    survey.read()
+    following = 0
+    if meter is not None:
+        following = reader.work([route.connection for route in plan.routes], span.start_ns, span.stop_ns)
+    survey.read(meter, following)
     transforms: TransformBuffer | None = None
     found: FoundTransforms | None = None
     if survey.transforms is not None:

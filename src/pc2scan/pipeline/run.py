@@ -36,6 +36,7 @@ from .checks import request_warnings, result_findings
 from .engine import items_of
 from .plan import make_plan
 from .preparation import prepare, span_of
+from .progress import Meter
 from .recording import open_output, write_items
 from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse_unsatisfied, refuse_unusable
 from .report import Report
@@ -52,10 +53,10 @@ if TYPE_CHECKING:
     from pc2scan.model import Writer
     from pc2scan.result import Failure
 
-    from .engine import Progress
     from .items import Span
     from .options import ConvertOptions
     from .plan import Plan
+    from .progress import Progress
 
 
 def run(
@@ -74,6 +75,8 @@ def run(
     ----------
     also_read
         Files that were read for the request, by option: the destination must not overwrite them.
+    progress
+        Called regularly; see `pc2scan.pipeline.progress.Progress`.
     warn
         Called immediately with warnings about the first clouds; the report has them, too.
     """
@@ -109,7 +112,8 @@ def run(
             return report
         with _staging(files, target, output, stack, report) as unfinished:
             span = _span_with_messages(reader, plan, options)
-            prepared = prepare(reader, files.read, plan, options, span, stack, warn)
+            meter = None if progress is None else Meter(progress)
+            prepared = prepare(reader, files.read, plan, options, span, stack, warn, meter=meter)
             report.add(prepared.warnings, prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
             with _writing(target, unfinished, cut) as writer:
@@ -128,7 +132,7 @@ def run(
                     combiners=recording.combiners,
                     rule=recording.rule,
                     window=options.window,
-                    progress=progress,
+                    meter=meter,
                 )
                 with prepared.counting(recording.routes, options.on_error, report) as tally, closing(items):
                     try:

@@ -24,6 +24,7 @@ from pc2scan.pipeline.engine import items_of
 from pc2scan.pipeline.items import OpenRoute, Output, Tally
 from pc2scan.pipeline.options import ConvertOptions, StampOptions
 from pc2scan.pipeline.preparation import span_of
+from pc2scan.pipeline.progress import Meter
 from pc2scan.pipeline.refusals import refuse_no_messages
 from pc2scan.pipeline.report import TopicReport
 from pc2scan.threads import Threads, cores
@@ -41,8 +42,8 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, Connection
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.combine.combiner import Combiner
-    from pc2scan.pipeline.engine import Progress
     from pc2scan.pipeline.items import Span
+    from pc2scan.pipeline.progress import Progress
     from pc2scan.result import Skipped
     from pc2scan.tf.placing import LevelTransform
 
@@ -280,7 +281,7 @@ class Stream(ABC, Generic[Item]):
         self.skipped_count = 0
         #: Receives the warnings of a conversion, instead of Python's warnings; its owner reports the rest.
         self.listener: Callable[[str], None] | None = None
-        #: Called regularly with bytes read, bytes in all, and messages read.
+        #: Called regularly; see `pc2scan.pipeline.progress.Progress`.
         self.progress: Callable[[int, int, int], None] | None = None
         source = self._open()
         self._prepared: StreamSource | None = source
@@ -358,7 +359,7 @@ class Stream(ABC, Generic[Item]):
         Parameters
         ----------
         progress
-            Called regularly with bytes read, total bytes, and messages read.
+            Called regularly; see `pc2scan.pipeline.progress.Progress`.
 
         Raises
         ------
@@ -389,7 +390,7 @@ class Stream(ABC, Generic[Item]):
                 threads,
                 combiners=source.combiners,
                 window=source.window,
-                progress=progress,
+                meter=None if progress is None else Meter(progress),
             )
             stack.enter_context(closing(found))
             for item in found:

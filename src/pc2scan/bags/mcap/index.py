@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.chunks import Segment
+from pc2scan.bags.chunks import Segment, shared
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
@@ -234,11 +234,11 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
     try:
         start_ns, end_ns, offset, length, offsets_size = struct.unpack_from("<QQQQI", content)
         position = 36 + offsets_size
-        ids = frozenset(channel for channel, _ in struct.iter_unpack("<HQ", content[36:position]))
+        ids = shared(frozenset(channel for channel, _ in struct.iter_unpack("<HQ", content[36:position])))
         message_index_size, name_size = struct.unpack_from("<QI", content, position)
         position += 12 + name_size
         compressed, uncompressed = struct.unpack_from("<QQ", content, position)
-        name = str(content[position - name_size : position], "utf-8")
+        name = shared(str(content[position - name_size : position], "utf-8"))
     except (struct.error, UnicodeDecodeError) as err:
         raise file.damage(f"a ChunkIndex record in the summary at byte {origin} is malformed") from err
     payload = offset + _CHUNK_HEAD + name_size
@@ -434,7 +434,7 @@ class RecordWalk:
             index.segments.append(self._run.segment())
             self._run = None
         if self._chunk is not None:
-            ids = frozenset(self._indexed) if complete and self._indexed else None
+            ids = shared(frozenset(self._indexed)) if complete and self._indexed else None
             index.segments.append(replace(self._chunk, connection_ids=ids))
             index.counts.update(self._indexed)
             index.all_counted = index.all_counted and ids is not None
