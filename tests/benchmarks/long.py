@@ -6,12 +6,19 @@ indexes and checksums, and the summary. Run it with ``python tests/benchmarks/lo
 
 from __future__ import annotations
 
+import argparse
 import os
 import struct
+import subprocess
+import sys
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 from unittest import mock
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.clouds import POINT_BYTES, serialized_clouds
 from pc2scan.bags.destinations import open_writer, plan_destination
@@ -22,8 +29,7 @@ from pc2scan.model import Connection, Definition
 from support.builders import IMU, TF, imu_message, transforms, typestore
 
 if TYPE_CHECKING:
-    from collections.abc import Generator
-    from pathlib import Path
+    from collections.abc import Generator, Sequence
 
     from pc2scan.model import Buffer
 
@@ -32,8 +38,6 @@ BEGIN_NS = 1_700_000_000_000_000_000
 TICK_NS = 10_000_000
 
 _REAL_POINTS = 64
-_BLOCK = 4096
-_NOTHING = bytes(_BLOCK)
 _STAMP = struct.Struct("<II")
 
 
@@ -110,18 +114,15 @@ def _definition(msgtype: str, version: int) -> tuple[Definition, str]:
 @contextmanager
 def _holes() -> Generator[None]:
     """Make holes of the zeros in what is written."""
-    put = NewFile.put
+    put, nothing = NewFile.put, bytes(1 << 16)
 
     def put_sparsely(self: NewFile, *parts: Buffer) -> int:
         start = self.position
         for part in parts:
             view = memoryview(part)
-            if len(view) < 16 * _BLOCK:
-                put(self, view)
-                continue
-            for at in range(0, len(view), 16 * _BLOCK):
-                piece = view[at : at + 16 * _BLOCK]
-                if piece == _EMPTY[: len(piece)]:
+            for at in range(0, len(view), len(nothing)):
+                piece = view[at : at + len(nothing)]
+                if piece == nothing:
                     self._file.seek(len(piece), os.SEEK_CUR)
                     self.position += len(piece)
                 else:
@@ -132,4 +133,69 @@ def _holes() -> Generator[None]:
         yield
 
 
-_EMPTY = bytes(16 * _BLOCK)
+#: Runs a command, and prints its peak memory, KiB, and its processor time, seconds. What `getrusage` says of the peak
+#: includes the process that began this one.
+_MEASURED = """
+import sys, time
+from pc2scan.cli import main
+try:
+    main()
+finally:
+    with open("/proc/self/status") as file:
+        (peak,) = (line.split()[1] for line in file if line.startswith("VmHWM:"))
+    print(peak, time.process_time(), file=sys.stderr)
+"""
+
+
+def measured(words: Sequence[str | Path]) -> tuple[int, float]:
+    """Run a command; return its peak memory in KiB, and its processor time in seconds."""
+    done = subprocess.run(
+        [sys.executable, "-c", _MEASURED, *map(str, words)], capture_output=True, text=True, timeout=3600, check=False
+    )
+    peak, seconds = done.stderr.splitlines()[-1].split()
+    return int(peak), float(seconds)
+
+
+#: Clouds in a gigabyte.
+_CLOUDS = 238
+
+_RECORDINGS = {
+    "MCAP, none": ("long.mcap", Long(_CLOUDS)),
+    "MCAP, zstd": ("long.mcap", Long(_CLOUDS, compression="zstd")),
+    "ROS 1, none": ("long.bag", Long(_CLOUDS)),
+    "MCAP, zstd, clouds of 1 MB": ("long.mcap", Long(4 * _CLOUDS, points=32_768, compression="zstd")),
+}
+
+_CONVERT = ("convert", "--min-height", "-2", "--overwrite")
+_COMMANDS = {
+    "`convert`, 1 job": (*_CONVERT, "--jobs", "1"),
+    "`convert`, 2 jobs": (*_CONVERT, "--jobs", "2"),
+    "`convert --target-frame base_link`": (*_CONVERT, "--target-frame", "base_link"),
+    "`info`": ("info",),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--gb", type=int, nargs="*", default=[1, 10, 100], help="sizes (default: 1 10 100)")
+    parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
+    asked = parser.parse_args()
+    columns = [f"{size} GB" for size in asked.gb]
+    print("| recording | command |", " | ".join(columns), "|")  # noqa: T201  # what it prints is what it is for
+    print("|---|---" + "|---:" * len(columns) + "|")  # noqa: T201
+    with TemporaryDirectory(dir=asked.folder) as folder:
+        for form, (name, short) in _RECORDINGS.items():
+            cells: dict[str, list[str]] = {command: [] for command in _COMMANDS}
+            for size in asked.gb:
+                source = replace(short, clouds=short.clouds * size).write(Path(folder) / name)
+                for command, words in _COMMANDS.items():
+                    further: list[str | Path] = ["-o", source.with_name("scans.mcap")] if words[0] == "convert" else []
+                    peak, seconds = measured([*words, source, *further])
+                    cells[command].append(f"{peak / 1024:.0f} MB, {seconds:.1f} s")
+                source.unlink()
+            for command, own in cells.items():
+                print(f"| {form} | {command} |", " | ".join(own), "|", flush=True)  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

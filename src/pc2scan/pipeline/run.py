@@ -36,7 +36,6 @@ from .checks import request_warnings, result_findings
 from .engine import items_of
 from .plan import make_plan
 from .preparation import prepare, span_of
-from .progress import Meter
 from .recording import open_output, write_items
 from .refusals import compare_counts, refuse_no_messages, refuse_nothing, refuse_unsatisfied, refuse_unusable
 from .report import Report
@@ -112,7 +111,11 @@ def run(
             return report
         with _staging(files, target, output, stack, report) as unfinished:
             span = _span_with_messages(reader, plan, options)
-            meter = None if progress is None else Meter(progress)
+            meter = None
+            if progress is not None:
+                from .progress import Meter  # noqa: PLC0415  # only if somebody wants to know
+
+                meter = Meter(progress)
             prepared = prepare(reader, files.read, plan, options, span, stack, warn, meter=meter)
             report.add(prepared.warnings, prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)

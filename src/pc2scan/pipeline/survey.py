@@ -348,23 +348,21 @@ class Survey:
         UsageError
             If it is not clear which transforms to use.
         """
-        asked = [(reader, self._observers(reader)) for reader in (self.reader, *self._others)]
+        asked: list[tuple[Reader, list[Observer[Any]]]] = []
+        for reader in (self.reader, *self._others):
+            observers: list[Observer[Any]] = []
+            if self.transforms is not None:
+                observers += self.transforms.observers(reader, own=reader is self.reader)
+            for imu in self._imus.values():
+                observers += imu.observers(reader)
+            if reader is self.reader:
+                observers += [] if self.robot is None else self.robot.observers
+                observers += (each for facts in self._facts.values() for each in facts.observers)
+                observers += self.observers
+            asked.append((reader, observers))
         if meter is not None:
             meter.expect(sum(starmap(work_of, asked)) + following)
         for reader, observers in asked:
             observe(reader, observers, None if meter is None else meter.add_now)
         if self.transforms is not None:
             self.transforms.supply(self.reader, self._needed, use=self._use)
-
-    def _observers(self, reader: Reader) -> list[Observer[Any]]:
-        """Return what was asked for that is in a recording; called once."""
-        observers: list[Observer[Any]] = []
-        if self.transforms is not None:
-            observers += self.transforms.observers(reader, own=reader is self.reader)
-        for imu in self._imus.values():
-            observers += imu.observers(reader)
-        if reader is self.reader:
-            observers += [] if self.robot is None else self.robot.observers
-            observers += (each for facts in self._facts.values() for each in facts.observers)
-            observers += self.observers
-        return observers

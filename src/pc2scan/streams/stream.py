@@ -24,7 +24,6 @@ from pc2scan.pipeline.engine import items_of
 from pc2scan.pipeline.items import OpenRoute, Output, Tally
 from pc2scan.pipeline.options import ConvertOptions, StampOptions
 from pc2scan.pipeline.preparation import span_of
-from pc2scan.pipeline.progress import Meter
 from pc2scan.pipeline.refusals import refuse_no_messages
 from pc2scan.pipeline.report import TopicReport
 from pc2scan.threads import Threads, cores
@@ -381,6 +380,11 @@ class Stream(ABC, Generic[Item]):
         tally = Tally(source.routes, self._selection.on_error)
         self.skipped, self.skipped_count = tally.skipped, 0
         jobs = source.jobs or cores()
+        meter = None
+        if progress is not None:
+            from pc2scan.pipeline.progress import Meter  # noqa: PLC0415  # most loops show no progress
+
+            meter = Meter(progress)
         with ExitStack() as stack:
             threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
             found = items_of(
@@ -390,7 +394,7 @@ class Stream(ABC, Generic[Item]):
                 threads,
                 combiners=source.combiners,
                 window=source.window,
-                meter=None if progress is None else Meter(progress),
+                meter=meter,
             )
             stack.enter_context(closing(found))
             for item in found:
