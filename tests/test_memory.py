@@ -88,6 +88,7 @@ def test_a_long_recording_takes_little_more_memory(name: str, tmp_path: Path) ->
         source = recording.write(tmp_path / name)
         words = ("convert", "--min-height", "-2", "--jobs", "2", "--overwrite", source, "-o", tmp_path / "scans.mcap")
         peaks.append(measured(words)[0])
+        source.unlink()
     assert peaks[1] - peaks[0] < 8 * 1024
 
 

@@ -150,7 +150,7 @@ finally:
 def measured(words: Sequence[str | Path]) -> tuple[int, float]:
     """Run a command; return its peak memory in KiB, and its processor time in seconds."""
     done = subprocess.run(
-        [sys.executable, "-c", _MEASURED, *map(str, words)], capture_output=True, text=True, timeout=3600, check=False
+        [sys.executable, "-c", _MEASURED, *map(str, words)], capture_output=True, text=True, timeout=3600, check=True
     )
     peak, seconds = done.stderr.splitlines()[-1].split()
     return int(peak), float(seconds)
