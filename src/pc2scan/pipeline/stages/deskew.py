@@ -339,7 +339,7 @@ class Deskew:
         The topic of the clouds.
     """
 
-    __slots__ = ("_fixed", "_placer", "_point_time", "_sample", "_stamp", "_topic", "_turns")
+    __slots__ = ("_buffer", "_fixed", "_placer", "_point_time", "_sample", "_stamp", "_topic", "_turns")
 
     def __init__(
         self,
@@ -351,6 +351,9 @@ class Deskew:
         sample: Callable[[str, Points, Times], None] | None = None,
         topic: str = "",
     ) -> None:
+        if placer.buffer is None:
+            raise ValueError("deskewing needs transforms")
+        self._buffer = placer.buffer
         self._placer = placer
         self._fixed = fixed_frame
         self._point_time = point_time
@@ -392,13 +395,13 @@ class Deskew:
         track = self.track(points)
         if track is None:
             return None
-        buffer, tolerance_ns, reference_ns = self._known(), self._placer.tolerance_ns, track.reference_ns
+        tolerance_ns, reference_ns = self._placer.tolerance_ns, track.reference_ns
         source = self._placer.source_frame or points.frame_id
         target, from_fixed = self._placer.from_fixed(self._fixed, points.frame_id, reference_ns)
         reference: tuple[Rigid, ...] | int
         reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
         if reference == 1 or math.isnan(track.rows[reference, 0]):
-            reference = from_fixed, buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
+            reference = from_fixed, self._buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
         # The rows are not needed again.
         return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
 
@@ -438,7 +441,7 @@ class Deskew:
             "middle": begin_ns + (end_ns - begin_ns) // 2,
             "end": end_ns,
         }[self._stamp]
-        buffer = self._known()
+        buffer = self._buffer
         source = self._placer.source_frame or points.frame_id
         measured_ns = begin_ns, end_ns
         # The pose at the scan's time is needed as well.
@@ -460,11 +463,6 @@ class Deskew:
         timed = points if given else points.replace(_LazyTimes(known), points.frame_id)
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
-
-    def _known(self) -> TransformBuffer:
-        if self._placer.buffer is None:
-            raise ValueError("deskewing needs transforms")
-        return self._placer.buffer
 
     def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""
