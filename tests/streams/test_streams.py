@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import pc2scan
-from benchmarks.clouds import FORMS, write_recording
+from benchmarks.clouds import FORMS, POINTS, write_recording
 from pc2scan.errors import (
     DamageError,
     DecodeError,
@@ -28,6 +28,7 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
+from pc2scan.files import source as files
 from pc2scan.messages.laserscan import encode_laserscan
 from support import ROOT, sampled
 from support.builders import SCAN, Item, Recording, Stream, write_mcap
@@ -335,6 +336,21 @@ def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
     assert clouds < 30_000_000
     # Scans that are kept do not keep what they were made of.
     assert scans < 30_000_000
+
+
+@pytest.mark.parametrize("most", [64 << 20, 2 << 20], ids=["buffers are kept", "most are copied"])
+def test_clouds_that_are_kept_stay_what_they_are(most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "_MAX_KEPT", most)
+    source = write_recording(tmp_path, FORMS["MCAP, none"], 8 << 20, points=32_768)
+    seen = [cloud.points().tobytes() for cloud in pc2scan.clouds(source, POINTS)]
+    clouds = list(pc2scan.clouds(source, POINTS))
+    assert (len(seen), len(set(seen))) == (8, 4)
+    assert [cloud.points().tobytes() for cloud in clouds] == seen
+    assert 0 < files.RetainedMemory._bytes <= most
+    # Nothing is kept for clouds that are forgotten.
+    del clouds
+    gc.collect()
+    assert not files.RetainedMemory._bytes
 
 
 @pytest.mark.parametrize("container", sampled(CONTAINERS, 1))
