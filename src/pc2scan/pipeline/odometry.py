@@ -21,7 +21,7 @@ from pc2scan.core.timing import fit_sweep
 from pc2scan.errors import DecodeError, TransformError
 from pc2scan.text import counted
 
-from .stages.deskew import PointTime
+from .stages.point_time import PointTime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.up_sources import UpSource
 
     from .options import ScanSpec
-    from .stages.deskew import Times
+    from .stages.point_time import Times
 
 #: About how long a lidar takes for a cloud, nanoseconds.
 _CLOUD_NS = 100_000_000

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
     from .report import Report
-    from .stages.deskew import Deskew, PointTime
+    from .stages.deskew import Deskew
+    from .stages.point_time import PointTime
     from .survey import Survey, TopicFacts
 
 
@@ -249,7 +250,7 @@ class _OutputFacts:
                 ask_measurements(facts, spec)
         if spec.deskew:
             from .point_times import ask_times  # noqa: PLC0415  # only with deskewing
-            from .stages.deskew import PointTime  # noqa: PLC0415
+            from .stages.point_time import PointTime  # noqa: PLC0415
 
             self._where = PointTime.parse(spec.point_time)
             for topics in (self._alone, *(each.facts for each in self._sources)):
