@@ -26,6 +26,9 @@ TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 #: A cloud takes 2 ms to 2 s. These are the units of floating-point times that count from the stamp, by their span.
 _UNITS = ((2.0, 1.0), (2e3, 1e-3), (2e6, 1e-6))
 
+#: Named instead of a field: the times are computed from the directions of the points.
+AZIMUTH = "azimuth"
+
 #: Units that a user may name, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 

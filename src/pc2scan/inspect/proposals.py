@@ -17,7 +17,7 @@ from pc2scan.errors import TransformError
 from pc2scan.pipeline.clocks import are_doubtful
 from pc2scan.pipeline.measurements import ShapeRequest, regular_step, shapes_of
 from pc2scan.pipeline.point_times import time_warnings, times_of
-from pc2scan.pipeline.stages.deskew import PointTime
+from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.stages.turn import DIRECTIONS, directions_of
 from pc2scan.pipeline.survey import Fact
 from pc2scan.result import Call

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pc2scan.core.points import Points
     from pc2scan.model import RawMessage
 
-    from .stages.deskew import PointTime
+    from .stages.point_time import PointTime
     from .stages.turn import Turn, TurnSample
     from .survey import TopicFacts
 

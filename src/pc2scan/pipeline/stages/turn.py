@@ -12,7 +12,7 @@ import numpy as np
 
 from pc2scan.core.percentiles import median
 from pc2scan.core.quantities import duration_ns
-from pc2scan.core.timing import LEAST_TURN, azimuth_times, median_interval_ns, turn_by_order
+from pc2scan.core.timing import AZIMUTH, LEAST_TURN, azimuth_times, median_interval_ns, turn_by_order
 from pc2scan.errors import DecodeError, ParameterError, UsageError
 
 if TYPE_CHECKING:
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.core.points import Points
-
-#: Given instead of a field with times: the times are computed from the directions of the points.
-AZIMUTH = "azimuth"
 
 #: A turn is measured in this many clouds, and in at least so many.
 TURN_CLOUDS = 11
