@@ -260,7 +260,7 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Gen
                 yield
                 continue
             assert isinstance(seen, _Seen)
-            has_enough = _hand_out(seen)
+            has_enough = True in [observer.add(value, seen.log_time_ns) for observer, value in seen.values]
             # What was handed out is not kept while the next unit is loaded.
             del seen
             yield
@@ -268,14 +268,6 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Gen
                 sort_out()
                 if not any(by_connection.values()):
                     return
-
-
-def _hand_out(seen: _Seen) -> bool:
-    """Give observers what they took of a message; return whether one of them wants no more."""
-    has_enough = False
-    for observer, value in seen.values:
-        has_enough |= observer.add(value, seen.log_time_ns)
-    return has_enough
 
 
 def _units_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Unit]:
