@@ -199,25 +199,27 @@ def deskewing(_place: Path, _size: int, repeat: int) -> None:
 
 _MEASURED = """
 import resource, subprocess, sys
-subprocess.run(sys.argv[1:], check=True)
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
 print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
 
 
-def command(*args: str | Path) -> dict[str, Any]:
-    """Run ``pc2scan convert`` in a process of its own; returns its report, and its peak memory in KiB."""
-    report = Path(args[args.index("-o") + 1]).with_suffix(".json")
-    line = [sys.executable, "-m", "pc2scan", "convert", *map(str, args), *HEIGHTS, "--overwrite", "--quiet"]
+def peak_of(*args: str | Path) -> int:
+    """Run ``pc2scan`` in a process of its own; returns its peak memory, bytes."""
+    line = [sys.executable, "-m", "pc2scan", *map(str, args)]
     # A process begins with the peak of the one that starts it: a small one stands between.
-    done = subprocess.run(
-        [sys.executable, "-S", "-c", _MEASURED, *line, "--report", str(report)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = subprocess.run([sys.executable, "-S", "-c", _MEASURED, *line], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(line)} failed:\n{done.stderr}")
-    return {**json.loads(report.read_text()), "peak_kib": int(done.stdout)}
+    return int(done.stdout) * 1024
+
+
+def command(*args: str | Path) -> dict[str, Any]:
+    """Run ``pc2scan convert`` in a process of its own; returns its report."""
+    report = Path(args[args.index("-o") + 1]).with_suffix(".json")
+    peak_of("convert", *args, *HEIGHTS, "--overwrite", "--quiet", "--report", report)
+    found: dict[str, Any] = json.loads(report.read_text())
+    return found
 
 
 def converted(source: Path, destination: Path, jobs: int, *more: str) -> float:
@@ -793,19 +795,27 @@ def start_up(place: Path, _size: int, repeat: int) -> None:
 
 
 def memory(place: Path, sizes: Sequence[float]) -> None:
-    forms = ("ROS 1, lz4", "MCAP, zstd", "sqlite3")
+    forms = ("ROS 1, lz4", "MCAP, none", "MCAP, zstd", "sqlite3")
+    scans = ("-o", str(place / "scans.mcap"), "--overwrite", "--quiet", "--jobs", "2")
+    commands = {
+        "`convert`": ("convert", *scans, "--topic", POINTS, *HEIGHTS),
+        "`convert --keep-clouds --compression lz4`": ("convert", *scans, "--keep-clouds", "--compression", "lz4"),
+        "`info`": ("info",),
+        "`view`": ("view", "-o", str(place / "page.html"), "--overwrite"),
+    }
 
     def rows() -> Iterable[Sequence[str]]:
         for gigabytes in sizes:
-            peaks = []
-            for name in forms:
-                source = write_recording(place, FORMS[name], int(gigabytes * 1e9))
-                report = command(source, "-o", place / "scans.mcap", "--topic", POINTS, "--jobs", "2")
-                peaks.append(f"{report['peak_kib'] * 1024 / MEGABYTE:.0f}")
+            peaks: dict[str, list[str]] = {name: [] for name in commands}
+            for form in forms:
+                source = write_recording(place, FORMS[form], int(gigabytes * 1e9))
+                for name, (verb, *options) in commands.items():
+                    peaks[name].append(f"{peak_of(verb, source, *options) / MEGABYTE:.0f}")
                 remove(source)
-            yield f"{gigabytes:g}", *peaks
+            yield from ((name, f"{gigabytes:g}", *found) for name, found in peaks.items())
 
-    table("Peak memory** of a conversion on 2 jobs, MB", ("GB of clouds", *forms), rows())
+    title = "Peak memory** of commands with clouds of 131,072 points of 32 bytes, conversions on 2 jobs, MB"
+    table(title, ("command", "GB of clouds", *forms), rows())
 
 
 #: What is printed, unless one of them is asked for.

@@ -400,6 +400,13 @@ def test_tables(recording: Path) -> None:
     assert points["stamp"].nunique() == 5
 
 
+def test_parameters_of_the_reverse_node_make_no_scans(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("laserscan_to_pointcloud:\n  ros__parameters:\n    queue_size: 5\n", "utf-8")
+    with pytest.raises(UsageError, match="laserscan_to_pointcloud, which does not make scans"):
+        pc2scan.scans(HALL, params_file=file)
+
+
 def test_scans_that_differ_make_no_dataset_but_a_table(tmp_path: Path) -> None:
     pytest.importorskip("pandas")
     pytest.importorskip("xarray")

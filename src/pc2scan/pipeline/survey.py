@@ -264,7 +264,7 @@ class Survey:
 
     Attributes
     ----------
-    reader, frames, span
+    reader, others, frames, span
         As given.
     transforms
         All transforms; None if they were not asked for.
@@ -276,7 +276,7 @@ class Survey:
 
     def __init__(self, reader: Reader, others: Sequence[Reader], frames: FrameOptions, span: Span) -> None:
         self.reader, self.span = reader, span
-        self._others, self.frames = others, frames
+        self.others, self.frames = others, frames
         self.transforms: TransformReading | None = None
         self.robot: RobotTransforms | None = None
         self.observers: list[Observer[Any]] = []
@@ -324,7 +324,7 @@ class Survey:
         if topic not in self._imus:
             from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few recordings have one
 
-            self._imus[topic] = ImuReading([self.reader, *self._others], topic, most)
+            self._imus[topic] = ImuReading([self.reader, *self.others], topic, most)
         return self._imus[topic]
 
     def read(self) -> None:
@@ -339,7 +339,7 @@ class Survey:
         UsageError
             If it is not clear which transforms to use.
         """
-        for reader in (self.reader, *self._others):
+        for reader in (self.reader, *self.others):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
                 observers += self.transforms.observers(reader, own=reader is self.reader)
