@@ -37,7 +37,7 @@ class Written:
         path.write_bytes(b"")
         self.rows: list[Row] = []
         self.calls: list[object] = []
-        self.keep_ids = self.compress_ahead = self.add_attachment = self.calls.append
+        self.keep_ids = self.compress_ahead = self.add_attachment = self.add_metadata = self.calls.append
 
     def add_connection(self, each: Connection) -> int:
         self.calls.append(each)
@@ -134,9 +134,10 @@ def test_every_part_has_connections_ids_and_threads(tmp_path: Path) -> None:
         files.split.add_connection(each)
     files.split.compress_ahead("threads")  # type: ignore[arg-type]
     files.split.add_attachment("file")  # type: ignore[arg-type]
+    files.split.add_metadata("record")  # type: ignore[arg-type]
     files.write((1, 0, b"data"), (1, 10, b"data"))
     every = [[MAP, PLAIN], MAP, PLAIN, "threads"]
-    assert [writer.calls for writer in files.writers] == [[*every, "file", "finished"], [*every, "finished"]]
+    assert [writer.calls for writer in files.writers] == [[*every, "file", "record", "finished"], [*every, "finished"]]
 
 
 def chunk(first_ns: int, last_ns: int) -> StoredChunk:

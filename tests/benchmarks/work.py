@@ -13,7 +13,8 @@ from pc2scan import ProjectionParams
 from pc2scan.core.points import Points
 from pc2scan.core.project import Projector
 from pc2scan.core.rigid import Rigid
-from pc2scan.pipeline.stages.deskew import Deskew, PointTime
+from pc2scan.pipeline.stages.deskew import Deskew
+from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer
 

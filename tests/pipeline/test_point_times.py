@@ -13,7 +13,7 @@ from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointField, encode_pointcl
 from pc2scan.model import Connection, Definition
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.point_times import ask_times, time_warnings
-from pc2scan.pipeline.stages.deskew import PointTime
+from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.survey import TopicFacts
 from support.memory_reader import MemoryReader
 

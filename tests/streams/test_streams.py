@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 import pc2scan
-from benchmarks.clouds import FORMS, write_recording
+from benchmarks.clouds import FORMS, POINTS, write_recording
 from pc2scan.errors import (
     DamageError,
     DecodeError,
@@ -28,6 +28,7 @@ from pc2scan.errors import (
     TopicError,
     UsageError,
 )
+from pc2scan.files import source as files
 from pc2scan.messages.laserscan import encode_laserscan
 from support import ROOT, sampled
 from support.builders import SCAN, Item, Recording, Stream, write_mcap
@@ -337,6 +338,21 @@ def test_memory_stays_bounded(form: str, tmp_path: Path) -> None:
     assert scans < 30_000_000
 
 
+@pytest.mark.parametrize("most", [64 << 20, 2 << 20], ids=["buffers are kept", "most are copied"])
+def test_clouds_that_are_kept_stay_what_they_are(most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "_MAX_KEPT", most)
+    source = write_recording(tmp_path, FORMS["MCAP, none"], 8 << 20, points=32_768)
+    seen = [cloud.points().tobytes() for cloud in pc2scan.clouds(source, POINTS)]
+    clouds = list(pc2scan.clouds(source, POINTS))
+    assert (len(seen), len(set(seen))) == (8, 4)
+    assert [cloud.points().tobytes() for cloud in clouds] == seen
+    assert 0 < files.RetainedMemory._bytes <= most
+    # Nothing is kept for clouds that are forgotten.
+    del clouds
+    gc.collect()
+    assert not files.RetainedMemory._bytes
+
+
 @pytest.mark.parametrize("container", sampled(CONTAINERS, 1))
 def test_messages_and_streams_go_to_other_processes(container: str) -> None:
     clouds, scans = pc2scan.clouds(FIXTURES / container), pc2scan.scans(FIXTURES / container, min_height=-0.3)
@@ -382,6 +398,13 @@ def test_tables(recording: Path) -> None:
     assert len(points) == 5 * 3840
     assert list(points.columns) == ["stamp", *cloud.fields]
     assert points["stamp"].nunique() == 5
+
+
+def test_parameters_of_the_reverse_node_make_no_scans(tmp_path: Path) -> None:
+    file = tmp_path / "params.yaml"
+    file.write_text("laserscan_to_pointcloud:\n  ros__parameters:\n    queue_size: 5\n", "utf-8")
+    with pytest.raises(UsageError, match="laserscan_to_pointcloud, which does not make scans"):
+        pc2scan.scans(HALL, params_file=file)
 
 
 def test_scans_that_differ_make_no_dataset_but_a_table(tmp_path: Path) -> None:

@@ -273,6 +273,9 @@ def test_a_models_fixed_joints_are_static_transforms(
     out = tmp_path / f"out.{suffix}"
     pc2scan.convert(known, out, target_frame="base_link", write_static_tf=True, **HEIGHTS)
     assert pc2scan.tf(out).lookup("base_link", "lidar").translation.tolist() == [0, 0, 0.5]
+    with closing(open_recording(known)) as reader, closing(open_recording(out)) as converted:
+        times = [each.log_time_ns for each in converted.messages() if each.connection.topic == "/tf_static"]
+        assert times[0] == reader.summary.start_ns
 
 
 @pytest.mark.parametrize(("content", "said"), rows(TABLES, "wrong models"))

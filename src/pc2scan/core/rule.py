@@ -265,6 +265,8 @@ class PointCounts:
         raise AttributeError(f"there is no count {name!r}, only {', '.join(self.as_dict())}")
 
     def __add__(self, other: PointCounts) -> PointCounts:
+        if other is NO_POINTS:
+            return self
         # Not by keywords, which take as long as all of it.
         added = PointCounts.__new__(PointCounts)
         added.total, added.used = self.total + other.total, self.used + other.used
@@ -290,3 +292,7 @@ class PointCounts:
     def as_dict(self) -> dict[str, int]:
         """Return all counts by name, ``total`` and ``used`` first."""
         return {"total": self.total, "used": self.used, **self.rejected}
+
+
+#: The counts of a message without points, or whose points are not counted.
+NO_POINTS = PointCounts()

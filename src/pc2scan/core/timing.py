@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .layout import TURN
+from .percentiles import median
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -24,6 +25,9 @@ TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time")
 
 #: A cloud takes 2 ms to 2 s. These are the units of floating-point times that count from the stamp, by their span.
 _UNITS = ((2.0, 1.0), (2e3, 1e-3), (2e6, 1e-6))
+
+#: Named instead of a field: the times are computed from the directions of the points.
+AZIMUTH = "azimuth"
 
 #: Units that a user may name, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -256,9 +260,9 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
     # The median of the slopes between any two slices (Theil and Sen), because some slices have only the outermost
     # lasers.
     first, second = np.triu_indices(when.size, 1)
-    rate = float(np.median((directions[second] - directions[first]) / (when[second] - when[first])))
-    angle = float(np.median(directions - rate * (when - begin)))
-    off = np.median(np.abs(angle + rate * (when - begin) - directions))
+    rate = median((directions[second] - directions[first]) / (when[second] - when[first]))
+    angle = median(directions - rate * (when - begin))
+    off = median(np.abs(angle + rate * (when - begin) - directions))
     turned = abs(rate) * (end - begin)
     if off > _STRAIGHT or not 4 * _STRAIGHT < turned < TURN + 2 * _OVERLAP:
         return None

@@ -63,17 +63,17 @@ class Cursor:
     __slots__ = ("base", "byte_order", "data", "position", "ros1")
 
     def __init__(self, data: Buffer, serialization: str) -> None:
-        self.data = memoryview(data).toreadonly()
+        self.data = data = memoryview(data).toreadonly()
         self.ros1 = serialization == "ros1"
         self.byte_order = "<"
         self.base = 0
         if not self.ros1:
-            if len(self.data) < 4:
-                raise DecodeError(f"message of {len(self.data)} bytes is too short for a CDR header")
+            if len(data) < 4:
+                raise DecodeError(f"message of {len(data)} bytes is too short for a CDR header")
             # Representation identifiers 0 and 1: plain CDR, big and little endian.
-            if self.data[0] != 0 or self.data[1] > 1:
-                raise DecodeError(f"unknown CDR encapsulation {bytes(self.data[:2]).hex()}, expected 0001 or 0000")
-            self.byte_order = "<" if self.data[1] else ">"
+            if data[0] != 0 or data[1] > 1:
+                raise DecodeError(f"unknown CDR encapsulation {bytes(data[:2]).hex()}, expected 0001 or 0000")
+            self.byte_order = "<" if data[1] else ">"
             self.base = 4
         self.position = self.base
 
@@ -112,8 +112,7 @@ class Cursor:
 
         ROS 1's stamps are (uint32, uint32), those of ROS 2 (int32, uint32).
         """
-        (sequence,) = self.read("I") if self.ros1 else (0,)
-        seconds, nanoseconds = self.read("II" if self.ros1 else "iI")
+        sequence, seconds, nanoseconds = self.read("III") if self.ros1 else (0, *self.read("iI"))
         return sequence, seconds * 1_000_000_000 + nanoseconds
 
     def header(self) -> tuple[int, int, str]:

@@ -13,7 +13,7 @@ from functools import partial
 from typing import TYPE_CHECKING, cast
 
 from pc2scan.bags.topics import is_static
-from pc2scan.core.rule import PointCounts
+from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import MessageError
 from pc2scan.messages.poses import decode_pose
 from pc2scan.messages.tfmessage import decode_transforms, encode_transforms
@@ -162,7 +162,7 @@ def _as_transform(
     attachment = attachments.get(reading.frames_of(parent, child))
     rows = [] if attachment is None else [attachment.row(stamp_ns, cast("Pose", tuple(pose)))]
     message = encode_transforms(rows, serialization)
-    return ConvertedMessage(message, PointCounts(), empty=False, size=len(message))
+    return ConvertedMessage(message, NO_POINTS, empty=False, size=len(message))
 
 
 def _without(children: Collection[str], source: str, target: str, data: Buffer) -> Buffer:

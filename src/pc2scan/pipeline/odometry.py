@@ -17,9 +17,11 @@ import numpy as np
 from pc2scan.core.floor import GOLDEN
 from pc2scan.core.percentiles import median, percentiles
 from pc2scan.core.sharpness import LEVER, Window, busiest, noise, spread, steps_of
-from pc2scan.core.timing import TIME_FIELDS, fit_sweep, offset_and_unit
-from pc2scan.errors import TransformError
+from pc2scan.core.timing import fit_sweep
+from pc2scan.errors import DecodeError, TransformError
 from pc2scan.text import counted
+
+from .stages.point_time import PointTime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.up_sources import UpSource
 
     from .options import ScanSpec
-    from .stages.deskew import Times
+    from .stages.point_time import Times
 
 #: About how long a lidar takes for a cloud, nanoseconds.
 _CLOUD_NS = 100_000_000
@@ -276,14 +278,17 @@ class Surroundings:
         Parameters
         ----------
         seconds
-            Returns the times of the points. None: they are in one of the fields `TIME_FIELDS`; a cloud without is not
-            sampled.
+            Returns the times of the points. None: those that a cloud has in one of the fields `TIME_FIELDS`; a cloud
+            without is not sampled.
         """
         if not any(begin_ns <= points.stamp_ns < end_ns for begin_ns, end_ns in self._windows):
             return
         x, y, z = points.xyz()
-        seconds = seconds or _times_of(points)
-        if len(self._clouds.get(topic, ())) >= _MOST_CLOUDS or not x.size or seconds is None:
+        if len(self._clouds.get(topic, ())) >= _MOST_CLOUDS or not x.size:
+            return
+        try:
+            seconds = seconds or PointTime().read(points).at
+        except DecodeError:
             return
         places = np.unravel_index((_EVENLY * x.size).astype(np.intp), x.shape)
         with np.errstate(all="ignore"):
@@ -425,19 +430,6 @@ def _other_way(point_time: str, windows: Iterable[_Seen]) -> str:
         f"the lidar turns {ways[other]}, not {ways['ccw' if other == 'cw' else 'cw']} as its times say: "
         f"`point_time={typed}`"
     )
-
-
-def _times_of(points: Points) -> Times | None:
-    """Return what reads the times of a cloud's points; None if it has none."""
-    name = next((name for name in TIME_FIELDS if name in points.fields), "")
-    values = points.field(name) if name else None
-    if values is None or values.shape != points.field("x").shape:
-        return None
-    whole = values.dtype.kind in "iu"
-    with np.errstate(all="ignore"):
-        low, high = (float(limit(values)) for limit in (np.nanmin, np.nanmax))
-        offset, unit = offset_and_unit(low, high, points.stamp_ns, "", whole=whole)
-    return lambda places: (values[places].astype(np.float64) - offset) * unit
 
 
 def _are_walls(points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -289,7 +289,8 @@ class ScanSpec:
             )
 
     def _check_deskewing(self) -> None:
-        from .stages.deskew import STAMPS, PointTime  # noqa: PLC0415  # only where points move
+        from .stages.deskew import STAMPS  # noqa: PLC0415  # only where points move
+        from .stages.point_time import PointTime  # noqa: PLC0415
 
         if not self.fixed_frame:
             raise UsageError(

@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from .plan import Combination, Plan
     from .progress import Meter
     from .report import Report
-    from .stages.deskew import Deskew, PointTime
+    from .stages.deskew import Deskew
+    from .stages.point_time import PointTime
     from .survey import Survey, TopicFacts
 
 
@@ -140,9 +141,7 @@ def prepare(
         return Preparation(unmeasured, span, firsts)
     from .survey import Survey  # noqa: PLC0415  # most conversions return above
 
-    notes: list[str] = []
-    warnings: list[str] = []
-    others: list[Reader] = []
+    others: Sequence[Reader] = ()
     if reads_transforms:
         others = open_recordings(asked.tf_from, stack, verify=options.verify, strict=options.strict)
     survey = Survey(reader, others, asked, span)
@@ -151,6 +150,14 @@ def prepare(
         survey.ask_transforms((*(transform_frames or ()), *needed))
     else:
         survey.ask_robot()
+    return _prepare_by_facts(survey, plan, firsts, meter)
+
+
+def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Meter | None) -> Preparation:
+    """Ask the survey for what each output needs besides transforms, let it read, and make conversions of the facts."""
+    asked, reader, span = survey.frames, survey.reader, survey.span
+    notes: list[str] = []
+    warnings: list[str] = []
     gives_frames = bool(asked.static or asked.source_frame)
     given = [survey.facts([route.connection]) for route in plan.routes if gives_frames and route.tasks]
     for facts in given:
@@ -211,7 +218,7 @@ def prepare(
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
         warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, span, firsts, others, notes, warnings, found)
+    return Preparation(conversions, span, firsts, survey.others, notes, warnings, found)
 
 
 class _OutputFacts:
@@ -250,7 +257,7 @@ class _OutputFacts:
                 ask_measurements(facts, spec)
         if spec.deskew:
             from .point_times import ask_times  # noqa: PLC0415  # only with deskewing
-            from .stages.deskew import PointTime  # noqa: PLC0415
+            from .stages.point_time import PointTime  # noqa: PLC0415
 
             self._where = PointTime.parse(spec.point_time)
             for topics in (self._alone, *(each.facts for each in self._sources)):

@@ -266,7 +266,7 @@ class Survey:
 
     Attributes
     ----------
-    reader, frames, span
+    reader, others, frames, span
         As given.
     transforms
         All transforms; None if they were not asked for.
@@ -278,7 +278,7 @@ class Survey:
 
     def __init__(self, reader: Reader, others: Sequence[Reader], frames: FrameOptions, span: Span) -> None:
         self.reader, self.span = reader, span
-        self._others, self.frames = others, frames
+        self.others, self.frames = others, frames
         self.transforms: TransformReading | None = None
         self.robot: RobotTransforms | None = None
         self.observers: list[Observer[Any]] = []
@@ -326,7 +326,7 @@ class Survey:
         if topic not in self._imus:
             from pc2scan.tf.imu import ImuReading  # noqa: PLC0415  # few recordings have one
 
-            self._imus[topic] = ImuReading([self.reader, *self._others], topic, most)
+            self._imus[topic] = ImuReading([self.reader, *self.others], topic, most)
         return self._imus[topic]
 
     def read(self, meter: Meter | None = None, following: int = 0) -> None:
@@ -349,7 +349,7 @@ class Survey:
             If it is not clear which transforms to use.
         """
         asked: list[tuple[Reader, list[Observer[Any]]]] = []
-        for reader in (self.reader, *self._others):
+        for reader in (self.reader, *self.others):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
                 observers += self.transforms.observers(reader, own=reader is self.reader)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pc2scan.errors import stamp_text, visible
+from pc2scan.files.source import ReadBuffer, retain
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.messages.pointcloud2 import DATATYPES, PointCloud2, recorded_cloud
@@ -22,10 +23,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.files.source import RetainedMemory
     from pc2scan.model import Buffer, Connection
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
+# Not frozen: made for every message, and making a frozen one takes twice as long.
+@dataclass(slots=True, eq=False, repr=False)
 class Cloud(NumpyTimes):
     """A message that is a cloud. ``cloud["intensity"]`` is a field of all points.
 
@@ -248,11 +251,24 @@ def _decoder(connection: Connection) -> Callable[[Buffer], PointCloud2]:
     return lambda data: recorded_cloud(decode(_own_data(data)))
 
 
+class _KeptBytes(np.ndarray[Any, Any]):
+    """Bytes of a buffer that is not used again while this array, or a view of it, exists."""
+
+    memory: RetainedMemory
+
+
 def _own_data(data: Buffer) -> Buffer:
-    """Return the data, copied if a view would keep something larger in memory, or is borrowed."""
-    if isinstance(data, memoryview) and isinstance(data.obj, bytes) and 2 * len(data) >= len(data.obj):
+    """Return the data, copied if a view would keep something larger in memory, or if its buffer cannot be kept."""
+    if isinstance(data, bytes):
         return data
-    return data if isinstance(data, bytes) else bytes(data)
+    whole = data.obj
+    if isinstance(whole, bytes) and 2 * len(data) >= len(whole):
+        return data
+    if isinstance(whole, ReadBuffer) and 2 * len(data) >= len(whole) and (memory := retain(whole)):
+        kept: Any = np.frombuffer(data, np.uint8).view(_KeptBytes)
+        kept.memory = memory
+        return memoryview(kept)
+    return bytes(data)
 
 
 def _hint_scans(reader: Reader) -> str | None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
-from pc2scan.core.rule import PointCounts
+from pc2scan.core.rule import NO_POINTS
 from pc2scan.errors import NothingToConvertError, RecordingWarning, TopicError, UsageError, name_list, visible
 from pc2scan.messages.clouds import usual_topics
 from pc2scan.model import StoredChunk
@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, Connection
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.combine.combiner import Combiner
+    from pc2scan.pipeline.items import Item as EngineItem
     from pc2scan.pipeline.items import Span
     from pc2scan.pipeline.progress import Progress
     from pc2scan.result import Skipped
@@ -105,8 +106,6 @@ Item = TypeVar("Item")
 
 #: How many topics ``repr`` names.
 _SHOWN = 3
-
-_NO_POINTS = PointCounts()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -366,17 +365,17 @@ class Stream(ABC, Generic[Item]):
             If it is certain that no message can be used.
         """
         source = self._take_source()
-        with source.stack, closing(self._read(source, progress)) as results:
-            for result in results:
-                yield result
-                del result
+        with source.stack, closing(self._read(source, progress)) as items:
+            for item in items:
+                yield StreamedResult(item.route.connection.topic, self._objects(item), item.errors)
+                del item
             self.damage = source.damage
             if source.warnings is not None and self.listener is not None:
                 for text in source.warnings.conclude():
                     self.listener(text)
 
-    def _read(self, source: StreamSource, progress: Progress | None) -> Generator[StreamedResult]:
-        """Yield what each message became, after it was counted."""
+    def _read(self, source: StreamSource, progress: Progress | None) -> Generator[EngineItem]:
+        """Yield the engine's items, after they were counted."""
         tally = Tally(source.routes, self._selection.on_error)
         self.skipped, self.skipped_count = tally.skipped, 0
         jobs = source.jobs or cores()
@@ -402,14 +401,17 @@ class Stream(ABC, Generic[Item]):
                 assert not isinstance(item, StoredChunk)
                 tally.count(item)
                 self.skipped_count = tally.failures
-                made = [
-                    (self._object(output.report.target or "", item.log_time_ns, result.message), result.level)
-                    for output, result in item.results
-                    if isinstance(result, ConvertedMessage)
-                ]
-                yield StreamedResult(item.route.connection.topic, made, item.errors)
-                del item, made
+                yield item
+                del item
         tally.finish()
+
+    def _objects(self, item: EngineItem) -> list[tuple[Item, LevelTransform | None]]:
+        """Return the objects of a message, each with the transform of a level scan's frame."""
+        return [
+            (self._object(output.report.target or "", item.log_time_ns, result.message), result.level)
+            for output, result in item.results
+            if isinstance(result, ConvertedMessage)
+        ]
 
     def _take_source(self) -> StreamSource:
         """Return the open recording; the caller closes it."""
@@ -426,21 +428,23 @@ class Stream(ABC, Generic[Item]):
             self.damage = source.damage
             warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
             told: set[str] = set()
-            with closing(self._read(source, self.progress)) as results:
-                for result in results:
+            with closing(self._read(source, self.progress)) as items:
+                for item in items:
                     if source.warnings is not None and not self.listener:
                         for text in source.warnings.early():
                             told.add(text)
                             warnings.warn(text, RecordingWarning, stacklevel=2)
-                    if result.errors and self.skipped_count == 1 and not self.listener:
-                        error = result.errors[0]
+                    if self.skipped_count == 1 and not self.listener and item.errors:
+                        error = item.errors[0]
                         hint = f" ({error.hint})" if error.hint else ""
                         more = "see .skipped for all such messages; on_error='fail' makes them errors"
                         warnings.warn(f"skipped: {error}{hint}; {more}", RecordingWarning, stacklevel=2)
-                    for item, _ in result.items:
-                        yield item
-                        del item
-                    del result
+                    objects = self._objects(item)
+                    del item
+                    for each, _ in objects:
+                        yield each
+                        del each
+                    del objects
             self.damage = source.damage
             if not self.listener:
                 _warn_of_damage(self.damage, warned)
@@ -477,7 +481,7 @@ class Stream(ABC, Generic[Item]):
 
 def _as_recorded(decode: Callable[[Buffer], Any], data: Buffer) -> ConvertedMessage:
     """Return a message as it was recorded, in the form of the result of a conversion."""
-    return ConvertedMessage(decode(data), _NO_POINTS, empty=False, size=len(data))
+    return ConvertedMessage(decode(data), NO_POINTS, empty=False, size=len(data))
 
 
 def _warn_of_damage(damage: tuple[Damage, ...], warned: int) -> int:

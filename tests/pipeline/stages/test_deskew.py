@@ -12,7 +12,8 @@ import pytest
 from pc2scan.core.points import TIME, Points
 from pc2scan.core.rigid import Pose, Rigid
 from pc2scan.errors import DecodeError, TransformError
-from pc2scan.pipeline.stages.deskew import Deskew, MovingCloud, PointTime
+from pc2scan.pipeline.stages.deskew import Deskew, MovingCloud
+from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.stages.regions import ExcludeBox
 from pc2scan.tf.builder import TransformBuilder
 from pc2scan.tf.placing import Placer

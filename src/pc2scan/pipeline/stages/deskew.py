@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -18,11 +17,11 @@ from pc2scan.core import kernel
 from pc2scan.core.moving import MovingTransform
 from pc2scan.core.points import TIME, Points
 from pc2scan.core.rule import NO_TIME, NO_TRANSFORM
-from pc2scan.core.timing import TIME_FIELDS, TIME_UNITS, offset_and_unit
-from pc2scan.errors import DecodeError, TransformError, UsageError
+from pc2scan.core.timing import AZIMUTH, TIME_FIELDS, TIME_UNITS
+from pc2scan.errors import DecodeError, TransformError
 from pc2scan.pipeline.conversion import Motion
 
-from .turn import AZIMUTH, Turn
+from .point_time import PointTime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -33,8 +32,8 @@ if TYPE_CHECKING:
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import Placer
 
-#: Returns the times of points at some places, seconds after their cloud's stamp.
-Times: TypeAlias = "Callable[[tuple[NDArray[np.intp], ...]], NDArray[np.float64]]"
+    from .point_time import FieldTimes, Times
+    from .turn import Turn
 
 #: Which time of a cloud is the stamp of its scan.
 STAMPS = ("header", "start", "middle", "end")
@@ -45,9 +44,6 @@ _LONGEST = 60.0
 _USUAL = 2.0
 #: If the times of all points span less than this, they count as equal, seconds.
 _SHORTEST = 1e-9
-
-#: Of how many points the times are looked at to see whether they are absolute.
-_SOME = 64
 
 #: The maximum distance of two nodes between which transforms are interpolated, nanoseconds and radians. Transforms are
 #: also looked up in the middle between two nodes, so at least every millisecond. The error of the rotation is 0.008
@@ -62,123 +58,6 @@ _MOST_NODES = 20_000
 _ONCE, _ALWAYS = np.zeros(1, np.int64), np.empty(0, np.int64)
 #: The row of a transform that changes nothing.
 _IDENTITY = np.array([[1.0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0]])
-
-
-@dataclass(frozen=True, slots=True)
-class PointTime:
-    """The source of the points' times.
-
-    Attributes
-    ----------
-    field
-        The field with the times. Empty: the first of `TIME_FIELDS` that the cloud has.
-    unit
-        ``s``, ``ms``, ``us`` or ``ns``. Empty: the numbers decide; see `offset_and_unit`.
-    turn
-        How the lidar turned, if its points have no times. None: the times are in ``field``.
-    """
-
-    field: str = ""
-    unit: str = ""
-    turn: Turn | None = None
-
-    @classmethod
-    def parse(cls, text: str) -> PointTime:
-        """Parse ``FIELD``, ``FIELD:UNIT``, or the forms that `Turn` parses; empty text means the default.
-
-        Raises
-        ------
-        UsageError
-            If the text has another form.
-        """
-        if not text:
-            return cls()
-        field, colon, unit = text.partition(":")
-        if field == AZIMUTH:
-            return cls(turn=Turn.parse(text))
-        if not field or (colon and unit not in TIME_UNITS):
-            raise UsageError(
-                f"`point_time` is {text!r}, it must be a field, or a field and a unit",
-                hint=f"write `point_time=t` or `point_time=t:ns`; units: {', '.join(TIME_UNITS)}",
-            )
-        return cls(field, unit)
-
-    def field_of(self, points: Points) -> str:
-        """Return the name of a cloud's field with the times.
-
-        Raises
-        ------
-        DecodeError
-            If the cloud has none.
-        """
-        name = self.field or next((name for name in TIME_FIELDS if name in points.fields), "")
-        if not name:
-            message = f"its points have no times: there is no field {', '.join(TIME_FIELDS)}"
-            raise DecodeError(
-                message, stamp_ns=points.stamp_ns, hint="name the field that has them: `point_time=FIELD`"
-            )
-        return name
-
-    def read(self, points: Points) -> FieldTimes:
-        """Return the times of a cloud's points; those of the field `TIME`, if it has that.
-
-        Raises
-        ------
-        DecodeError
-            If the cloud has no field with times, or one with several values a point.
-        """
-        offset, unit = 0.0, 1.0
-        if given := TIME in points.fields:
-            name, whole = TIME, False
-        else:
-            name = self.field_of(points)
-            whole = points.field(name).dtype.kind in "iu"
-            points = _mask_zero_times(points, name, self.unit)
-        x, values = points.field("x"), points.field(name)
-        if values.shape != x.shape:
-            message = f"its field {name} has several values a point"
-            raise DecodeError(
-                message, stamp_ns=points.stamp_ns, hint="if another field has the times, name it: `point_time=FIELD`"
-            )
-        low, high, measured, unknown = kernel.span(x, values)
-        if not given and measured > unknown:
-            offset, unit = offset_and_unit(low, high, points.stamp_ns, self.unit, whole=whole)
-        low, high = (low - offset) * unit, (high - offset) * unit
-        return FieldTimes(points, name, offset, unit, low, high, measured, unknown)
-
-
-class FieldTimes(NamedTuple):
-    """The times of a cloud's points, as a field has them.
-
-    Attributes
-    ----------
-    points
-        The cloud; a time that is not known is NaN or infinite, also where drivers write 0.
-    field
-        The field.
-    offset, unit
-        A point was measured ``(value - offset) * unit`` seconds after the stamp.
-    low, high
-        Of the first and the last point, seconds after the stamp; inf and -inf if no time is known.
-    measured
-        How many points have an ``x`` that is not NaN.
-    unknown
-        How many of them have no time.
-    """
-
-    points: Points
-    field: str
-    offset: float
-    unit: float
-    low: float
-    high: float
-    measured: int
-    unknown: int
-
-    def at(self, places: Any = ...) -> NDArray[np.float64]:
-        """Return the times of the points at some places, or of all, seconds after the stamp."""
-        times: NDArray[np.float64] = self.points.field(self.field)[places].astype(np.float64)
-        return (times - self.offset) * self.unit
 
 
 class _LazyTimes(Mapping[str, "NDArray[Any]"]):
@@ -339,7 +218,7 @@ class Deskew:
         The topic of the clouds.
     """
 
-    __slots__ = ("_fixed", "_placer", "_point_time", "_sample", "_stamp", "_topic", "_turns")
+    __slots__ = ("_buffer", "_fixed", "_placer", "_point_time", "_sample", "_stamp", "_topic", "_turns")
 
     def __init__(
         self,
@@ -351,6 +230,9 @@ class Deskew:
         sample: Callable[[str, Points, Times], None] | None = None,
         topic: str = "",
     ) -> None:
+        if placer.buffer is None:
+            raise ValueError("deskewing needs transforms")
+        self._buffer = placer.buffer
         self._placer = placer
         self._fixed = fixed_frame
         self._point_time = point_time
@@ -392,13 +274,13 @@ class Deskew:
         track = self.track(points)
         if track is None:
             return None
-        buffer, tolerance_ns, reference_ns = self._known(), self._placer.tolerance_ns, track.reference_ns
+        tolerance_ns, reference_ns = self._placer.tolerance_ns, track.reference_ns
         source = self._placer.source_frame or points.frame_id
         target, from_fixed = self._placer.from_fixed(self._fixed, points.frame_id, reference_ns)
         reference: tuple[Rigid, ...] | int
         reference = {track.begin_ns: 0, track.end_ns: -1}.get(reference_ns, 1)
         if reference == 1 or math.isnan(track.rows[reference, 0]):
-            reference = from_fixed, buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
+            reference = from_fixed, self._buffer.lookup(self._fixed, source, reference_ns, tolerance_ns)
         # The rows are not needed again.
         return track.seen_from(from_fixed, reference, target, reference_ns, track.rows)
 
@@ -438,7 +320,7 @@ class Deskew:
             "middle": begin_ns + (end_ns - begin_ns) // 2,
             "end": end_ns,
         }[self._stamp]
-        buffer = self._known()
+        buffer = self._buffer
         source = self._placer.source_frame or points.frame_id
         measured_ns = begin_ns, end_ns
         # The pose at the scan's time is needed as well.
@@ -461,11 +343,6 @@ class Deskew:
         all_timed = not unknown and bool(times[0] <= low and high <= times[-1])
         return Track(timed, reference_ns, name, offset, unit, times, rows, gap_ns, all_timed, begin_ns, end_ns)
 
-    def _known(self) -> TransformBuffer:
-        if self._placer.buffer is None:
-            raise ValueError("deskewing needs transforms")
-        return self._placer.buffer
-
     def _check(self, name: str, low: float, high: float, unit: float, *, several: bool, stamp_ns: int) -> None:
         """Raise an error for impossible times."""
         message, hint = "", "if another field has the times, name it: `point_time=FIELD`"
@@ -483,26 +360,6 @@ class Deskew:
             hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
         if message:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
-
-
-def _mask_zero_times(points: Points, name: str, unit: str) -> Points:
-    """Return points whose times that are 0 are NaN, if the others are absolute.
-
-    Drivers write 0 for points without a return. Among times after the stamp, 0 is a time.
-    """
-    values = points.field(name)
-    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
-        few = values.reshape(-1)[:: max(1, values.size // _SOME)].astype(np.float64)
-        low = float(np.fmin.reduce(few, where=few != 0, initial=np.inf))
-        high = float(np.fmax.reduce(few, initial=-np.inf))
-        if not low <= high:
-            return points
-        offset, _ = offset_and_unit(low, high, points.stamp_ns, unit, whole=values.dtype.kind in "iu")
-        if not offset or not (missing := values == 0).any():
-            return points
-        times = values.astype(np.float64)
-    times[missing] = np.nan
-    return points.replace({name: times}, points.frame_id)
 
 
 def _raise_why(buffer: TransformBuffer, fixed: str, source: str, time_ns: int) -> None:
