@@ -42,35 +42,41 @@ class ProgressMeter:
     Parameters
     ----------
     progress
-        Takes the bytes read so far, the total bytes, and the messages compared so far. None: nothing is reported.
-    sources
-        The recordings that are compared. Each topic reads both of them.
+        Takes the work done, the work in all (see `pc2scan.bags.units.Unit.work`), and the messages compared. None:
+        nothing is reported.
     """
 
-    def __init__(self, progress: Callable[[int, int, int], None] | None, sources: Sequence[OpenRecording]) -> None:
+    def __init__(self, progress: Callable[[int, int, int], None] | None) -> None:
         self._progress = progress
-        self._readers = [source for source in sources if isinstance(source, Reader)]
-        self._size = sum(reader.summary.size_bytes for reader in self._readers)
-        self._topics = 0
-        self._topic = 0
-        self._messages = 0
-        self._before: list[int] = []
+        #: The work and the number of messages of each topic.
+        self._topics: Sequence[tuple[int, int]] = ()
+        self._topic = self._before = self._messages = 0
 
-    def begin(self, topic: int, topics: int) -> None:
-        """Begin with a topic; ``topics`` is the number of all topics."""
-        self._topic, self._topics = topic, topics
-        self._before = [reader.bytes_read for reader in self._readers]
+    def expect(self, pairs: Sequence[tuple[TopicStream, TopicStream]]) -> None:
+        """Expect these topics, in this order."""
+        if self._progress is not None:
+            self._topics = [
+                (sum(map(_work_of, pair)), max(sum(c.message_count or 0 for c in each.connections) for each in pair))
+                for pair in pairs
+            ]
+
+    def begin(self, topic: int) -> None:
+        """Begin with a topic."""
+        self._topic, self._before = topic, self._messages
 
     def count(self) -> None:
         """Count a pair of messages."""
         self._messages += 1
         if self._progress is None or self._messages % _EVERY:
             return
-        # Some readers continue to count in each pass, others start again at 0.
-        passed = [(reader.bytes_read, before) for reader, before in zip(self._readers, self._before, strict=True)]
-        read = sum(now - before if now >= before else now for now, before in passed)
-        done = self._topic * self._size + min(read, self._size)
-        self._progress(done, max(1, self._topics) * self._size, self._messages)
+        work, messages = self._topics[self._topic]
+        done = work * min(self._messages - self._before, messages) // max(1, messages)
+        done += sum(before for before, _ in self._topics[: self._topic])
+        self._progress(done, sum(each for each, _ in self._topics), self._messages)
+
+
+def _work_of(stream: TopicStream) -> int:
+    return stream.source.work(stream.connections) if isinstance(stream.source, Reader) else 0
 
 
 #: If there are more topics of scans or clouds, they are read together, because one after the other takes too long.
@@ -127,7 +133,7 @@ def diff(
             source = open_source(path)
             stack.callback(source.close)
             sources.append(source)
-        meter = ProgressMeter(progress, sources)
+        meter = ProgressMeter(progress)
         return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, meter=meter)
 
 
@@ -164,9 +170,10 @@ def diff_sources(
     result = Difference(str(a.path), str(b.path))
     asked = pair_streams(a, b, topics)
     others = [] if topics and not all_topics else _topics_of_type(a, b, decoded=False, without=topics)
-    meter = meter or ProgressMeter(None, ())
+    meter = meter or ProgressMeter(None)
+    meter.expect(asked)
     for number, pair in enumerate(_read_into_memory(asked) if len(asked) > _MANY_TOPICS else asked):
-        meter.begin(number, len(asked))
+        meter.begin(number)
         _compare([pair], rules, result, meter)
     if all_topics:
         _compare(others, rules, result, meter)
