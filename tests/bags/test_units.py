@@ -162,3 +162,21 @@ def test_what_will_be_loaded_is_announced_some_way_ahead() -> None:
         (places[7], ends[9] - places[7]),
         (places[10], ends[11] - places[10]),
     ]
+
+
+def test_few_units_are_listed_ahead() -> None:
+    # Chunks of a hundred bytes, of which there may be a million.
+    file: Any = File()
+    listed: list[int] = []
+
+    def units() -> Iterator[Unit]:
+        for number in range(5_000):
+            listed.append(number)
+            yield unit(number % 256, [number])._replace(place=(number,), extent=Extent(file, 100 * number, 100))
+
+    messages = merge_by_time(units())
+    next(messages)
+    assert len(listed) == 1_000
+    assert len(list(messages)) == 4_999
+    # A thousand, then five hundred at a time.
+    assert len(file.announced) == 9

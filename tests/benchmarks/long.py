@@ -11,17 +11,20 @@ import os
 import struct
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.clouds import POINT_BYTES, serialized_clouds
+from pc2scan import convert
 from pc2scan.bags.destinations import open_writer, plan_destination
+from pc2scan.cli.time_left import TimeLeft
 from pc2scan.files.new_file import NewFile
 from pc2scan.messages.definitions import TYPES, definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
@@ -170,9 +173,46 @@ _CONVERT = ("convert", "--min-height", "-2", "--overwrite")
 _COMMANDS = {
     "`convert`, 1 job": (*_CONVERT, "--jobs", "1"),
     "`convert`, 2 jobs": (*_CONVERT, "--jobs", "2"),
-    "`convert --target-frame base_link`": (*_CONVERT, "--target-frame", "base_link"),
+    "`convert --target-frame base_link`, 2 jobs": (*_CONVERT, "--target-frame", "base_link", "--jobs", "2"),
     "`info`": ("info",),
 }
+
+
+#: What is converted to see whether the time left is true: the whole, half of it, with transforms that are read before,
+#: and a recording in which the lidar is off for half of the time.
+_PROGRESSES: dict[str, tuple[float, dict[str, Any]]] = {
+    "all": (0, {}),
+    "the second half, `--start`": (0, {"start": 0.5}),
+    "`--target-frame base_link`": (0, {"target_frame": "base_link"}),
+    "`--keep-clouds`": (0, {"keep_clouds": True}),
+    "no clouds in the first half": (0.5, {}),
+}
+
+
+def progress_errors(source: Path, **options: Any) -> tuple[float, float]:
+    """Convert on one thread, in processor time; after a tenth of it, return the largest errors of the progress.
+
+    Returns
+    -------
+    share, end : float
+        Of the share that is done, and of the time at which the run is said to end, as shares of the whole time.
+    """
+    steps: list[tuple[float, float, float]] = []
+    left = TimeLeft()
+
+    def progress(done: int, total: int, _: int) -> None:
+        now = time.process_time()
+        steps.append((now, done / total, now + (left.seconds(done, total, now) or 0)))
+
+    convert(source, source.with_name("scans.mcap"), min_height=-2, jobs=1, overwrite=True, progress=progress, **options)
+    begin, length = steps[0][0], time.process_time() - steps[0][0]
+    later = [
+        (share - (now - begin) / length, (end - begin) / length - 1)
+        for now, share, end in steps
+        if now - begin > length / 10
+    ]
+    share, end = (max(errors, key=abs) for errors in zip(*later, strict=True))
+    return share, end
 
 
 def main() -> None:
@@ -195,6 +235,17 @@ def main() -> None:
                 source.unlink()
             for command, own in cells.items():
                 print(f"| {form} | {command} |", " | ".join(own), "|", flush=True)  # noqa: T201
+        size = max(asked.gb)
+        print(f"\n| {size} GB | share done | predicted end |\n|---|---:|---:|")  # noqa: T201
+        for what, (quiet, options) in _PROGRESSES.items():
+            clouds = _CLOUDS * size
+            long = Long(clouds, compression="zstd", quiet=round(quiet * clouds))
+            if "start" in options:
+                options = {"start": options["start"] * clouds / 10}  # noqa: PLW2901  # seconds
+            source = long.write(Path(folder) / "long.mcap")
+            share, end = progress_errors(source, **options)
+            print(f"| {what} | {share:+.1%} | {end:+.1%} |", flush=True)  # noqa: T201
+            source.unlink()
 
 
 if __name__ == "__main__":

@@ -45,6 +45,9 @@ _MAX_FREE_MESSAGES = 1_000_000
 #: Bytes that are announced to the system before they are read: it reads them while others are decompressed.
 _ANNOUNCED_BYTES = 32 << 20
 
+#: How many units are announced at most: each takes half a kilobyte.
+_ANNOUNCED_UNITS = 1_000
+
 #: Chunks with at most this distance are announced together: an index may be between them.
 _GAP_BYTES = 64 << 10
 
@@ -377,9 +380,13 @@ def _announce(units: Iterable[Unit]) -> Iterator[Unit]:
     coming: deque[Unit] = deque()
     announced = 0
     while True:
-        if announced <= _ANNOUNCED_BYTES // 2:
+        if announced <= _ANNOUNCED_BYTES // 2 and len(coming) <= _ANNOUNCED_UNITS // 2:
             extents: list[Extent] = []
-            while announced < _ANNOUNCED_BYTES and (unit := next(source, None)) is not None:
+            while (
+                announced < _ANNOUNCED_BYTES
+                and len(coming) < _ANNOUNCED_UNITS
+                and (unit := next(source, None)) is not None
+            ):
                 coming.append(unit)
                 if unit.extent is None:
                     break
