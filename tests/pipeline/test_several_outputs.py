@@ -59,6 +59,15 @@ def test_each_output_is_as_if_it_were_alone(jobs: int, tmp_path: Path) -> None:
         assert entry.messages_out
 
 
+@pytest.mark.parametrize("options", [{}, {"drop": "/tf*"}, {"keep_clouds": False}])
+def test_the_report_says_whether_clouds_are_kept(options: dict[str, Any], tmp_path: Path) -> None:
+    """Also if the clouds' topic is the first one of the output."""
+    report = pc2scan.convert(HALL, tmp_path / "a.mcap", **{"keep_clouds": True, **BAND, **options})
+    kept = [topic.topic for topic in report.topics if topic.clouds_kept]
+    assert kept == ["/points"] * ("/points" in messages(tmp_path / "a.mcap"))
+    assert ("(cloud kept)" in str(report)) == bool(kept)
+
+
 def test_a_message_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: Counter[str] = Counter()
     decoder = CLOUDS[POINTCLOUD2]
