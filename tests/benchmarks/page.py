@@ -16,7 +16,7 @@ import math
 import sys
 from pathlib import Path
 
-SLIDERS = ("max_height", "range_max")
+SLIDERS = ("max_height", "range_max", "mount-z", "mount-roll", "mount-yaw")
 STEPS = 150
 
 #: Records each redraw: the page's own work, and the time until the message that follows the frame.
@@ -59,7 +59,7 @@ def main(pages: list[Path]) -> None:
                 page.add_init_script(RECORDER)
                 page.goto(path.resolve().as_uri())
                 page.wait_for_selector("body[data-drawn]", state="attached")
-                handle = page.locator(f"#param-{slider}").locator('xpath=../input[@type="range"]')
+                handle = page.locator(f"#param-{slider}, #{slider}").locator('xpath=../input[@type="range"]')
                 handle.scroll_into_view_if_needed()
                 box = handle.bounding_box()
                 assert box is not None, slider

@@ -82,7 +82,8 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=5, help="rounds, of which the median is taken (default: 5)")
     parser.add_argument("--memory", type=float, nargs="*", metavar="GB", help="peak memory too; default: 0.5 2 8")
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
-    parser.add_argument("--only", choices=(*TABLES, "memory"), help="one table")
+    parser.add_argument("--small-mcap", metavar="PYTHON", help="beside a Python with small-mcap and its ROS 2 decoder")
+    parser.add_argument("--only", choices=(*TABLES, "memory", "small-mcap"), help="one table")
     asked = parser.parse_args()
     keep_freed_memory()
     # Installed packages have bytecode. Here the first round, which does not count, writes it; without it, every process
@@ -93,6 +94,8 @@ def main() -> None:
         for name, print_table in TABLES.items():
             if asked.only in (None, name):
                 print_table(Path(folder), int(asked.gb * 1e9), asked.repeat)
+        if asked.small_mcap is not None and asked.only in (None, "small-mcap"):
+            small_mcap(Path(folder), int(asked.gb * 1e9), asked.repeat, asked.small_mcap)
         if asked.only == "memory" or asked.memory is not None:
             memory(Path(folder), asked.memory or [0.5, 2, 8])
 
@@ -196,25 +199,27 @@ def deskewing(_place: Path, _size: int, repeat: int) -> None:
 
 _MEASURED = """
 import resource, subprocess, sys
-subprocess.run(sys.argv[1:], check=True)
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
 print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
 
 
-def command(*args: str | Path) -> dict[str, Any]:
-    """Run ``pc2scan convert`` in a process of its own; returns its report, and its peak memory in KiB."""
-    report = Path(args[args.index("-o") + 1]).with_suffix(".json")
-    line = [sys.executable, "-m", "pc2scan", "convert", *map(str, args), *HEIGHTS, "--overwrite", "--quiet"]
+def peak_of(*args: str | Path) -> int:
+    """Run ``pc2scan`` in a process of its own; returns its peak memory, bytes."""
+    line = [sys.executable, "-m", "pc2scan", *map(str, args)]
     # A process begins with the peak of the one that starts it: a small one stands between.
-    done = subprocess.run(
-        [sys.executable, "-S", "-c", _MEASURED, *line, "--report", str(report)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = subprocess.run([sys.executable, "-S", "-c", _MEASURED, *line], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(line)} failed:\n{done.stderr}")
-    return {**json.loads(report.read_text()), "peak_kib": int(done.stdout)}
+    return int(done.stdout) * 1024
+
+
+def command(*args: str | Path) -> dict[str, Any]:
+    """Run ``pc2scan convert`` in a process of its own; returns its report."""
+    report = Path(args[args.index("-o") + 1]).with_suffix(".json")
+    peak_of("convert", *args, *HEIGHTS, "--overwrite", "--quiet", "--report", report)
+    found: dict[str, Any] = json.loads(report.read_text())
+    return found
 
 
 def converted(source: Path, destination: Path, jobs: int, *more: str) -> float:
@@ -384,6 +389,76 @@ def in_python(place: Path, size: int, repeat: int) -> None:
             "of 2 jobs'",
             "processor time, of 1 job's",
         ),
+        rows(),
+    )
+
+
+#: Programs that read a recording over and over, for some seconds. They print the user time of one loop.
+_READ = """
+import resource, sys, time
+
+path, crc = sys.argv[1], sys.argv[2] == "compared"
+{read}
+read()
+before, began, rounds = resource.getrusage(resource.RUSAGE_SELF).ru_utime, time.perf_counter(), 0
+while time.perf_counter() - began < 2:
+    read()
+    rounds += 1
+print((resource.getrusage(resource.RUSAGE_SELF).ru_utime - before) / rounds)
+"""
+_CLOUDS = """
+import pc2scan
+
+def read():
+    for cloud in pc2scan.clouds(path, verify=crc, topics="/points"):
+        pass
+"""
+_SMALL_MCAP = """
+from small_mcap import read_message
+
+def read():
+    with open(path, "rb") as file:
+        for schema, channel, message in read_message(file, validate_crc=crc):
+            pass
+"""
+_SMALL_MCAP_DECODED = """
+from mcap_ros2_support_fast.decoder import DecoderFactory
+from small_mcap import read_message_decoded
+
+def read():
+    with open(path, "rb") as file:
+        for message in read_message_decoded(file, decoder_factories=[DecoderFactory()], validate_crc=crc):
+            message.decoded_message
+"""
+
+
+def small_mcap(place: Path, size: int, repeat: int, python: str) -> None:
+    """`pc2scan.clouds` beside the package small-mcap, which another Python has."""
+    size //= 8
+
+    def user_time(interpreter: str, read: str, source: Path, crc: str) -> float:
+        line = [interpreter, "-c", _READ.format(read=read), str(source), crc]
+        return float(subprocess.run(line, check=True, capture_output=True, text=True).stdout)
+
+    def rows() -> Iterable[Sequence[str]]:
+        for points in (1_000, 16_384, 131_072):
+            source = write_recording(place, FORMS["MCAP, none"], size, points)
+            count = max(1, size // (points * POINT_BYTES))
+            for crc in ("compared", "not compared"):
+                found = rounds(
+                    repeat,
+                    lambda: user_time(python, _SMALL_MCAP, source, crc),  # noqa: B023
+                    lambda: user_time(python, _SMALL_MCAP_DECODED, source, crc),  # noqa: B023
+                    lambda: user_time(sys.executable, _CLOUDS, source, crc),  # noqa: B023
+                )
+                times = (f"{median(column) / count * 1e6:,.1f}" for column in zip(*found, strict=True))
+                yield f"{points:,}", crc, *times, f"{median(row[2] / row[1] for row in found):.2f}"
+            source.unlink()
+
+    table(
+        f"Python's `clouds()`** of {size / 1e9:g} GB of uncompressed MCAP, beside small-mcap, which decodes with "
+        "mcap-ros2-support-fast: user time in µs a cloud, and as a multiple of small-mcap's with decoding",
+        ("points", "CRC", "small-mcap, messages alone", "small-mcap, decoded", "`clouds()`", "a multiple"),
         rows(),
     )
 
@@ -720,19 +795,27 @@ def start_up(place: Path, _size: int, repeat: int) -> None:
 
 
 def memory(place: Path, sizes: Sequence[float]) -> None:
-    forms = ("ROS 1, lz4", "MCAP, zstd", "sqlite3")
+    forms = ("ROS 1, lz4", "MCAP, none", "MCAP, zstd", "sqlite3")
+    scans = ("-o", str(place / "scans.mcap"), "--overwrite", "--quiet", "--jobs", "2")
+    commands = {
+        "`convert`": ("convert", *scans, "--topic", POINTS, *HEIGHTS),
+        "`convert --keep-clouds --compression lz4`": ("convert", *scans, "--keep-clouds", "--compression", "lz4"),
+        "`info`": ("info",),
+        "`view`": ("view", "-o", str(place / "page.html"), "--overwrite"),
+    }
 
     def rows() -> Iterable[Sequence[str]]:
         for gigabytes in sizes:
-            peaks = []
-            for name in forms:
-                source = write_recording(place, FORMS[name], int(gigabytes * 1e9))
-                report = command(source, "-o", place / "scans.mcap", "--topic", POINTS, "--jobs", "2")
-                peaks.append(f"{report['peak_kib'] * 1024 / MEGABYTE:.0f}")
+            peaks: dict[str, list[str]] = {name: [] for name in commands}
+            for form in forms:
+                source = write_recording(place, FORMS[form], int(gigabytes * 1e9))
+                for name, (verb, *options) in commands.items():
+                    peaks[name].append(f"{peak_of(verb, source, *options) / MEGABYTE:.0f}")
                 remove(source)
-            yield f"{gigabytes:g}", *peaks
+            yield from ((name, f"{gigabytes:g}", *found) for name, found in peaks.items())
 
-    table("Peak memory** of a conversion on 2 jobs, MB", ("GB of clouds", *forms), rows())
+    title = "Peak memory** of commands with clouds of 131,072 points of 32 bytes, conversions on 2 jobs, MB"
+    table(title, ("command", "GB of clouds", *forms), rows())
 
 
 #: What is printed, unless one of them is asked for.

@@ -184,7 +184,13 @@ class _Seen(NamedTuple):
 
 
 def observe(reader: Reader, observers: Iterable[Observer[Any]]) -> None:
-    """Show the messages of a recording to observers.
+    """Show the messages of a recording to observers; see `observing`."""
+    for _ in observing(reader, observers):
+        pass
+
+
+def observing(reader: Reader, observers: Iterable[Observer[Any]]) -> Generator[None]:
+    """Show the messages of a recording to observers, and yield after each.
 
     A recording with chunks is read once for all of them. Of one with rows, which are read topic by topic without
     reading others, only those observers share a reading that want the same connections.
@@ -201,12 +207,12 @@ def observe(reader: Reader, observers: Iterable[Observer[Any]]) -> None:
         groups.setdefault(reader.has_chunks or observer.selection, []).append(observer)
     for group in groups.values():
         if not all(observer.is_done for observer in group):
-            _observe_together(reader, group)
+            yield from _observe_together(reader, group)
         for observer in group:
             observer.end()
 
 
-def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> None:
+def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Generator[None]:
     """Read a recording once."""
     connections = {each.id: each for observer in observers for each in observer.connections}
     by_connection: dict[int, list[Observer[Any]]] = {}
@@ -251,11 +257,13 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Non
         for seen in messages:
             if isinstance(seen, RawMessage):
                 lone[seen.connection.id](seen)
+                yield
                 continue
             assert isinstance(seen, _Seen)
-            has_enough = False
-            for observer, value in seen.values:
-                has_enough |= observer.add(value, seen.log_time_ns)
+            has_enough = True in [observer.add(value, seen.log_time_ns) for observer, value in seen.values]
+            # What was handed out is not kept while the next unit is loaded.
+            del seen
+            yield
             if has_enough:
                 sort_out()
                 if not any(by_connection.values()):

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .percentiles import median
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -53,14 +55,15 @@ def azimuth_step(
     """
     points = np.stack([np.ravel(part).astype(np.float64) for part in (x, y, z)])
     returned = np.isfinite(points).all(axis=0) & points.any(axis=0)
-    ahead, left, up = points[:, returned]
-    elevations = np.arctan2(up, np.hypot(ahead, left))
+    points = points[:, returned]
+    ahead, left, up = points
     if rings is not None:
-        numbers = np.ravel(rings)[returned]
-    elif len(x.shape) == 2 and min(x.shape) > 1:
+        return _regular_step(np.ravel(rings)[returned], np.arctan2(left, ahead))
+    elevations = np.arctan2(up, np.hypot(ahead, left))
+    if len(x.shape) == 2 and min(x.shape) > 1:
         places = (np.ravel(index)[returned] for index in np.indices(x.shape, np.int32))
         # A ring has one elevation: drivers put rings into rows, or into columns.
-        numbers = min(places, key=lambda lines: _spread(lines, elevations))
+        numbers: NDArray[Any] = min(places, key=lambda lines: _spread(lines, elevations))
     else:
         numbers = _levels(elevations)
     return _regular_step(numbers, np.arctan2(left, ahead))
@@ -94,7 +97,7 @@ def _regular_step(rings: NDArray[Any], azimuths: NDArray[np.float64]) -> float |
     steps = steps[steps > _SAME]
     if steps.size < _FEW - 1:
         return None
-    middle = float(np.median(steps))
+    middle = median(steps)
     near = steps[np.abs(steps - middle) <= _NEAR * middle]
     if middle > _COARSE or near.size < _REGULAR * steps.size:
         return None

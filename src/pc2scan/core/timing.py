@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .layout import TURN
+from .percentiles import median
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -259,9 +260,9 @@ def fit_sweep(angles: NDArray[Any], times: NDArray[np.float64]) -> Sweep | None:
     # The median of the slopes between any two slices (Theil and Sen), because some slices have only the outermost
     # lasers.
     first, second = np.triu_indices(when.size, 1)
-    rate = float(np.median((directions[second] - directions[first]) / (when[second] - when[first])))
-    angle = float(np.median(directions - rate * (when - begin)))
-    off = np.median(np.abs(angle + rate * (when - begin) - directions))
+    rate = median((directions[second] - directions[first]) / (when[second] - when[first]))
+    angle = median(directions - rate * (when - begin))
+    off = median(np.abs(angle + rate * (when - begin) - directions))
     turned = abs(rate) * (end - begin)
     if off > _STRAIGHT or not 4 * _STRAIGHT < turned < TURN + 2 * _OVERLAP:
         return None

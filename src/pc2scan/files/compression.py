@@ -208,13 +208,15 @@ def _from_bz2(data: Buffer, size: int) -> DecompressedData:
 def _from_lz4(data: Buffer, size: int) -> DecompressedData:
     import lz4.frame  # noqa: PLC0415  (only recordings that need it pay for it)
 
-    unlz4 = lz4.frame.LZ4FrameDecompressor()
+    # Its class LZ4FrameDecompressor would copy the data.
+    context = lz4.frame.create_decompression_context()
     try:
         # LZ4 allocates its limit at once. It expands at most 255 times.
-        unpacked: bytes = unlz4.decompress(data, min(size, 255 * len(data)) + 1)
+        most = min(size, 255 * len(data)) + 1
+        unpacked, _, complete = lz4.frame.decompress_chunk(context, data, max_length=most)
     except (OSError, RuntimeError, EOFError) as err:
         raise CompressionError(str(err)) from err
-    return DecompressedData(unpacked, unlz4.eof and len(unpacked) <= size)
+    return DecompressedData(unpacked, complete and len(unpacked) <= size)
 
 
 def _from_zstd(data: Buffer, size: int) -> DecompressedData:

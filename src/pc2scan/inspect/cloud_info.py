@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 _BAR = 40
 _BINS = 12
 
+#: How many heights are counted together.
+_TOGETHER = 65_536
+
 
 @dataclass(slots=True)
 class CloudInfo:
@@ -140,14 +143,16 @@ class CloudLook:
             count = coordinates[0].size
             step = -(-count // self._most) or 1
             with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
-                points = np.stack([_as_floats(_thinned(c, step)) for c in coordinates])
+                x, y, z = (_as_floats(_thinned(c, step)) for c in coordinates)
                 # Points at the sensor are no returns, wherever the sensor is in the target frame.
-                zero = (points == 0).all(axis=0)
+                zero = (x == 0) & (y == 0) & (z == 0)
+                good = ~(zero | np.isnan(x) | np.isnan(y) | np.isnan(z))
             described = CloudInfo(self._result.topic)
             _describe(described, cloud, message)
         except DecodeError as err:
             return _problem(err)
-        return _Sampled(cloud.frame_id, cloud.stamp_ns, count, points[:, ~zero], int(zero.sum()), described)
+        points, zeros = np.stack([x[good], y[good], z[good]]), int(np.count_nonzero(zero))
+        return _Sampled(cloud.frame_id, cloud.stamp_ns, count, points, x.size - zeros, zeros, described)
 
     def add(self, sampled: _Sampled | str) -> None:
         """Add what was kept of a cloud."""
@@ -162,35 +167,46 @@ class CloudLook:
         result = self._result
         result.target_frame = places.target_frame
         placed: list[_Sampled] = []
-        for each in self._sampled:
+        while self._sampled:
+            each = self._sampled.pop(0)
             try:
                 place = places.place(each.frame_id, each.stamp_ns)
             except TransformError as err:
                 self._problems[_problem(err)] = None
                 continue
-            points, transform = each.points, place.target_from_source
-            placed.append(each if transform is None else each._replace(points=transform.apply(points.T).T))
-        self._sampled.clear()
+            if place.target_from_source is not None:
+                points = place.target_from_source.apply(each.points.T).T
+                # Of infinite coordinates.
+                each = each._replace(points=points[:, ~np.isnan(points).any(axis=0)])
+            placed.append(each)
         result.frames, result.problems = tuple(dict.fromkeys(each.frame_id for each in placed)), tuple(self._problems)
         if placed:
             first = placed[0].described
             result.shape, result.point_step, result.fields = first.shape, first.point_step, first.fields
             result.points_min = min(each.size for each in placed)
             result.points_max = max(each.size for each in placed)
-            self.parts = [each.points[:, ~np.isnan(each.points).any(axis=0)] for each in placed]
-            invalid = sum(each.points.shape[1] - part.shape[1] for each, part in zip(placed, self.parts, strict=True))
-            _measure(result, self.parts, invalid, sum(each.zeros for each in placed))
+            self.parts = [each.points for each in placed]
+            _measure(result, self.parts, sum(each.returns for each in placed), sum(each.zeros for each in placed))
             result.mounting = mounting
         return result
 
 
 class _Sampled(NamedTuple):
-    """What is kept of a cloud: its size, some of its points, (3, N), and how many are at (0, 0, 0)."""
+    """What is kept of a cloud: its size, some of its points.
+
+    Attributes
+    ----------
+    points
+        (3, N), without those at (0, 0, 0) or with NaN.
+    returns, zeros
+        How many are not at (0, 0, 0), with NaN or not, and how many are.
+    """
 
     frame_id: str
     stamp_ns: int
     size: int
     points: NDArray[np.floating[Any]]
+    returns: int
     zeros: int
     described: CloudInfo
 
@@ -228,28 +244,43 @@ def _describe(result: CloudInfo, points: Points, message: RawMessage) -> None:
     )
 
 
-def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], invalid: int, zeros: int) -> None:
-    """Describe points, (3, N) of each cloud without NaN, and that there are so many more with NaN and at (0, 0, 0).
+def _measure(result: CloudInfo, parts: Sequence[NDArray[np.floating[Any]]], returns: int, zeros: int) -> None:
+    """Describe points, (3, N) of each cloud without NaN, of so many with NaN, and so many more at (0, 0, 0).
 
     One axis is joined at a time, because all of them take as much memory as everything else.
     """
-    count = sum(part.shape[1] for part in parts)
-    total = count + invalid + zeros
+    count, total = sum(part.shape[1] for part in parts), returns + zeros
     if not total:
         return
-    result.nan_share = invalid / total
+    result.nan_share = (returns - count) / total
     result.zero_share = zeros / total
     result.above_zero_share = sum(int((part[2] > 0).sum()) for part in parts) / count if count else 0.0
-    result.x, result.y, result.z = (spread_of(np.concatenate([part[axis] for part in parts])) for axis in range(3))
+    result.x, result.y = (spread_of(np.concatenate([part[axis] for part in parts])) for axis in range(2))
     with np.errstate(over="ignore"):
-        result.range = spread_of(np.concatenate([np.hypot(x, y, dtype=np.float64) for x, y, _ in parts]))
-    heights = finite(np.concatenate([part[2] for part in parts])).astype(np.float64, copy=False)
+        result.range = spread_of(_ranges(parts, count))
+    heights = finite(np.concatenate([part[2] for part in parts]))
+    result.z = spread_of(heights)
     if heights.size:
         low, high = percentiles(heights, 0.5, 99.5, reorder=True)
         # Wide enough that the edges of the bars are different numbers.
         least = max(1e-9 * max(abs(low), abs(high)), 0.0 if high > low else 1.0)
         if high - low < least:
             low, high = low - least / 2, high + least / 2
-        counts, edges = np.histogram(np.clip(heights, low, high, out=heights), _BINS, (low, high))
-        result.height_edges = tuple(float(edge) for edge in edges)
+        counts = np.zeros(_BINS, np.intp)
+        for begin in range(0, heights.size, _TOGETHER):
+            # As float64, like the edges.
+            some = heights[begin : begin + _TOGETHER].astype(np.float64)
+            more, edges = np.histogram(np.clip(some, low, high, out=some), _BINS, (low, high))
+            counts += more
+        result.height_edges = tuple(map(float, edges))
         result.height_counts = tuple(map(int, counts))
+
+
+def _ranges(parts: Sequence[NDArray[np.floating[Any]]], count: int) -> NDArray[np.float64]:
+    """Return hypot(x, y) of the points of all clouds, so many."""
+    ranges = np.empty(count)
+    rest = ranges
+    for x, y, _ in parts:
+        np.hypot(x, y, out=rest[: x.size], dtype=np.float64)
+        rest = rest[x.size :]
+    return ranges

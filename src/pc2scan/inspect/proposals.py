@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from operator import or_
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,8 +16,9 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import TransformError
 from pc2scan.pipeline.clocks import are_doubtful
 from pc2scan.pipeline.measurements import ShapeRequest, regular_step, shapes_of
-from pc2scan.pipeline.point_times import TURNS, time_warnings, times_of
+from pc2scan.pipeline.point_times import time_warnings, times_of
 from pc2scan.pipeline.stages.point_time import PointTime
+from pc2scan.pipeline.stages.turn import DIRECTIONS, directions_of
 from pc2scan.pipeline.survey import Fact
 from pc2scan.result import Call
 from pc2scan.tf.motion import sensor_motion, spread_of_up
@@ -63,10 +64,11 @@ _METRES = 0.02
 #: A robot whose roll and pitch vary by more than this tilts, radians.
 _TILTS = math.radians(1.0)
 
-#: Clouds are packets if one has less than this share of the directions that several have.
+#: Clouds are packets if one has less than this share of the directions that several have: so many at least.
 _PART = 0.6
-#: The step between neighbouring directions of `TurnSample`, radians.
-_STEP = math.radians(4.0)
+_SEVERAL = 3
+#: The step between neighbouring directions of clouds, radians.
+_STEP = math.tau / DIRECTIONS
 
 #: A pattern is sparse if a quarter of its clouds fill less than this share of the beams that all fill. Clouds are
 #: enough for a scan if they fill this share; at most so many become one.
@@ -85,6 +87,8 @@ _PERSIST = 0.9
 _STAYS = 0.05
 _LARGE = 0.5
 _BEYOND = 15.0
+#: How many cells, small or large, are between the origin and the farthest one.
+_CELLS = 30
 _LONG = 5.0
 
 
@@ -98,7 +102,7 @@ def ask_facts(facts: TopicFacts, end_ns: int | None) -> None:
     end_ns
         The log time of the recording's last message; None without messages.
     """
-    for fact in (_TURNS, _PATTERN, _TIMES, _SHAPE.fact):
+    for fact in (_DIRECTIONS, _PATTERN, _TIMES, _SHAPE.fact):
         facts.ask(fact)
     if end_ns is not None:
         facts.ask_last_headers(end_ns - EDGE_NS, _LAST_HEADERS)
@@ -113,7 +117,16 @@ def _sparse_points(points: Points, _: RawMessage) -> NDArray[np.float32] | None:
         return np.stack([np.ravel(axis).astype(np.float32) for axis in xyz])
 
 
-_TURNS = replace(TURNS, most=HEADERS)
+def _directions(points: Points, _: RawMessage) -> int:
+    return directions_of(points)
+
+
+def _are_whole(found: Sequence[int]) -> bool:
+    """Whether the first clouds are no packets, whatever directions further ones have."""
+    return len(found) >= _SEVERAL and all(each.bit_count() >= _PART * DIRECTIONS for each in found[:_SEVERAL])
+
+
+_DIRECTIONS = Fact(_directions, HEADERS, are_enough=_are_whole)
 _PATTERN = Fact(_sparse_points, HEADERS)
 _TIMES = times_of(PointTime())
 _SHAPE = ShapeRequest(step=True, sweep=True, most=_SHAPES)
@@ -224,19 +237,17 @@ class Lidar:
     @cached_property
     def covered(self) -> float:
         """The share of all directions that a cloud has."""
-        samples = self.facts.found(_TURNS)
-        return median([each.directions.bit_count() * _STEP / math.tau for each in samples]) if samples else 0.0
+        found = self.facts.found(_DIRECTIONS)
+        return median([each.bit_count() / DIRECTIONS for each in found]) if found else 0.0
 
     @cached_property
     def directions(self) -> Directions:
         """Whether a cloud is a part of a turn."""
-        samples = self.facts.found(_TURNS)
-        union = 0
-        for each in samples:
-            union |= each.directions
-        if len(samples) < 3 or self.covered >= _PART * union.bit_count() * _STEP / math.tau:
+        found = self.facts.found(_DIRECTIONS)
+        union = reduce(or_, found, 0)
+        if len(found) < _SEVERAL or self.covered >= _PART * union.bit_count() / DIRECTIONS:
             return Directions()
-        middles = [_middle(each.directions) for each in samples]
+        middles = [_middle(each) for each in found]
         steps = np.remainder(np.diff(middles) + math.pi, math.tau) - math.pi
         step = median(steps)
         # Packets follow each other; a pattern jumps.
@@ -272,10 +283,10 @@ class Lidar:
                 return count
         return _MOST_CLOUDS
 
-    @cached_property
-    def near(self) -> Sequence[NDArray[np.float64]]:
+    @property
+    def placed(self) -> Iterator[NDArray[np.float64]]:
         """The spread clouds in the frame of the scans, each (N, 3)."""
-        return [self._in_target(each, self.mounting.judged_in) for each in self.clouds]
+        return (self._in_target(each, self.mounting.judged_in) for each in self.clouds)
 
     def _in_target(self, points: NDArray[np.floating[Any]], frame: str) -> NDArray[np.float64]:
         """Return points of a frame, (3, N), in the frame of the scans, (N, 3)."""
@@ -298,7 +309,7 @@ def _lower_quartile(counts: Iterable[int]) -> int:
 
 def _middle(directions: int) -> float:
     """Return the middle of directions, radians."""
-    angles = np.array([place for place in range(90) if directions >> place & 1]) * _STEP
+    angles = np.array([place for place in range(DIRECTIONS) if directions >> place & 1]) * _STEP
     return float(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean())) if angles.size else 0.0
 
 
@@ -324,7 +335,7 @@ class Box(NamedTuple):
         return " ".join((frame, *(f"{value:g}" for limits in self for value in limits)))
 
 
-def body_of(clouds: Sequence[NDArray[np.float64]], low: float, high: float) -> Box | None:
+def body_of(clouds: Iterable[NDArray[np.float64]], low: float, high: float) -> Box | None:
     """Return the box around returns of the robot's own body; None if there are none, or if nothing tells them apart.
 
     Parameters
@@ -339,27 +350,31 @@ def body_of(clouds: Sequence[NDArray[np.float64]], low: float, high: float) -> B
     The body has returns at the same places in all clouds, while the surroundings change. If the surroundings stay, too,
     the robot stands still.
     """
-    if len(clouds) < _FEWEST_CLOUDS:
-        return None
-    small: Counter[tuple[int, int]] = Counter()
-    large: Counter[tuple[int, int]] = Counter()
+    # In how many clouds each cell has returns.
+    small, large = (np.zeros((2 * _CELLS + 1, 2 * _CELLS + 1), np.intp) for _ in range(2))
+    count = 0
     for points in clouds:
+        count += 1
         good = points[(points[:, 2] >= low) & (points[:, 2] <= high), :2]
         ranges = np.hypot(good[:, 0], good[:, 1])
-        small.update(_cells(good[(ranges > _CELL) & (ranges < _REACH)], _CELL))
-        large.update(_cells(good[(ranges >= _REACH) & (ranges < _BEYOND)], _LARGE))
-    body, beyond = ([cell for cell in counts if counts[cell] >= _PERSIST * len(clouds)] for counts in (small, large))
-    if len(body) < 3 or len(large) < 20 or len(beyond) > _STAYS * len(large):
+        small += _filled_cells(good[(ranges > _CELL) & (ranges < _REACH)], _CELL)
+        large += _filled_cells(good[(ranges >= _REACH) & (ranges < _BEYOND)], _LARGE)
+    if count < _FEWEST_CLOUDS:
         return None
-    cells = np.array(body)
-    (x0, y0), (x1, y1) = cells.min(axis=0) * _CELL - 0.05, (cells.max(axis=0) + 1) * _CELL + 0.05
+    body, beyond = (np.argwhere(counts >= _PERSIST * count) - _CELLS for counts in (small, large))
+    cells = np.count_nonzero(large)
+    if len(body) < 3 or cells < 20 or len(beyond) > _STAYS * cells:
+        return None
+    (x0, y0), (x1, y1) = body.min(axis=0) * _CELL - 0.05, (body.max(axis=0) + 1) * _CELL + 0.05
     limits = ((x0, x1), (y0, y1), (low - 0.1, high + 0.1))
     return Box(*((round(float(one), 2), round(float(other), 2)) for one, other in limits))
 
 
-def _cells(points: NDArray[np.float64], size: float) -> set[tuple[int, int]]:
-    """Return the cells of a grid that have points, (N, 2)."""
-    return {(x, y) for x, y in np.floor(points / size).astype(int).tolist()}
+def _filled_cells(points: NDArray[np.float64], size: float) -> NDArray[np.bool_]:
+    """Return which cells of a grid around the origin have points, (N, 2)."""
+    filled = np.zeros((2 * _CELLS + 1, 2 * _CELLS + 1), np.bool_)
+    filled[tuple((np.floor(points / size).astype(np.intp) + _CELLS).T)] = True
+    return filled
 
 
 class Choice(NamedTuple):
@@ -585,7 +600,7 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
     for each in group:
         body = None
         if heights is not None and each.seconds >= _LONG:
-            body = body_of(each.near, heights.low, heights.high)
+            body = body_of(each.placed, heights.low, heights.high)
         if body is not None:
             boxes.append(body.text(lidar.target or lidar.mounting.frame))
             reasons = ["returns of the robot's own body"]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import heapq
+from collections import deque
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.observers import Observer, Spread, observe
+from pc2scan.bags.observers import Observer, Spread, observing
 from pc2scan.model import RawMessage, copied_message
 
 if TYPE_CHECKING:
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
 def sampled(
     reader: Reader, topics: Mapping[str, Sequence[Connection]], samples: int, start_ns: int, stop_ns: int
 ) -> Iterator[RawMessage]:
-    """Yield samples of every topic: the first message of each of some equal parts of a time.
+    """Yield samples of every topic, as they are read: the first message of each of some equal parts of a time.
 
     Parameters
     ----------
@@ -35,25 +38,31 @@ def sampled(
     RawMessage
         By log time. Those of one topic do not depend on the other topics.
     """
-    found: list[RawMessage] = []
-    observe(
-        reader,
-        [
-            Observer(
-                own,
-                copied_message,
-                start_ns=start_ns,
-                stop_ns=stop_ns,
-                keep=found.append,
-                spread=spread_over(own, samples, start_ns, stop_ns),
-            )
-            for own in topics.values()
-        ],
-    )
-    # Not all of them stay in memory until the last one is used.
-    found.sort(key=lambda message: message.log_time_ns, reverse=True)
-    while found:
-        yield found.pop()
+    # A recording with chunks is read once; of one with rows, each topic is read by itself.
+    together = [list(topics.values())] if reader.has_chunks else [[own] for own in topics.values()]
+    found = [_sampled_together(reader, each, samples, start_ns, stop_ns) for each in together]
+    # Merging keeps two messages of each.
+    return found[0] if len(found) == 1 else heapq.merge(*found, key=attrgetter("log_time_ns"))
+
+
+def _sampled_together(
+    reader: Reader, topics: Sequence[Sequence[Connection]], samples: int, start_ns: int, stop_ns: int
+) -> Iterator[RawMessage]:
+    found: deque[RawMessage] = deque()
+    observers = [
+        Observer(
+            own,
+            copied_message,
+            start_ns=start_ns,
+            stop_ns=stop_ns,
+            keep=found.append,
+            spread=spread_over(own, samples, start_ns, stop_ns),
+        )
+        for own in topics
+    ]
+    for _ in observing(reader, observers):
+        while found:
+            yield found.popleft()
 
 
 def spread_over(connections: Sequence[Connection], samples: int, start_ns: int, stop_ns: int) -> Spread | None:

@@ -161,6 +161,8 @@ def take_shots(
             shots.append(shot if keep is None else keep(shot))
         except MessageError as err:
             failed.append(f"{message.connection.topic} at {moment_text(message.log_time_ns)}: {err.message}")
+        # Not in memory while the next one is read.
+        del message
     if not shots:
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)

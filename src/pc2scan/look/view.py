@@ -67,7 +67,7 @@ class Page(Result):
     @property
     def bytes(self) -> int:
         """The size of the file."""
-        return len(self.html.encode())
+        return len(self.html) if self.html.isascii() else len(self.html.encode())
 
     def body(self, *, verbose: bool = False) -> Iterator[Part]:
         """Yield the file and its size."""

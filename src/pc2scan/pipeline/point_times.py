@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from pc2scan.core.percentiles import median
 from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns
 
 from .stages.turn import TURN_CLOUDS, measure_turn, turn_sample
@@ -145,7 +145,7 @@ def _doubts(topic: str, clouds: Sequence[PointTimes]) -> Iterator[str]:
     period = (median_interval_ns(each.stamp_ns for each in clouds) or 0) / 1e9
     if len(clouds) < _FEWEST or not period:
         return
-    low, high = median(each.low for each in clouds), median(each.high for each in clouds)
+    low, high = median([each.low for each in clouds]), median([each.high for each in clouds])
     whole = high - low
     every = f"clouds come every {period:.3g} s"
     if not 1 / _OFF < whole / period < _OFF:

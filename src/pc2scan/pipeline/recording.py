@@ -158,6 +158,8 @@ def write_items(items: Generator[Item | StoredChunk], writer: Writer, tally: Tal
             tally.count_chunk(item)
         else:
             tally.count(item, _write(item, writer, levels))
+        # Frees the item before the next one is made.
+        del item
 
 
 def _write(item: Item, writer: Writer, levels: LevelFrames | None) -> Mapping[int, MessageError]:

@@ -89,7 +89,7 @@ class TransformBuilder:
 
     def parents_of(self, children: Collection[str]) -> dict[str, str]:
         """Return which of some frames have transforms, and their parents, without leading slashes."""
-        used = set(np.unique(np.frombuffer(self._records, self._DTYPE)["pair"]).tolist())
+        used = set(np.flatnonzero(np.bincount(np.frombuffer(self._records, self._DTYPE)["pair"])).tolist())
         pairs = ((p.removeprefix("/"), c.removeprefix("/")) for (p, c), number in self._pairs.items() if number in used)
         return {child: parent for parent, child in pairs if child in children}
 

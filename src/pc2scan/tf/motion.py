@@ -88,7 +88,7 @@ def _motion_in(buffer: TransformBuffer, fixed: str, frame: str, seconds: float) 
     near = np.flatnonzero(np.diff(stamps) < _LONGEST_GAP_NS)
     step_ns = round(max(seconds, 1e-3) * 1e9)
     metres, radians, ups = [], [], []
-    for place in np.unique(np.linspace(0, len(near) - 1, _LOOKS).astype(np.intp)) if len(near) else ():
+    for place in sorted(set(np.linspace(0, len(near) - 1, _LOOKS).astype(int).tolist())) if len(near) else ():
         begin_ns = int(stamps[near[place]])
         end = int(np.searchsorted(stamps, begin_ns + step_ns))
         if end >= len(stamps) or np.diff(stamps[near[place] : end + 1]).max(initial=0) >= _LONGEST_GAP_NS:

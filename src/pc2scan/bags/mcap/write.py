@@ -228,7 +228,13 @@ class McapWriter:
     def _finish_chunk(self) -> None:
         """Queue the open chunk to be compressed and written, and begin another one."""
         chunk = self._chunk
-        if chunk.size:
+        if 0 < 2 * chunk.size < len(chunk.buffer.getbuffer()):
+            # The buffer has grown for a large message: the next one uses it, instead of one more, while this waits.
+            data = bytes(chunk.buffer.getbuffer()[: chunk.size])
+            small = StoredChunk("", data, chunk.size, crc32(data), chunk.index)
+            self._ahead.put(partial(self._recompress, small), self._put_chunk, chunk.size)
+            self._chunk = _OpenChunk(chunk.buffer)
+        elif chunk.size:
             self._ahead.put(partial(self._compress_chunk, chunk), partial(self._put_compressed, chunk), chunk.size)
             self._chunk = _OpenChunk(self._spare.pop() if self._spare else BytesIO())
 

@@ -322,7 +322,8 @@ export function showClouds(recording) {
     Object.assign(shown, { x: x.middle, y: y.middle, z: z.middle });
     shown.scale = 0.92 * Math.min(across / x.size, upward / y.size);
     shown.stretch = Math.min(MOST_STRETCH, Math.max(1, (0.75 * side.room[1]) / (z.size * shown.scale)));
-    element("stretch", HTMLElement).textContent = shown.stretch > 1 ? `, heights × ${figure(shown.stretch, 1)}` : "";
+    element("stretch", HTMLElement).textContent =
+      shown.stretch > 1 ? `, heights \u00d7 ${figure(shown.stretch, 1)}` : "";
     orbit.fit(/** @type {[number, number][]} */ (limits));
     draw();
   }
@@ -436,7 +437,7 @@ export function showClouds(recording) {
       const angle = scan.layout.angleMin + beam * scan.layout.increment;
       const range = scan.ranges[beam];
       words.push(
-        `Beam ${beam}: ${((angle * 180) / Math.PI).toFixed(2)}°, ${isReturn(range) ? `${figure(range)} m` : "no return"}`,
+        `Beam ${beam}: ${((angle * 180) / Math.PI).toFixed(2)}\u00b0, ${isReturn(range) ? `${figure(range)} m` : "no return"}`,
       );
     }
     readout.textContent = words.join("; ");

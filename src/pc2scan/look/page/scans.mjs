@@ -170,7 +170,7 @@ export function showScans(recording) {
       const [angle, distance] = placeIn(layer);
       const turned = (((angle - layer.angleMin + layer.increment / 2) % turn) + turn) % turn;
       const beam = Math.floor(turned / Math.abs(layer.increment));
-      const place = `${((angle * 180) / Math.PI).toFixed(2)}°${Number.isFinite(distance) ? `, ${distance.toFixed(2)} m` : ""}`;
+      const place = `${((angle * 180) / Math.PI).toFixed(2)}\u00b0${Number.isFinite(distance) ? `, ${distance.toFixed(2)} m` : ""}`;
       if (!(beam < layer.ranges.length)) return `${layer.name}: ${place}: no beam`;
       if (layer === layers[0]) pointed = beam;
       const range = layer.ranges[beam];

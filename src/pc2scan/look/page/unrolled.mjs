@@ -53,7 +53,7 @@ export class Unrolled {
       const x = Math.round(this.px(value)) + 0.5;
       pen.moveTo(x, 0);
       pen.lineTo(x, height - BOTTOM);
-      pen.fillText(`${value}°`, Math.min(width - 18, x), height - BOTTOM + 11);
+      pen.fillText(`${value}\u00b0`, Math.min(width - 18, x), height - BOTTOM + 11);
     }
     const rise = niceStep(this.top, height / 36);
     pen.textAlign = "right";

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from pc2scan.core.percentiles import median
 from pc2scan.core.quantities import duration_ns
 from pc2scan.core.timing import AZIMUTH, LEAST_TURN, azimuth_times, median_interval_ns, turn_by_order
 from pc2scan.errors import DecodeError, ParameterError, UsageError
@@ -37,7 +37,9 @@ _REGULAR = 0.8
 #: those that all have: a tenth of a turn has others in each cloud.
 _SEEN = 0.5
 _OF_ALL = 0.85
-_DIRECTIONS = 90
+
+#: The number of parts of a turn that are told apart.
+DIRECTIONS = 90
 
 #: Numbers of turns that an unorganised cloud cannot have: its points go round once, or once for each of many rings.
 _TWO_OR_THREE = (1.5, 3.5)
@@ -140,7 +142,7 @@ class TurnSample(NamedTuple):
         How many times its points go round, in their order; positive counter-clockwise; 0 if the order shows no
         direction.
     directions
-        The directions of its points: a bit for each 4 degrees.
+        See `directions_of`.
     """
 
     stamp_ns: int
@@ -152,14 +154,27 @@ class TurnSample(NamedTuple):
 @np.errstate(all="ignore")
 def turn_sample(points: Points, log_time_ns: int) -> TurnSample:
     """Return the properties of a cloud."""
-    x, y = (points.field(name).astype(np.float64).ravel() for name in "xy")
-    angles = np.arctan2(y, x)[np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))]
+    angles = _azimuths(points)
     near, turns = turn_by_order(angles)
-    places = ((angles / (2 * np.pi) + 0.5) * _DIRECTIONS).astype(np.intp) % _DIRECTIONS
-    directions = sum(1 << place for place in np.flatnonzero(np.bincount(places)).tolist())
-    return TurnSample(
-        points.stamp_ns, log_time_ns, turns if near >= 0.5 and abs(turns) >= LEAST_TURN else 0.0, directions
-    )
+    turns = turns if near >= 0.5 and abs(turns) >= LEAST_TURN else 0.0
+    return TurnSample(points.stamp_ns, log_time_ns, turns, _directions(angles))
+
+
+@np.errstate(all="ignore")
+def directions_of(points: Points) -> int:
+    """Return the directions of a cloud's points: a bit for each 4 degrees."""
+    return _directions(_azimuths(points))
+
+
+def _azimuths(points: Points) -> NDArray[np.float64]:
+    """Return the azimuths of the points that have a direction, radians, in their order."""
+    x, y = (points.field(name).astype(np.float64).ravel() for name in "xy")
+    return np.asarray(np.arctan2(y, x)[np.isfinite(x) & np.isfinite(y) & ((x != 0) | (y != 0))])
+
+
+def _directions(azimuths: NDArray[np.float64]) -> int:
+    places = ((azimuths / (2 * np.pi) + 0.5) * DIRECTIONS).astype(np.intp) % DIRECTIONS
+    return sum(1 << place for place in np.flatnonzero(np.bincount(places)).tolist())
 
 
 def measure_turn(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
@@ -221,15 +236,15 @@ def _period(topic: str, asked: Turn, clouds: Sequence[TurnSample]) -> tuple[floa
     # Rounded to the digits that are shown, so that typing the shown period gives the same scans.
     found = replace(asked, period=float(f"{median_ns / 1e9:.4g}"))
     give = f"if a turn takes as long as from cloud to cloud: {_typed(found)}"
-    covered = statistics.median(cloud.directions.bit_count() for cloud in clouds) / _DIRECTIONS
-    union = reduce(or_, (cloud.directions for cloud in clouds)).bit_count() / _DIRECTIONS
+    covered = median([cloud.directions.bit_count() for cloud in clouds]) / DIRECTIONS
+    union = reduce(or_, (cloud.directions for cloud in clouds)).bit_count() / DIRECTIONS
     if covered < max(_SEEN, _OF_ALL * union):
         why = (
             f"a cloud has points in {covered:.0%} of all directions, several clouds together in {union:.0%}; whole "
             f"turns have at least {_SEEN:.0%}, and about the same ones each time"
         )
         raise _error(topic, why, give)
-    turns = statistics.median(abs(cloud.turns) for cloud in clouds)
+    turns = median([abs(cloud.turns) for cloud in clouds])
     if _TWO_OR_THREE[0] <= turns < _TWO_OR_THREE[1]:
         raise _error(topic, f"the points of its clouds go round {turns:.1f} times", give)
     return found.period, f"the period (median interval of the first {len(stamps)} stamps)"
@@ -247,7 +262,7 @@ def _with_direction(topic: str, turn: Turn, clouds: Sequence[TurnSample]) -> tup
 
 def _with_stamp(topic: str, turn: Turn, clouds: Sequence[TurnSample]) -> tuple[Turn, str]:
     delays = [cloud.log_time_ns - cloud.stamp_ns for cloud in clouds]
-    seconds = statistics.median(delays) / 1e9
+    seconds = median([delay / 1e9 for delay in delays])
     if not any(delays):
         why = "the stamps are the log times"
     elif min(delays) < 0:
