@@ -67,35 +67,6 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
     return intervals[(len(intervals) - 1) // 2] if intervals else None
 
 
-def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
-    """Return when points were measured, seconds after their cloud's stamp.
-
-    Parameters
-    ----------
-    values
-        One of the `TIME_FIELDS`, of any shape; see `offset_and_unit`.
-    stamp_ns
-        The cloud's stamp.
-
-    Returns
-    -------
-    (M,) float64, NaN where the value is not finite.
-    """
-    times: NDArray[np.float64] = np.ravel(values).astype(np.float64)
-    if not times.size:
-        return times
-    low, high = float(times.min()), float(times.max())
-    if not (math.isfinite(low) and math.isfinite(high)):
-        times[~np.isfinite(times)] = np.nan
-        if np.isnan(times).all():
-            return times
-        low, high = float(np.nanmin(times)), float(np.nanmax(times))
-    offset, unit = offset_and_unit(low, high, stamp_ns, "", whole=values.dtype.kind in "iu")
-    times -= offset
-    times *= unit
-    return times
-
-
 def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, whole: bool) -> tuple[float, float]:
     """Return the offset and the unit of the values of one of the `TIME_FIELDS`.
 

@@ -22,8 +22,10 @@ if TYPE_CHECKING:
 #: Returns the times of points at some places, seconds after their cloud's stamp.
 Times: TypeAlias = "Callable[[tuple[NDArray[np.intp], ...]], NDArray[np.float64]]"
 
-#: Of how many points the times are looked at to see whether they are absolute.
+#: Of how many points the times are looked at to see whether they are absolute; and how close to the stamp one is that
+#: all points share, seconds: without a span, nothing else shows its unit.
 _SOME = 64
+_CLOSE = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +159,9 @@ def _mask_zero_times(points: Points, name: str, unit: str) -> Points:
         high = float(np.fmax.reduce(few, initial=-np.inf))
         if not low <= high:
             return points
-        offset, _ = offset_and_unit(low, high, points.stamp_ns, unit, whole=values.dtype.kind in "iu")
-        if not offset or not (missing := values == 0).any():
+        offset, size = offset_and_unit(low, high, points.stamp_ns, unit, whole=values.dtype.kind in "iu")
+        is_absolute = offset and (low < high or abs(low - offset) * size < _CLOSE)
+        if not is_absolute or not (missing := values == 0).any():
             return points
         times = values.astype(np.float64)
     times[missing] = np.nan
