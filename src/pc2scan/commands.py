@@ -1,7 +1,7 @@
 """What each command does: sources and options become a result. The command line and Python's functions call these.
 
 ``warn`` is called with each warning as soon as it is known; the result has all of them. ``progress`` is called with the
-bytes read so far, the bytes in all, and the messages read so far.
+work done, the work in all, and the messages read so far.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from .look.plot import Plotted
     from .look.view import Page
     from .options.call import Options
-    from .pipeline.engine import Progress
+    from .pipeline.progress import Progress
     from .pipeline.report import Report
     from .requests import Warn
 

@@ -82,11 +82,11 @@ def test_units_are_in_the_order_in_which_they_are_due() -> None:
         return []
 
     late, early = segment(10, 5, 9), replace(segment(30, 1, 9), compression="none")
-    units = segment_units([late, early], load, {late: 4}, file)
+    units = list(segment_units([late, early], load, {late: 4}, file))
     assert [(unit.start_ns, unit.place, unit.is_quick, unit.may_be_whole) for unit in units] == [
         (1, (30,), True, False),
         (4, (10,), False, True),
     ]
     assert [unit.extent for unit in units] == [(file, 30, 10), (file, 10, 10)]
     large = replace(early, uncompressed_size=1 << 20)
-    assert not segment_units([large], load, {}, file)[0].is_quick
+    assert not next(segment_units([large], load, {}, file)).is_quick

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, segment_units, whole_chunks
-from pc2scan.bags.units import Extent, Unit, merge_by_time, sort_units
+from pc2scan.bags.units import Extent, Unit, merge_by_time
 from pc2scan.errors import RecordingError
 from pc2scan.model import ChunkRule, Connection, RawMessage, StoredChunk
 
@@ -58,7 +58,7 @@ CHUNKS = st.lists(st.lists(st.integers(0, 60), min_size=1, max_size=4), min_size
 
 @given(CHUNKS, st.integers(1, 9))
 def test_the_order_is_that_of_a_stable_sort(chunks: list[list[int]], room: int) -> None:
-    units = sort_units(unit(number, times) for number, times in enumerate(chunks))
+    units = sorted((unit(number, times) for number, times in enumerate(chunks)), key=attrgetter("due"))
     expected = sorted(((time, number) for number, times in enumerate(chunks) for time in times))
     assert found(merge_by_time(units, max_open_bytes=room)) == expected
 

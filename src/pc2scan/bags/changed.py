@@ -72,6 +72,15 @@ class ChangedReader(Reader):
 
         return load(changed, whole=whole)
 
+    def work(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> int:
+        """Return how much work it is to read these messages."""
+        return self._reader.work(connections, start_ns, stop_ns)
+
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:

@@ -5,19 +5,19 @@ from __future__ import annotations
 from abc import abstractmethod
 from bisect import bisect_left
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import accumulate, pairwise
 from operator import attrgetter
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from pc2scan.errors import stamp_text
 from pc2scan.model import declared_counts
 
 from .reader import Reader
-from .units import Extent, Unit, sort_units
+from .units import Extent, Unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.files.source import SourceFile
     from pc2scan.model import ChunkRule, Connection, RawMessage
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .units import Item, Loaded
 
     Span = tuple[int, int]
+    Shared = TypeVar("Shared", bound=Hashable)
 
 #: Reading fewer uncompressed bytes takes less time than handing them to another thread.
 _WORTH_A_THREAD = 1 << 20
@@ -34,6 +35,12 @@ _ENTRY_BYTES = 12
 
 #: Chunks smaller than this, uncompressed, are not copied: their messages are collected in larger ones.
 MIN_WHOLE_BYTES = 256 << 10
+
+
+@lru_cache(1024)
+def shared(value: Shared) -> Shared:
+    """Return the first value that was equal: a long recording has 100,000 chunks, which have few different ones."""
+    return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +74,11 @@ class Segment:
     end_ns: int
     connection_ids: frozenset[int] | None = None
     message_count: int | None = None
+
+    @property
+    def messages(self) -> int:
+        """How many messages it has by the index; 0 if that is unknown."""
+        return self.message_count or 0
 
     def may_hold(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> bool:
         """Whether a message of these connections and times can be in it (``ids`` None: any connection)."""
@@ -156,10 +168,16 @@ class LoadSegment(Protocol):
 
 def segment_units(
     segments: Iterable[Segment], load: LoadSegment, whole: Mapping[Segment, int], file: SourceFile
-) -> list[Unit]:
-    """Return the segments of a file as units; those that `whole_chunks` found may be whole."""
-    return sort_units(
-        Unit(
+) -> Iterator[Unit]:
+    """Yield the segments of a file as units, by start; those that `whole_chunks` found may be whole.
+
+    Each unit is made when it is due: it takes more memory than its segment.
+    """
+    # Stable sorts, without a key for each segment that lasts.
+    ordered = sorted(segments, key=attrgetter("offset"))
+    ordered.sort(key=(lambda segment: whole.get(segment, segment.start_ns)) if whole else attrgetter("start_ns"))
+    for segment in ordered:
+        yield Unit(
             start_ns=whole.get(segment, segment.start_ns),
             place=(segment.offset,),
             size=segment.uncompressed_size,
@@ -167,9 +185,8 @@ def segment_units(
             is_quick=segment.compression == "none" and segment.uncompressed_size < _WORTH_A_THREAD,
             may_be_whole=segment in whole,
             extent=Extent(file, segment.offset, segment.length),
+            messages=segment.messages,
         )
-        for segment in segments
-    )
 
 
 class ChunkedReader(Reader):

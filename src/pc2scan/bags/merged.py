@@ -108,6 +108,28 @@ class MergedReader(Reader):
         """
         if self._unchanged:
             return self._readers[0].units(connections, start_ns, stop_ns, rule)
+        return _units_in_turn(self._sources(connections, start_ns, stop_ns, rule))
+
+    def work(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> int:
+        """Return how much work it is to read these messages of all sources."""
+        if self._unchanged:
+            return self._readers[0].work(connections, start_ns, stop_ns)
+        sources = self._sources(connections, start_ns, stop_ns, None)
+        return sum(source.reader.work(*source.selection[:3]) for source in sources)
+
+    def _sources(
+        self,
+        connections: Collection[Connection] | None,
+        start_ns: int | None,
+        stop_ns: int | None,
+        rule: ChunkRule | None,
+    ) -> list[_Source]:
+        """Return the sources that may have such messages, each with what is read of it."""
         wanted = None if connections is None else {connection.id for connection in connections}
         sources = []
         for index, (reader, known) in enumerate(zip(self._readers, self._maps, strict=True)):
@@ -124,7 +146,7 @@ class MergedReader(Reader):
                 same = frozenset(own for own, connection in known.items() if own == connection.id)
                 own_rule = rule._replace(connection_ids=rule.connection_ids & same)
             sources.append(_Source(index, reader, known, (chosen, start_ns, stop_ns, own_rule)))
-        return _units_in_turn(sources)
+        return sources
 
     def _stands_alone(self, reader: Reader) -> bool:
         """Whether no other source has messages between the first and the last of this one."""

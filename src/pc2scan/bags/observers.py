@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from .reader import Reader
     from .units import Loaded, Unit
 
+#: The parts of units where no part is wanted, and where there are so many that none is ever filled.
+_NO_PARTS: AbstractSet[int] = frozenset()
+_ANY_PART: AbstractSet[int] = frozenset([-1])
+
 #: Units are listed for each part, to skip those between; of more parts, all units are read.
 _MOST_PARTS = 1_000
 
@@ -183,17 +187,39 @@ class _Seen(NamedTuple):
     values: Sequence[tuple[Observer[Any], Any]]
 
 
-def observe(reader: Reader, observers: Iterable[Observer[Any]]) -> None:
+def work_of(reader: Reader, observers: Iterable[Observer[Any]]) -> int:
+    """Return how much work it is to show all messages to those observers that want all; the others want few."""
+    lasting = [each for each in observers if each.most is None and each.spread is None and each.is_needless is None]
+    starts, stops = ([getattr(each, name) for each in lasting] for name in ("start_ns", "stop_ns"))
+    connections = {connection.id: connection for each in lasting for connection in each.connections}
+    if not connections:
+        return 0
+    start_ns, stop_ns = None if None in starts else min(starts), None if None in stops else max(stops)
+    return reader.work(list(connections.values()), start_ns, stop_ns)
+
+
+def observe(
+    reader: Reader, observers: Iterable[Observer[Any]], count_work: Callable[[int], object] | None = None
+) -> None:
     """Show the messages of a recording to observers; see `observing`."""
-    for _ in observing(reader, observers):
+    for _ in observing(reader, observers, count_work):
         pass
 
 
-def observing(reader: Reader, observers: Iterable[Observer[Any]]) -> Generator[None]:
+def observing(
+    reader: Reader, observers: Iterable[Observer[Any]], count_work: Callable[[int], object] | None = None
+) -> Generator[None]:
     """Show the messages of a recording to observers, and yield after each.
 
     A recording with chunks is read once for all of them. Of one with rows, which are read topic by topic without
     reading others, only those observers share a reading that want the same connections.
+
+    Parameters
+    ----------
+    reader, observers
+        The recording, and what takes its messages.
+    count_work
+        Called with the work of each unit that was read.
 
     Raises
     ------
@@ -207,12 +233,14 @@ def observing(reader: Reader, observers: Iterable[Observer[Any]]) -> Generator[N
         groups.setdefault(reader.has_chunks or observer.selection, []).append(observer)
     for group in groups.values():
         if not all(observer.is_done for observer in group):
-            yield from _observe_together(reader, group)
+            yield from _observe_together(reader, group, count_work)
         for observer in group:
             observer.end()
 
 
-def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Generator[None]:
+def _observe_together(
+    reader: Reader, observers: Sequence[Observer[Any]], count_work: Callable[[int], object] | None
+) -> Generator[None]:
     """Read a recording once."""
     connections = {each.id: each for observer in observers for each in observer.connections}
     by_connection: dict[int, list[Observer[Any]]] = {}
@@ -252,7 +280,7 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]]) -> Gen
         )
     # Twice: when units are announced to the system, and when they are due.
     chosen = (unit for unit in units if is_wanted(unit))
-    loading = partial(_load_wanted, is_wanted)
+    loading = partial(_load_wanted, is_wanted, count_work)
     with closing(merge_by_time(chosen, take, loading=loading, holds_units=False, path=reader.path)) as messages:
         for seen in messages:
             if isinstance(seen, RawMessage):
@@ -286,8 +314,8 @@ def _units_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Unit]:
 
 def _unit_filter(reader: Reader, observers: Sequence[Observer[Any]]) -> Callable[[Unit], bool]:
     """Return a function that finds out whether an observer still wants messages of a unit."""
-    listed: dict[object, dict[tuple[int, ...], set[int]]] = {}
-    places: list[tuple[Observer[Any], dict[tuple[int, ...], set[int]]]] = []
+    listed: dict[object, dict[tuple[int, ...], AbstractSet[int]]] = {}
+    places: list[tuple[Observer[Any], dict[tuple[int, ...], AbstractSet[int]]]] = []
     for observer in observers:
         key = observer.selection
         if key not in listed:
@@ -296,28 +324,37 @@ def _unit_filter(reader: Reader, observers: Sequence[Observer[Any]]) -> Callable
     return lambda unit: any(unit.place in own and observer.wants(own[unit.place]) for observer, own in places)
 
 
-def _parts_of_units(reader: Reader, observer: Observer[Any]) -> dict[tuple[int, ...], set[int]]:
+def _parts_of_units(reader: Reader, observer: Observer[Any]) -> dict[tuple[int, ...], AbstractSet[int]]:
     """Return the places of the units that an observer wants, with the parts that each may have messages of."""
     spread, connections = observer.spread, observer.connections
     if spread is None:
-        return {unit.place: set() for unit in reader.units(connections, observer.start_ns, observer.stop_ns)}
+        return {unit.place: _NO_PARTS for unit in reader.units(connections, observer.start_ns, observer.stop_ns)}
     if spread.parts > _MOST_PARTS:
-        # Any part, which is never filled.
-        return {unit.place: {-1} for unit in reader.units(connections, observer.start_ns, observer.stop_ns)}
-    found: dict[tuple[int, ...], set[int]] = {}
+        return {unit.place: _ANY_PART for unit in reader.units(connections, observer.start_ns, observer.stop_ns)}
+    found: dict[tuple[int, ...], AbstractSet[int]] = {}
     for part in range(spread.parts):
+        # Most units have messages of one part only, and share its set.
+        own = frozenset([part])
         for unit in reader.units(connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
-            found.setdefault(unit.place, set()).add(part)
+            found[unit.place] = found[unit.place] | own if unit.place in found else own
     return found
 
 
 def _load_wanted(
-    is_wanted: Callable[[Unit], bool], units: Iterable[Unit], callback: Callable[[RawMessage], Any]
+    is_wanted: Callable[[Unit], bool],
+    count_work: Callable[[int], object] | None,
+    units: Iterable[Unit],
+    callback: Callable[[RawMessage], Any],
 ) -> Generator[Handle]:
     """Load each unit when its messages are due, if any observer wants them by then."""
 
     def load(unit: Unit) -> Loaded[Any]:
-        return unit.load(callback, whole=False) if is_wanted(unit) else []
+        if not is_wanted(unit):
+            return []
+        found = unit.load(callback, whole=False)
+        if count_work is not None:
+            count_work(unit.work)
+        return found
 
     for unit in units:
         yield Handle(unit, partial(load, unit))

@@ -98,6 +98,21 @@ class Reader(ABC):
             By connection id. A missing connection can only be counted by reading its messages.
         """
 
+    def work(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> int:
+        """Return how much work it is to read these messages: that of all their units, for progress.
+
+        Parameters
+        ----------
+        connections, start_ns, stop_ns
+            See `units`.
+        """
+        return sum(unit.work for unit in self.units(connections, start_ns, stop_ns))
+
     @abstractmethod
     def close(self) -> None:
         """Release the files."""

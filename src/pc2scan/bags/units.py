@@ -54,6 +54,9 @@ MAX_LISTED_ITEMS = 1 << 15
 #: Bytes that an item takes besides its data.
 ITEM_BYTES = 400
 
+#: The work on a message besides its bytes, as a number of bytes that take as long to decompress and convert: 4 us.
+MESSAGE_WORK = 4096
+
 _Value = TypeVar("_Value")
 _Other = TypeVar("_Other")
 
@@ -218,6 +221,8 @@ class Unit(NamedTuple):
         Its place in a file; None if it is not in one piece.
     is_in_memory
         Whether it takes its memory as soon as it is listed, as the rows of a database do.
+    messages
+        How many messages it has; 0 if that is unknown. For progress only.
     """
 
     start_ns: int
@@ -228,6 +233,12 @@ class Unit(NamedTuple):
     may_be_whole: bool = False
     extent: Extent | None = None
     is_in_memory: bool = False
+    messages: int = 0
+
+    @property
+    def work(self) -> int:
+        """How much work it is, in bytes: uncompressed ones, and `MESSAGE_WORK` for each message."""
+        return self.size + self.messages * MESSAGE_WORK
 
     @property
     def due(self) -> tuple[int, tuple[int, ...]]:
@@ -240,11 +251,6 @@ class Handle(NamedTuple):
 
     unit: Unit
     result: Callable[[], Loaded[Any]]
-
-
-def sort_units(units: Iterable[Unit]) -> list[Unit]:
-    """Sort units in the order in which they are due."""
-    return sorted(units, key=attrgetter("due"))
 
 
 def _sort(found: Loaded[Item]) -> Loaded[Item]:
@@ -277,7 +283,7 @@ def merge_by_time(
     Parameters
     ----------
     units
-        By start; see `sort_units`. They may come from a generator.
+        In the order in which they are due. They may come from a generator.
     callback
         Makes the items of messages; see `Load`. Called once a message, except that a unit is loaded again if more than
         ``max_open_bytes`` of units overlap at one time.

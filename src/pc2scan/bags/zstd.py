@@ -280,6 +280,15 @@ class ZstdReader(Reader):
         """See `pc2scan.bags.reader.Reader`."""
         return self._inner.units(connections, start_ns, stop_ns, rule)
 
+    def work(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> int:
+        """See `pc2scan.bags.reader.Reader`."""
+        return self._inner.work(connections, start_ns, stop_ns)
+
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
     ) -> dict[int, int]:

@@ -12,6 +12,7 @@ import os
 import re
 import shlex
 import sys
+import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -179,33 +180,37 @@ def show_parts(parts: Iterable[Part]) -> None:
 def progress_bar(
     text: str = "{task.fields[messages]:,} messages", *names: str, enabled: bool
 ) -> Iterator[Callable[..., None] | None]:
-    """Show bytes, a text, rate and the remaining time on a terminal; yields the function that updates the bar, or None.
+    """Show the share done, a text and the time left on a terminal; yields the function that updates the bar, or None.
 
-    The function takes the bytes done so far, the total bytes, and the numbers in the text, by default the messages.
+    The function takes the work done so far, the total work, and the numbers in the text, by default the messages.
     """
     if not enabled or not sys.stderr.isatty():
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    from .time_left import TimeLeft, shown
 
     names = names or ("messages",)
     with Progress(
         BarColumn(),
-        DownloadColumn(),
+        TaskProgressColumn(),
         TextColumn(text),
-        TransferSpeedColumn(),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[left]}"),
         console=Console(stderr=True),
         transient=True,
         # `Screen` writes lines above the bar, fitted to the terminal; rich would write them as they are.
         redirect_stdout=False,
         redirect_stderr=False,
     ) as bar:
-        task = bar.add_task("", total=None, **dict.fromkeys(names, 0))  # type: ignore[arg-type]  # fields of the text
+        fields: dict[str, Any] = {**dict.fromkeys(names, 0), "left": shown(None)}
+        task = bar.add_task("", total=None, **fields)
+        left = TimeLeft()
 
         def update(done: int, total: int, *numbers: int) -> None:
-            fields: dict[str, Any] = dict(zip(names, numbers, strict=True))
+            fields.update(zip(names, numbers, strict=True))
+            fields["left"] = shown(left.seconds(done, total, time.monotonic()))
             bar.update(task, completed=done, total=total, **fields)
 
         yield update

@@ -14,7 +14,10 @@ from pc2scan.core.verdicts import OUTCOMES, Outcome
 from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_text
 from pc2scan.files.urls import path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
+from pc2scan.model import StoredChunk, own_message
+from pc2scan.pipeline.engine import schedule
 from pc2scan.pipeline.items import Span
+from pc2scan.pipeline.progress import Meter
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Part, Result
 from pc2scan.text import counted, did_you_mean
@@ -25,12 +28,13 @@ from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
     from pc2scan.core.verdicts import ConsumerScan, Verdict
     from pc2scan.model import Connection
+    from pc2scan.pipeline.progress import Progress
     from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
 
@@ -39,7 +43,7 @@ if TYPE_CHECKING:
 #: How many frames are shown as text.
 _MAX_SHOWN = 5
 
-#: How many scans are between two calls of the progress function.
+#: How many scans are between two reports of the progress.
 _PROGRESS_EVERY = 64
 
 
@@ -263,7 +267,7 @@ def check(
     base_frame: str = "",
     echo: str = "first",
     frames: FrameOptions | None = None,
-    progress: Callable[[int, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Check:
     """Check what consumers would do with the scans of a recording.
 
@@ -284,7 +288,7 @@ def check(
     frames
         The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
     progress
-        Called regularly with the bytes read so far, the bytes in all, and the scans read so far.
+        Called regularly; see `pc2scan.pipeline.progress.Progress`. The messages are scans.
 
     Raises
     ------
@@ -320,10 +324,12 @@ def check(
         for facts in clouds:
             facts.ask_samples(moved=True)
         reading = survey.ask_transforms((odom_frame, base_frame), use=False)
-        survey.read()
+        meter = None if progress is None else Meter(progress)
+        wanted = [each for group in chosen.values() for each in group]
+        survey.read(meter, 0 if meter is None else reader.work(wanted))
         transforms = reading.finish()
         buffer = transforms.buffer
-        found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, progress, echo)
+        found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, meter, echo)
         found = _with_mountings(found, clouds, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), (*transforms.warnings, *transforms.notes), damage)
@@ -357,15 +363,21 @@ def _check_topics(
     buffer: TransformBuffer,
     odom_frame: str,
     base_frame: str,
-    progress: Callable[[int, int, int], None] | None,
+    meter: Meter | None,
     echo: str,
 ) -> list[TopicCheck]:
     """Read the scans once, and check them."""
     topics = {name: (ScanTopic(), ScanFrames(buffer, odom_frame, base_frame)) for name in chosen}
-    total = reader.summary.size_bytes
-    for number, message in enumerate(reader.messages([c for group in chosen.values() for c in group])):
-        if progress is not None and number % _PROGRESS_EVERY == 0:
-            progress(min(reader.bytes_read, total), total, number)
+    wanted = [each for group in chosen.values() for each in group]
+    if meter is not None:
+        meter.expect(reader.work(wanted))
+    for message in schedule(reader.units(wanted), own_message, None, path=reader.path, meter=meter):
+        # No rule allows whole chunks here.
+        assert not isinstance(message, StoredChunk)
+        if meter is not None:
+            meter.messages += 1
+            if meter.messages % _PROGRESS_EVERY == 0:
+                meter.report()
         scans, places = topics[message.connection.topic]
         try:
             scan = SCANS[message.connection.ros_type](message.connection.serialization, echo)(message.data)

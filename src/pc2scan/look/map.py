@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
-    from pc2scan.pipeline.engine import Progress
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.pipeline.progress import Progress
 
     from .map_drawing import MapOptions
     from .map_result import Map
@@ -101,7 +101,7 @@ def map_of(
     asked
         The options of the map.
     progress
-        Called regularly with bytes read, total bytes, and messages read.
+        Called regularly; see `pc2scan.pipeline.progress.Progress`.
 
     Raises
     ------

@@ -127,7 +127,8 @@ class RunProgress(TypedDict, total=False):
         Progress | None,
         Option(
             Function(),
-            "A function that is called from time to time with bytes read, bytes in total, and messages read.",
+            "A function that is called from time to time with work done, work in total, and messages read. Work is "
+            "bytes before compression, and 4096 for each message.",
             typed="",
         ),
     ]

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 from pc2scan.bags.topics import NewestItems, is_latched, is_static
 from pc2scan.bags.units import Handle, LazyItems, Unit, load_when_due, merge_by_time
@@ -35,13 +35,11 @@ if TYPE_CHECKING:
 
     from .combine.combiner import Combiner
     from .items import OpenRoute, Output, Span
-
-    #: Called regularly with the bytes read so far, the bytes in all, and the messages read so far.
-    Progress: TypeAlias = Callable[[int, int, int], None]
+    from .progress import Meter
 
     Made = TypeVar("Made", bound=TimedItem)
 
-#: How many messages are between two calls of the progress function.
+#: How many messages are between two reports of the progress.
 _PROGRESS_EVERY = 64
 
 #: How many bytes are loaded ahead for every thread. Of units up to the second size, always one more than threads is
@@ -80,7 +78,7 @@ def items_of(
     combiners: Mapping[Output, Combiner] | None = None,
     rule: ChunkRule | None = None,
     window: int | None = None,
-    progress: Progress | None = None,
+    meter: Meter | None = None,
 ) -> Generator[Item | StoredChunk]:
     """Yield what became of all messages of the cut.
 
@@ -100,15 +98,15 @@ def items_of(
         Which chunks pass as a whole; None: none.
     window
         How many units may be loaded ahead; None: as many as memory allows.
-    progress
-        Called at the beginning, regularly, and at the end.
+    meter
+        Counts the work, and reports it at the beginning, regularly, and at the end; None: nothing is reported.
 
     Yields
     ------
     Item | StoredChunk
         By log time. A group follows the item of the message that completes it.
     """
-    items = _messages(reader, routes, span, threads, rule, window, progress)
+    items = _messages(reader, routes, span, threads, rule, window, meter)
     if not combiners:
         return items
     from .combine.combiner import add_groups  # noqa: PLC0415  # few scans are made of several messages
@@ -123,32 +121,33 @@ def _messages(
     threads: Threads | None,
     rule: ChunkRule | None,
     window: int | None,
-    progress: Progress | None,
+    meter: Meter | None,
 ) -> Generator[Item | StoredChunk]:
     """Yield the items of the messages in the cut, after those of latched messages from before it."""
-    work, total = partial(_work, routes), reader.summary.size_bytes
-    messages = steps = 0
-    if progress is not None:
-        progress(0, total, 0)
+    work = partial(_work, routes)
+    steps = 0
+    if meter is not None:
+        wanted = [route.connection for route in routes.values()]
+        meter.expect(reader.work(wanted, span.start_ns, span.stop_ns))
     for units in _units_of_cut(reader, routes, span, rule, threads):
         # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
-        with closing(schedule(units, work, threads, window=window, path=reader.path)) as items:
+        with closing(schedule(units, work, threads, window=window, path=reader.path, meter=meter)) as items:
             for item in items:
-                if progress is not None:
+                if meter is not None:
                     if isinstance(item, StoredChunk):
-                        messages += sum(map(len, item.index.values()))
+                        meter.messages += sum(map(len, item.index.values()))
                         steps += _PROGRESS_EVERY
                     else:
-                        messages += 1
+                        meter.messages += 1
                         steps += 1
                 yield item.work(item.message) if isinstance(item, DeferredMessage) else item
                 # Frees the item before the next one is made.
                 del item
-                if progress is not None and steps >= _PROGRESS_EVERY:
+                if meter is not None and steps >= _PROGRESS_EVERY:
                     steps = 0
-                    progress(min(reader.bytes_read, total), total, messages)
-    if progress is not None:
-        progress(total, total, messages)
+                    meter.report()
+    if meter is not None:
+        meter.finish()
 
 
 def _units_of_cut(
@@ -246,6 +245,7 @@ def schedule(
     *,
     window: int | None = None,
     path: Path | None = None,
+    meter: Meter | None = None,
 ) -> Generator[Made | StoredChunk]:
     """Work on the messages of a recording.
 
@@ -262,6 +262,8 @@ def schedule(
         How many units may be loaded ahead; None: as many as memory allows.
     path
         The recording, for error messages.
+    meter
+        Gets the work of each unit when the next one is due.
 
     Yields
     ------
@@ -270,7 +272,25 @@ def schedule(
         item.
     """
     loading = load_when_due if threads is None else partial(_load_ahead, threads, window)
+    if meter is not None:
+        loading = partial(_count_work, meter, loading)
     return merge_by_time(units, work, loading=loading, path=path)
+
+
+def _count_work(
+    meter: Meter,
+    loading: Callable[[Iterable[Unit], Callable[[RawMessage], Made]], Generator[Handle]],
+    units: Iterable[Unit],
+    work: Callable[[RawMessage], Made],
+) -> Generator[Handle]:
+    """Count each unit as done when the next one is asked for."""
+    with closing(loading(units, work)) as handles:
+        for handle in handles:
+            done = handle.unit.work
+            yield handle
+            # Frees the unit before the next one is made.
+            del handle
+            meter.add(done)
 
 
 def _load_ahead(

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .odometry import Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
+    from .progress import Meter
     from .report import Report
     from .stages.deskew import Deskew
     from .stages.point_time import PointTime
@@ -105,6 +106,7 @@ def prepare(
     warn: Callable[[str], None] | None = None,
     *,
     transform_frames: Collection[str] | None = None,
+    meter: Meter | None = None,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -120,6 +122,8 @@ def prepare(
         Called immediately with warnings about the first clouds.
     transform_frames
         The frames that the caller needs transforms of, even if the conversion needs none; None: it needs no transforms.
+    meter
+        Counts the work of the preparation and of the conversion that follows; None: nothing is reported.
     """
     asked = options.frames
     # Added transforms are written to the output, even if it needs none.
@@ -146,12 +150,12 @@ def prepare(
         survey.ask_transforms((*(transform_frames or ()), *needed))
     else:
         survey.ask_robot()
-    return _prepare_by_facts(survey, plan, firsts)
+    return _prepare_by_facts(survey, plan, firsts, meter)
 
 
-def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds) -> Preparation:
+def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Meter | None) -> Preparation:
     """Ask the survey for what each output needs besides transforms, let it read, and make conversions of the facts."""
-    asked = survey.frames
+    asked, reader, span = survey.frames, survey.reader, survey.span
     notes: list[str] = []
     warnings: list[str] = []
     gives_frames = bool(asked.static or asked.source_frame)
@@ -166,7 +170,10 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds) -> Prepar
         for facts in placed:
             facts.ask_headers(CLOCK_HEADERS)
     outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
-    survey.read()
+    following = 0
+    if meter is not None:
+        following = reader.work([route.connection for route in plan.routes], span.start_ns, span.stop_ns)
+    survey.read(meter, following)
     transforms: TransformBuffer | None = None
     found: FoundTransforms | None = None
     if survey.transforms is not None:
@@ -177,7 +184,7 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds) -> Prepar
     if asked.trajectory is not None:
         from .clocks import refuse_other_clock  # noqa: PLC0415  # few conversions add poses
 
-        refuse_other_clock(asked.trajectory, placed, survey.span, survey.reader.summary.end_ns)
+        refuse_other_clock(asked.trajectory, placed, span, reader.summary.end_ns)
     buffer = transforms if plan.needs_transforms else None
     if buffer is not None:
         firsts.transforms.buffer, firsts.transforms.static = buffer, asked.static
@@ -211,7 +218,7 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds) -> Prepar
         notes += new_notes
         # Several outputs of one topic have the same doubts about its clock.
         warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, survey.span, firsts, survey.others, notes, warnings, found)
+    return Preparation(conversions, span, firsts, survey.others, notes, warnings, found)
 
 
 class _OutputFacts:

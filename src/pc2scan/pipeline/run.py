@@ -52,10 +52,10 @@ if TYPE_CHECKING:
     from pc2scan.model import Writer
     from pc2scan.result import Failure
 
-    from .engine import Progress
     from .items import Span
     from .options import ConvertOptions
     from .plan import Plan
+    from .progress import Progress
 
 
 def run(
@@ -74,6 +74,8 @@ def run(
     ----------
     also_read
         Files that were read for the request, by option: the destination must not overwrite them.
+    progress
+        Called regularly; see `pc2scan.pipeline.progress.Progress`.
     warn
         Called immediately with warnings about the first clouds; the report has them, too.
     """
@@ -109,7 +111,12 @@ def run(
             return report
         with _staging(files, target, output, stack, report) as unfinished:
             span = _span_with_messages(reader, plan, options)
-            prepared = prepare(reader, files.read, plan, options, span, stack, warn)
+            meter = None
+            if progress is not None:
+                from .progress import Meter  # noqa: PLC0415  # only if somebody wants to know
+
+                meter = Meter(progress)
+            prepared = prepare(reader, files.read, plan, options, span, stack, warn, meter=meter)
             report.add(prepared.warnings, prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
             with _writing(target, unfinished, cut) as writer:
@@ -128,7 +135,7 @@ def run(
                     combiners=recording.combiners,
                     rule=recording.rule,
                     window=options.window,
-                    progress=progress,
+                    meter=meter,
                 )
                 with prepared.counting(recording.routes, options.on_error, report) as tally, closing(items):
                     try:

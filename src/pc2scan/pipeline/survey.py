@@ -8,9 +8,10 @@ nothing. The subjects' modules declare the facts (`Fact`), and say what follows 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import starmap
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
-from pc2scan.bags.observers import Observer, observe
+from pc2scan.bags.observers import Observer, observe, work_of
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.errors import TransformError
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from pc2scan.tf.placing import FrameOptions, Placer
 
     from .items import Span
+    from .progress import Meter
 
 #: How many messages are read to find the first clouds that can be decoded and transformed.
 _MOST_SAMPLES = 30
@@ -327,10 +329,17 @@ class Survey:
             self._imus[topic] = ImuReading([self.reader, *self.others], topic, most)
         return self._imus[topic]
 
-    def read(self) -> None:
+    def read(self, meter: Meter | None = None, following: int = 0) -> None:
         """Read the recordings: each once, as far as anything of it is needed.
 
         A topic with poses that was not asked for is read separately, if only it has a frame that is needed.
+
+        Parameters
+        ----------
+        meter
+            Counts the work; None: nothing is reported.
+        following
+            The work that follows.
 
         Raises
         ------
@@ -339,6 +348,7 @@ class Survey:
         UsageError
             If it is not clear which transforms to use.
         """
+        asked: list[tuple[Reader, list[Observer[Any]]]] = []
         for reader in (self.reader, *self.others):
             observers: list[Observer[Any]] = []
             if self.transforms is not None:
@@ -349,6 +359,10 @@ class Survey:
                 observers += [] if self.robot is None else self.robot.observers
                 observers += (each for facts in self._facts.values() for each in facts.observers)
                 observers += self.observers
-            observe(reader, observers)
+            asked.append((reader, observers))
+        if meter is not None:
+            meter.expect(sum(starmap(work_of, asked)) + following)
+        for reader, observers in asked:
+            observe(reader, observers, None if meter is None else meter.add_now)
         if self.transforms is not None:
             self.transforms.supply(self.reader, self._needed, use=self._use)

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from pc2scan.model import Buffer, Connection
     from pc2scan.options.moment import TimeBound
     from pc2scan.pipeline.combine.combiner import Combiner
-    from pc2scan.pipeline.engine import Progress
     from pc2scan.pipeline.items import Item as EngineItem
     from pc2scan.pipeline.items import Span
+    from pc2scan.pipeline.progress import Progress
     from pc2scan.result import Skipped
     from pc2scan.tf.placing import LevelTransform
 
@@ -279,7 +279,7 @@ class Stream(ABC, Generic[Item]):
         self.skipped_count = 0
         #: Receives the warnings of a conversion, instead of Python's warnings; its owner reports the rest.
         self.listener: Callable[[str], None] | None = None
-        #: Called regularly with bytes read, bytes in all, and messages read.
+        #: Called regularly; see `pc2scan.pipeline.progress.Progress`.
         self.progress: Callable[[int, int, int], None] | None = None
         source = self._open()
         self._prepared: StreamSource | None = source
@@ -357,7 +357,7 @@ class Stream(ABC, Generic[Item]):
         Parameters
         ----------
         progress
-            Called regularly with bytes read, total bytes, and messages read.
+            Called regularly; see `pc2scan.pipeline.progress.Progress`.
 
         Raises
         ------
@@ -379,6 +379,11 @@ class Stream(ABC, Generic[Item]):
         tally = Tally(source.routes, self._selection.on_error)
         self.skipped, self.skipped_count = tally.skipped, 0
         jobs = source.jobs or cores()
+        meter = None
+        if progress is not None:
+            from pc2scan.pipeline.progress import Meter  # noqa: PLC0415  # most loops show no progress
+
+            meter = Meter(progress)
         with ExitStack() as stack:
             threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
             found = items_of(
@@ -388,7 +393,7 @@ class Stream(ABC, Generic[Item]):
                 threads,
                 combiners=source.combiners,
                 window=source.window,
-                progress=progress,
+                meter=meter,
             )
             stack.enter_context(closing(found))
             for item in found:

@@ -296,6 +296,18 @@ def test_chunks_are_read_when_they_are_due(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", LONG)
+@pytest.mark.parametrize(("topics", "start", "stop"), [(5, None, None), (2, None, None), (5, 30, 70)])
+def test_the_work_of_reading_is_known_before(
+    name: str, topics: int, start: int | None, stop: int | None, tmp_path: Path
+) -> None:
+    with closing(open_recording(long_recording(name, tmp_path))) as reader:
+        connections = reader.connections[:topics]
+        units = [unit.work for unit in reader.units(connections, start, stop)]
+        assert sum(units) == pytest.approx(reader.work(connections, start, stop), rel=0.02)
+        assert sum(units) == pytest.approx(len(units) * 900_000, rel=0.02)
+
+
+@pytest.mark.parametrize("name", LONG)
 def test_messages_outlive_their_reader(name: str, tmp_path: Path) -> None:
     reader = open_recording(long_recording(name, tmp_path))
     messages = reader.messages()

@@ -9,10 +9,11 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.chunks import Segment
+from pc2scan.bags.chunks import Segment, shared
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
@@ -22,7 +23,7 @@ from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
 from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, Opcode, parse, split
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Sequence
 
     from pc2scan.bags.damage import DamageLog
     from pc2scan.model import Buffer
@@ -157,8 +158,8 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     """
     index = McapIndex()
     start = read_header(file, index)
-    end, accounted = read_summary(file, index, verify=verify)
-    walk = RecordWalk(file, index, accounted)
+    end, chunks = read_summary(file, index, verify=verify)
+    walk = RecordWalk(file, index, chunks)
     stop = walk.run(start, end)
     if walk.stray:
         raise file.damage(walk.stray)
@@ -179,14 +180,13 @@ def read_header(file: RecordFile, index: McapIndex) -> int:
     return len(MAGIC) + RECORD.size + len(content)
 
 
-def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[int, dict[int, int]]:
+def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[int, Sequence[ChunkSegment]]:
     """Read the summary at the end of the file.
 
     Returns
     -------
-    tuple[int, dict[int, int]]
-        The end of the data section, and for each chunk in the summary its offset and the offset of the record after
-        its message indexes.
+    tuple[int, Sequence[ChunkSegment]]
+        The end of the data section, and the chunks in the summary, in the order of the file.
     """
     footer_offset = file.size - len(MAGIC) - _FOOTER_SIZE
     tail = file.read(footer_offset, _FOOTER_SIZE + len(MAGIC)) if footer_offset > len(MAGIC) else b""
@@ -196,7 +196,7 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
     footer = parse(records.Footer, tail[RECORD.size : _FOOTER_SIZE], footer_offset, file)
     start = footer.summary_start
     if start == 0:
-        return footer_offset, {}
+        return footer_offset, ()
     if not len(MAGIC) <= start <= footer_offset:
         raise file.damage(f"the footer places the summary at byte {start}, allowed is up to {footer_offset}")
     data = file.read(start, footer_offset - start)
@@ -206,13 +206,11 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
         if actual != footer.summary_crc:
             raise file.damage(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}")
         index.verified = True
-    accounted: dict[int, int] = {}
+    chunks: list[ChunkSegment] = []
     for kind, content in split(memoryview(data), start, file):
         if kind == Opcode.CHUNK_INDEX:
-            chunk, following = _indexed_chunk(content, start, file)
-            index.segments.append(chunk)
+            chunks.append(_indexed_chunk(content, start, file))
             index.all_counted = False
-            accounted[chunk.record_offset] = following
         elif kind == Opcode.STATISTICS:
             index.statistics = parse(records.Statistics, content, start, file)
         # Attachments and metadata are found by the walk, because it takes little time and the index that @mcap/core
@@ -221,24 +219,26 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
             raise file.damage(f"the summary at byte {start} has a record of kind {kind}, which only the data may have")
         else:
             index.declare(kind, content, start, file)
-    if len(accounted) != len(index.segments):
+    index.segments += chunks
+    chunks.sort(key=attrgetter("record_offset"))
+    if any(chunk.record_offset == other.record_offset for chunk, other in pairwise(chunks)):
         raise file.damage("the summary's index names a chunk twice")
     index.channels_listed = bool(index.channels)
-    index.summarized = bool(accounted)
-    return start, accounted
+    index.summarized = bool(chunks)
+    return start, chunks
 
 
-def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[ChunkSegment, int]:
-    """Read a ChunkIndex; returns the chunk and where its message indexes end."""
+def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> ChunkSegment:
+    """Return the chunk of a ChunkIndex."""
     # Not with the library's parser, which is many times slower: a long recording has 100,000 of them.
     try:
         start_ns, end_ns, offset, length, offsets_size = struct.unpack_from("<QQQQI", content)
         position = 36 + offsets_size
-        ids = frozenset(channel for channel, _ in struct.iter_unpack("<HQ", content[36:position]))
+        ids = shared(frozenset(channel for channel, _ in struct.iter_unpack("<HQ", content[36:position])))
         message_index_size, name_size = struct.unpack_from("<QI", content, position)
         position += 12 + name_size
         compressed, uncompressed = struct.unpack_from("<QQ", content, position)
-        name = str(content[position - name_size : position], "utf-8")
+        name = shared(str(content[position - name_size : position], "utf-8"))
     except (struct.error, UnicodeDecodeError) as err:
         raise file.damage(f"a ChunkIndex record in the summary at byte {origin} is malformed") from err
     payload = offset + _CHUNK_HEAD + name_size
@@ -247,7 +247,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         raise file.damage(
             f"the index places a chunk of {length} bytes at byte {offset}, the data ends at byte {origin}",
         )
-    chunk = ChunkSegment(
+    return ChunkSegment(
         offset=payload,
         length=compressed,
         compression=name or "none",
@@ -261,7 +261,6 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> tuple[
         index_length=message_index_size,
         padding=padding,
     )
-    return chunk, offset + length + message_index_size
 
 
 class _Window:
@@ -315,14 +314,14 @@ class RecordWalk:
         The open file.
     index
         Gets the results. If the walk fails, it has everything before the damage.
-    accounted
-        Chunks that are known already: their offsets, and the offset of the record after each.
+    chunks
+        Those that are known already, in the order of the file.
     """
 
-    def __init__(self, file: RecordFile, index: McapIndex, accounted: Mapping[int, int] | None = None) -> None:
+    def __init__(self, file: RecordFile, index: McapIndex, chunks: Sequence[ChunkSegment] = ()) -> None:
         self._file = file
         self._index = index
-        self._accounted = accounted or {}
+        self._chunks = chunks
         self._run: _MessageRun | None = None
         self._chunk: ChunkSegment | None = None
         self._indexed: Counter[int] = Counter()
@@ -340,16 +339,19 @@ class RecordWalk:
         RecordingError
             If a record reaches beyond ``end`` or is malformed.
         """
-        accounted, window = self._accounted, _Window(self._file)
-        unseen = len(accounted)
-        complete = False
+        window, known = _Window(self._file), iter(self._chunks)
+        coming = next(known, None)
+        complete = is_missing = False
         try:
             while offset < end:
                 self.previous, self.offset = self.offset, offset
-                if (following := accounted.get(offset)) is not None:
+                while coming is not None and coming.record_offset < offset:
+                    coming, is_missing = next(known, None), True
+                if coming is not None and coming.record_offset == offset:
+                    following = coming.stop + coming.index_length
+                    coming = next(known, None)
                     self._close()
                     self._is_behind_chunk = True
-                    unseen -= 1
                     if not offset < following <= end:
                         raise self._beyond(offset, following, end)
                     offset = following
@@ -372,7 +374,7 @@ class RecordWalk:
                 else:
                     self._other(opcode, window, offset, following)
                 offset = following
-            if unseen:
+            if is_missing or coming is not None:
                 raise self._file.damage("the summary's index names places where no chunk begins")
             complete = True
         finally:
@@ -434,7 +436,7 @@ class RecordWalk:
             index.segments.append(self._run.segment())
             self._run = None
         if self._chunk is not None:
-            ids = frozenset(self._indexed) if complete and self._indexed else None
+            ids = shared(frozenset(self._indexed)) if complete and self._indexed else None
             index.segments.append(replace(self._chunk, connection_ids=ids))
             index.counts.update(self._indexed)
             index.all_counted = index.all_counted and ids is not None

@@ -150,7 +150,7 @@ class McapReader(ChunkedReader):
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> list[Unit]:
+    ) -> Iterator[Unit]:
         """Return chunks, and segments of records outside chunks, by start; see `pc2scan.bags.reader.Reader`.
 
         Without verification, whole chunks with complete message indexes are not decompressed.
@@ -161,7 +161,7 @@ class McapReader(ChunkedReader):
         # An index that is damaged may have wrong ids.
         ids = None if connections is None or len(wanted) == len(known) else frozenset(wanted)
         if ids is not None and not ids:
-            return []
+            return iter(())
         rule = rule if rule and rule.container == "mcap" else None
         segments = self._segments_with(ids, start_ns, stop_ns)
         whole = whole_chunks(segments, rule, start_ns, stop_ns) if rule else {}

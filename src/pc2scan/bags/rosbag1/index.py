@@ -6,7 +6,7 @@ import struct
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import Segment
+from pc2scan.bags.chunks import Segment, shared
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import RecordingError
 
@@ -87,8 +87,6 @@ def read_index(file: BagFile) -> BagIndex:
 
     counts = dict.fromkeys(connections, 0)
     located = []
-    # Most chunks have the same connections, and share one set.
-    sets: dict[frozenset[int], frozenset[int]] = {}
     for _ in range(chunk_count):
         fields, start, position = file.record(position, CHUNK_INFO)
         if (version := number_field(fields, "ver")) != 1:
@@ -103,7 +101,7 @@ def read_index(file: BagFile) -> BagIndex:
         if ids:
             place = number_field(fields, "chunk_pos", 8)
             times = (time_field(fields, "start_time"), time_field(fields, "end_time"))
-            located.append((place, *times, sets.setdefault(ids, ids), sum(numbers[1::2])))
+            located.append((place, *times, shared(ids), sum(numbers[1::2])))
 
     placed = []
     for place, start_ns, end_ns, ids, count in located:
@@ -157,7 +155,7 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
 
 def chunk_segment(chunk_pos: int, fields: Mapping[bytes, bytes], start: int, stop: int) -> Segment:
     """Make a segment from a chunk's record, without times and connections."""
-    compression = text_of(field_of(fields, "compression"))
+    compression = shared(text_of(field_of(fields, "compression")))
     if compression not in COMPRESSIONS:
         raise FormatError(
             f"the chunk at byte {chunk_pos} is compressed with {compression!r}, allowed are {', '.join(COMPRESSIONS)}"

@@ -41,7 +41,7 @@ from .records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.chunks import Segment
@@ -158,7 +158,7 @@ class Rosbag1Reader(ChunkedReader):
         start_ns: int | None = None,
         stop_ns: int | None = None,
         rule: ChunkRule | None = None,
-    ) -> list[Unit]:
+    ) -> Iterator[Unit]:
         """Return chunks by start; see `pc2scan.bags.reader.Reader`. Whole chunks are decompressed to be checked."""
         rule = rule if rule and rule.container == "rosbag1" else None
         ids = None if connections is None else frozenset(connection.id for connection in connections)

@@ -1,0 +1,57 @@
+"""The progress of conversions, by the messages of a recording in which all seconds are alike."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import pc2scan
+from benchmarks.long import Long
+from support import sampled
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+#: Forty seconds of small clouds.
+SHORT = Long(clouds=400, points=4_096)
+
+
+def progress_of(source: Path, folder: Path, **options: Any) -> list[tuple[int, int, int]]:
+    told: list[tuple[int, int, int]] = []
+    pc2scan.convert(
+        source,
+        folder / "scans.mcap",
+        overwrite=True,
+        min_height=-2,
+        progress=lambda *step: told.append(step),
+        **options,
+    )
+    return told
+
+
+OPTIONS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "only scans": {"keep": []},
+    "a cut": {"keep": [], "start": 10.0, "end": 30.0},
+    "chunks": {"keep_clouds": True},
+    "threads": {"keep_clouds": True, "jobs": 2},
+    "moving": {"target_frame": "base_link", "fixed_frame": "odom", "deskew": True},
+}
+
+
+@pytest.mark.parametrize(("name", "case"), sampled(product(["a.mcap", "a.bag", "a"], OPTIONS), 4))
+def test_the_share_of_the_work_is_that_of_the_messages(name: str, case: str, tmp_path: Path) -> None:
+    told = progress_of(SHORT.write(tmp_path / name), tmp_path, **OPTIONS[case])
+    dones, totals = [done for done, _, _ in told], [total for _, total, _ in told]
+    assert dones == sorted(dones)
+    assert (dones[0], dones[-1]) == (0, totals[-1])
+    # What is found out before the first message is known ahead, too.
+    assert totals[0] == pytest.approx(totals[-1], rel=0.05)
+    converting = [step for step in told if step[2]]
+    messages = converting[-1][2]
+    before = converting[0][0] if case == "moving" else 0
+    for done, total, number in converting[:-1]:
+        # A unit that is loaded counts when the next one is due.
+        assert (done - before) / (total - before) == pytest.approx(number / messages, abs=0.06)
