@@ -38,6 +38,8 @@ _SHORTEST, _LONGEST = 1e-9, 60.0
 #: Times of this many seconds and more do not count from the cloud's beginning, but from 1970, or from the sensor's
 #: start.
 _ABSOLUTE = 1000.0
+#: Of how many points the times are looked at to see whether they are absolute.
+_SOME = 64
 #: Shorter times are absolute, too, if they differ from the stamp by less than this factor. It tells units apart.
 _NEAR = 2.0
 
@@ -98,6 +100,30 @@ def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, w
     is_absolute = unit in near or abs(low * unit) >= _ABSOLUTE
     # Subtracted as whole numbers of the unit, because seconds since 1970 need all digits of a float64.
     return (stamp_ns / round(1e9 * unit) if is_absolute else 0.0), unit
+
+
+def absolute_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> tuple[float, float] | None:
+    """Return the offset and the unit of times that are absolute, by some of them; None if they count from the stamp.
+
+    A 0, which drivers write for points without a return, is not looked at, and neither are NaN and infinity.
+
+    Parameters
+    ----------
+    values
+        One of the `TIME_FIELDS`, of any shape.
+    stamp_ns, unit_name
+        See `offset_and_unit`.
+    """
+    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+        some = values.reshape(-1)[:: max(1, values.size // _SOME)].astype(np.float64)
+    some = some[np.isfinite(some) & (some != 0)]
+    if not some.size:
+        return None
+    low, high = float(some.min()), float(some.max())
+    offset, unit = offset_and_unit(low, high, stamp_ns, unit_name, whole=values.dtype.kind in "iu")
+    # Without a span, nothing but its distance from the stamp shows the unit of a time that all points share.
+    is_absolute = offset and (low < high or abs(low - offset) * unit < _LONGEST)
+    return (offset, unit) if is_absolute else None
 
 
 def _are_near(low: float, high: float, stamp: float) -> bool:
