@@ -246,6 +246,13 @@ def test_filters_that_cannot_be_sent_are_refused(tmp_path: Path, monkeypatch: py
         assert "that can be imported" in (raised.value.hint or "")
 
 
+def test_a_worker_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = place(tmp_path, "a.bag")
+    monkeypatch.setattr("pc2scan.batch.processes.__version__", "0.0.1")
+    with pytest.raises(Pc2ScanError, match=r"a worker process has pc2scan .*, this is 0\.0\.1"):
+        pc2scan.batch(source, tmp_path / "out", jobs=1, min_height=-0.3)
+
+
 def test_a_bug_is_the_result_of_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oh")

@@ -49,6 +49,7 @@ def test_structured_or_not_with_ring_numbers_or_without(columns: int) -> None:
     flat, rings = in_any_order(cloud)
     assert step(flat, rings) == expected
     assert azimuth_step(*flat) == expected
+    assert azimuth_step(*flat[:, None, :]) == expected
 
 
 @given(st.floats(0, 0.45), st.integers(0, 99), st.booleans())

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 import pc2scan
+from benchmarks.clouds import write_two
 from support import ROOT, sampled
 from support.command import run
 
@@ -73,6 +74,16 @@ def test_its_report_has_the_counts_and_about_the_size(keep: bool, least: int, mo
     assert 0.3 < planned.bytes_written / written.bytes_written < 3
     counts = [[(t.topic, t.messages_in, t.messages_out) for t in report.topics] for report in (planned, written)]
     assert counts[0] == counts[1]
+
+
+def test_a_scan_of_two_lidars_is_as_large_as_a_scan_of_one(tmp_path: Path) -> None:
+    source = write_two(tmp_path / "two.mcap", 4)
+    how: dict[str, Any] = {"target_frame": "base_link", "min_height": -1.0, "only_scans": True, "dry_run": True}
+    sizes = [
+        pc2scan.convert(source, tmp_path / "out.mcap", topics=topics, **how).bytes_written
+        for topics in ("/front:=/scan", ("/front:=/scan", "/rear:=/scan"))
+    ]
+    assert 0.9 < sizes[1] / sizes[0] < 1.2
 
 
 @pytest.mark.parametrize(("options", "status"), [((), 0), (("--topic", "/nothing"), 2), (("--angle-min", "x"), 2)])

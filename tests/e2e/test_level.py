@@ -14,6 +14,7 @@ import pc2scan
 from pc2scan.bags.destinations import open_writer, plan_destination
 from pc2scan.bags.opening import open_recording
 from pc2scan.core.rigid import Rigid
+from pc2scan.model import TF_QOS
 from support import conversions, sampled
 from support.command import run
 from support.worlds import moving
@@ -303,3 +304,5 @@ def test_transforms_go_where_those_of_the_robot_are(tmp_path: Path) -> None:
     assert not made.transforms
     (entry,) = (topic for topic in made.report["topics"] if topic["action"] == "added")
     assert (entry["topic"], entry["messages_out"]) == ("/robot1/tf", 20)
+    with closing(open_recording(tmp_path / "b.mcap")) as reader:
+        assert TF_QOS in [each.qos for each in reader.connections if each.topic == "/robot1/tf"]

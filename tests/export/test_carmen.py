@@ -93,6 +93,13 @@ def test_flaser_of_beams_that_its_readers_guess(count: int, degrees: float, tmp_
     assert reading.laser == pytest.approx([2.0 * 0.5 + MOUNT[0], -1.0, 0.0])
 
 
+def test_two_readings_are_half_a_turn_apart(tmp_path: Path) -> None:
+    ranges = np.full(2, 4, np.float32)
+    scan = replace(sick(5, 0.5), angle_max=math.pi / 2, angle_increment=math.pi, ranges=ranges)
+    (reading,), _ = read_log(written(tmp_path, scan, name="drive.clf"))
+    assert np.array(reading.ranges, np.float32).tobytes() == ranges.tobytes()
+
+
 @pytest.mark.parametrize(
     ("scan", "said"),
     [

@@ -140,6 +140,12 @@ def test_a_wrong_value_is_an_error_that_names_the_option(command: str, values: d
         Options(command, values)
 
 
+@pytest.mark.parametrize("values", [{"x": 0.1, "y": "no"}, {"x": True}, {"x": [0.1]}])
+def test_each_tolerance_is_a_number(values: dict[str, object]) -> None:
+    with pytest.raises(TypeError, match="it must be a number, or a dict of numbers"):
+        Options("diff", {"atol": values})
+
+
 @pytest.mark.parametrize(
     ("values", "read"),
     [

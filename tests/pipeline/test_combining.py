@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pc2scan.errors import UsageError
+import pc2scan
+from export.driving import PATTERN, STAMPS, drive
+from pc2scan.errors import ParameterError, UsageError
 from pc2scan.pipeline.options import Combining
+from support.builders import write_mcap
 from support.tables import rows
 
 
@@ -33,3 +37,11 @@ def test_what_cannot_be_names_the_option(asked: dict[str, Any], said: str) -> No
     with pytest.raises(UsageError) as caught:
         Combining.of(**asked)
     assert said in caught.value.message
+
+
+@pytest.mark.parametrize("increment", [0.0, float("nan"), float("inf")])
+def test_scans_that_do_not_say_their_resolution_have_none(increment: float, tmp_path: Path) -> None:
+    scans = [replace(PATTERN, stamp_ns=stamp_ns, angle_increment=increment) for stamp_ns in STAMPS]
+    source = write_mcap(tmp_path / "a.mcap", drive({"/scan": scans}))
+    with pytest.raises(ParameterError, match="no scan on /scan has an angle_increment"):
+        pc2scan.convert(source, tmp_path / "b.mcap", topics="/scan:=/new", rebin=True, beams="auto")

@@ -13,10 +13,13 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
+from pc2scan.pipeline.stages.deskew import Deskew
 from support import ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from pc2scan.core.points import Points
 
 HALL = ROOT / "fixtures" / "hall.mcap"
 BAND = {"min_height": -0.3, "max_height": 1.0}
@@ -59,6 +62,15 @@ def test_each_output_is_as_if_it_were_alone(jobs: int, tmp_path: Path) -> None:
         assert entry.messages_out
 
 
+@pytest.mark.parametrize("options", [{}, {"drop": "/tf*"}, {"keep_clouds": False}])
+def test_the_report_says_whether_clouds_are_kept(options: dict[str, Any], tmp_path: Path) -> None:
+    """Also if the clouds' topic is the first one of the output."""
+    report = pc2scan.convert(HALL, tmp_path / "a.mcap", **{"keep_clouds": True, **BAND, **options})
+    kept = [topic.topic for topic in report.topics if topic.clouds_kept]
+    assert kept == ["/points"] * ("/points" in messages(tmp_path / "a.mcap"))
+    assert ("(cloud kept)" in str(report)) == bool(kept)
+
+
 def test_a_message_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: Counter[str] = Counter()
     decoder = CLOUDS[POINTCLOUD2]
@@ -77,6 +89,31 @@ def test_a_message_is_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     report = converted(tmp_path / "all.mcap", {**near, "/own": BAND, "/own_near": {**BAND, "range_max": 5.0}})
     # The first cloud is looked at beforehand, once for the fields of all outputs.
     assert calls["decode"] == made(report)[0].messages_out + 1
+
+
+@pytest.mark.parametrize(
+    ("other", "times"),
+    [
+        ({"max_height": 0.2}, 1),
+        ({"stamp": "middle"}, 2),
+        ({"point_time": "time:s"}, 2),
+        ({"fixed_frame": "base_link"}, 2),
+    ],
+)
+def test_outputs_that_place_points_alike_share_the_work(
+    other: dict[str, Any], times: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: Counter[str] = Counter()
+    track = Deskew.track
+
+    def counted(self: Deskew, points: Points) -> Any:
+        calls["track"] += 1
+        return track(self, points)
+
+    monkeypatch.setattr(Deskew, "track", counted)
+    moved = {**BAND, "deskew": True, "fixed_frame": "odom"}
+    report = converted(tmp_path / "a.mcap", {"/a": moved, "/b": {**moved, **other}}, on_error="skip", jobs=1)
+    assert calls["track"] == times * made(report)[0].messages_in
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

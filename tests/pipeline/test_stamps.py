@@ -17,7 +17,8 @@ from pc2scan.errors import UsageError
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import decode_pointcloud2
 from pc2scan.messages.stamps import move_point_times, set_stamp, stamp_in
-from support.builders import SECOND, cloud, points_of, write_mcap, write_rosbag1
+from support.builders import CLOUD, SECOND, T0, Item, Recording, Stream, cloud, points_of, write_mcap, write_rosbag1
+from support.clouds import structured
 from support.tables import rows
 from support.worlds.moving import Lidar, write_world
 from support.worlds.posed import recording
@@ -135,6 +136,26 @@ def test_without_transforms_the_log_times_are_the_clock(tmp_path: Path) -> None:
     wrong = write_mcap(tmp_path / "w.mcap", recording(offset_ns=-1_600_000_000 * SECOND))
     _, report = converted(wrong, "b", time_offset="auto", target_frame="")
     assert any("measured against the log times in the first 5 messages" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("kind", ["none", "after the stamp", "since the start", "since the start, and one of 0"])
+def test_an_offset_counts_from_the_last_point(kind: str, tmp_path: Path) -> None:
+    """Clouds of 80 ms are logged 2 ms after their last point."""
+    points = Stream("/points", CLOUD)
+    items = []
+    for number in range(5):
+        right_ns = T0 + number * 100_000_000
+        wrong_ns = right_ns - 1_600_000_000 * SECOND
+        times = np.linspace(0, 0.08, 9) + (wrong_ns / 1e9 if "since" in kind else 0.0)
+        times[4] *= "of 0" not in kind
+        rows = [(5.0, 0.0, 0.0, *([] if kind == "none" else [time])) for time in times]
+        fields = np.array(rows, [(name, "<f4") for name in "xyz"] + [("t", "<f8")] * (kind != "none"))
+        data = {2: structured(fields, 2, seq=number, stamp_ns=wrong_ns)}
+        items.append(Item(points, right_ns + 82_000_000, data))
+    path = write_mcap(tmp_path / "w.mcap", Recording((points,), tuple(items)))
+    _, report = converted(path, "b", time_offset="auto", target_frame="", min_height=-1.0)
+    expected = 1_600_000_000.082 if kind == "none" else 1_600_000_000.002
+    assert any(f"time_offset is {expected:.3f} s" in note for note in report.notes), report.notes
 
 
 def test_a_clock_that_jumps_is_not_corrected_without_a_word(tmp_path: Path) -> None:

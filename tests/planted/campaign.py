@@ -48,6 +48,9 @@ _UNKNOWN = "tests are not found"
 #: The modules that call the loops in C, which choose between them and NumPy's when they are imported.
 _CALLS_C = ("core/project.py", "core/occupancy.py", "tf/many.py", "pipeline/stages/deskew.py")
 
+#: Tests that call the loops in C without these modules.
+_OF_C = ("core/test_loops.py", "core/test_fdlibm.py")
+
 
 def main() -> None:
     """Plant the faults, and print a table by room."""
@@ -109,6 +112,7 @@ class _Tests:
         """Return the tests to run for a fault, those that run the fewest lines of the package first."""
         if fault.path.endswith(".c"):
             here = {test for module in _CALLS_C for tests in self._of(f"pc2scan/{module}").values() for test in tests}
+            here |= {test for test in self._lines if any(name in test for name in _OF_C)}
         else:
             lines = self._of(fault.path.removeprefix("src/"))
             last = fault.line + fault.old.count("\n")
@@ -118,7 +122,10 @@ class _Tests:
                 here = {test for tests in lines.values() for test in tests}
         here.discard("")
         named = {test.rpartition("|")[0] or test for test in here}
-        return sorted(named, key=lambda test: (self._lines[f"{test}|run"] or self._lines[test], test))
+        ordered = sorted(named, key=lambda test: (self._lines[f"{test}|run"] or self._lines[test], test))
+        if fault.path.endswith(".c"):
+            ordered.sort(key=lambda test: not any(name in test for name in _OF_C))
+        return ordered
 
 
 class _Neighbours:

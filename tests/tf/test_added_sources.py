@@ -270,6 +270,9 @@ def test_a_models_fixed_joints_are_static_transforms(
     # The recording's own transforms win.
     other = MODEL.replace("0 0 0.5", "3 4 5")
     assert scans_of(written(tmp_path, recording("tf", extra=[described(other)]), "own", suffix)) == by_tf
+    # The file wins over the topic.
+    both = written(tmp_path, recording("tf", mounted=False, extra=[described(other)]), "both", suffix)
+    assert scans_of(both, urdf=tmp_path / "robot.urdf") == by_tf
     out = tmp_path / f"out.{suffix}"
     pc2scan.convert(known, out, target_frame="base_link", write_static_tf=True, **HEIGHTS)
     assert pc2scan.tf(out).lookup("base_link", "lidar").translation.tolist() == [0, 0, 0.5]

@@ -38,6 +38,8 @@ _SHORTEST, _LONGEST = 1e-9, 60.0
 #: Times of this many seconds and more do not count from the cloud's beginning, but from 1970, or from the sensor's
 #: start.
 _ABSOLUTE = 1000.0
+#: Of how many points the times are looked at to see whether they are absolute.
+_SOME = 64
 #: Shorter times are absolute, too, if they differ from the stamp by less than this factor. It tells units apart.
 _NEAR = 2.0
 
@@ -65,35 +67,6 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
     ordered = sorted(set(stamps_ns))
     intervals = sorted(later - earlier for earlier, later in pairwise(ordered))
     return intervals[(len(intervals) - 1) // 2] if intervals else None
-
-
-def point_times(values: NDArray[Any], stamp_ns: int) -> NDArray[np.float64]:
-    """Return when points were measured, seconds after their cloud's stamp.
-
-    Parameters
-    ----------
-    values
-        One of the `TIME_FIELDS`, of any shape; see `offset_and_unit`.
-    stamp_ns
-        The cloud's stamp.
-
-    Returns
-    -------
-    (M,) float64, NaN where the value is not finite.
-    """
-    times: NDArray[np.float64] = np.ravel(values).astype(np.float64)
-    if not times.size:
-        return times
-    low, high = float(times.min()), float(times.max())
-    if not (math.isfinite(low) and math.isfinite(high)):
-        times[~np.isfinite(times)] = np.nan
-        if np.isnan(times).all():
-            return times
-        low, high = float(np.nanmin(times)), float(np.nanmax(times))
-    offset, unit = offset_and_unit(low, high, stamp_ns, "", whole=values.dtype.kind in "iu")
-    times -= offset
-    times *= unit
-    return times
 
 
 def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, whole: bool) -> tuple[float, float]:
@@ -127,6 +100,30 @@ def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, w
     is_absolute = unit in near or abs(low * unit) >= _ABSOLUTE
     # Subtracted as whole numbers of the unit, because seconds since 1970 need all digits of a float64.
     return (stamp_ns / round(1e9 * unit) if is_absolute else 0.0), unit
+
+
+def absolute_times(values: NDArray[Any], stamp_ns: int, unit_name: str = "") -> tuple[float, float] | None:
+    """Return the offset and the unit of times that are absolute, by some of them; None if they count from the stamp.
+
+    A 0, which drivers write for points without a return, is not looked at, and neither are NaN and infinity.
+
+    Parameters
+    ----------
+    values
+        One of the `TIME_FIELDS`, of any shape.
+    stamp_ns, unit_name
+        See `offset_and_unit`.
+    """
+    with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
+        some = values.reshape(-1)[:: max(1, values.size // _SOME)].astype(np.float64)
+    some = some[np.isfinite(some) & (some != 0)]
+    if not some.size:
+        return None
+    low, high = float(some.min()), float(some.max())
+    offset, unit = offset_and_unit(low, high, stamp_ns, unit_name, whole=values.dtype.kind in "iu")
+    # Without a span, nothing but its distance from the stamp shows the unit of a time that all points share.
+    is_absolute = offset and (low < high or abs(low - offset) * unit < _LONGEST)
+    return (offset, unit) if is_absolute else None
 
 
 def _are_near(low: float, high: float, stamp: float) -> bool:

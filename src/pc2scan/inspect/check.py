@@ -20,7 +20,7 @@ from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.progress import Meter
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Part, Result
-from pc2scan.text import counted, did_you_mean
+from pc2scan.text import counted
 from pc2scan.tf.placing import FrameOptions
 from pc2scan.tf.robot_model import NO_MODEL
 
@@ -293,7 +293,7 @@ def check(
     Raises
     ------
     UsageError
-        If a consumer is unknown, there is no such topic, or several namespaces have transforms and none was given.
+        If there is no such topic, or several namespaces have transforms and none was given.
     RecordingError
         If a source cannot be read.
 
@@ -302,10 +302,6 @@ def check(
     The scans are read once, and are not held in memory; the transforms are read before them.
     """
     asked = tuple(dict.fromkeys(consumers))
-    for consumer in asked:
-        if consumer not in CONSUMERS:
-            hint = f"{did_you_mean(consumer, CONSUMERS)} known: {', '.join(CONSUMERS)}".strip()
-            raise UsageError(f"no consumer {consumer!r}", hint=hint)
     paths = [sources] if isinstance(sources, str | PathLike) else list(sources)
     if not paths:
         raise UsageError("no source given")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pc2scan.core.timing import TIME_FIELDS, offset_and_unit
+from pc2scan.core.timing import TIME_FIELDS, absolute_times
 
 from .clouds import SCANS
 from .imu import IMU
@@ -32,9 +32,6 @@ _STAMPS = {"ros1": ("<II", 2**32 - 1), "<": ("<iI", 2**31 - 1), ">": (">iI", 2**
 #: Velodyne's packets, which have a time each, and the size of one.
 _PACKETS = "velodyne_msgs/msg/VelodyneScan"
 _PACKET_BYTES = 1206
-
-#: Of how many points the times are looked at to see whether they are absolute.
-_SOME = 64
 
 
 def stamp_in(data: Buffer | bytearray, serialization: str) -> int:
@@ -130,26 +127,11 @@ def move_point_times(data: bytearray, serialization: str, shift_ns: int, names: 
 
 def _move(data: bytearray, values: NDArray[Any], stamp_ns: int, shift_ns: int) -> None:
     """Move the values of one field, which is a view of the message."""
-    if not values.size or values.dtype.itemsize < 4:
+    # Neither a float32 nor an integer of 32 bits can tell moments since 1970 apart.
+    absolute = absolute_times(values, stamp_ns) if values.dtype.itemsize == 8 else None
+    if absolute is None:
         return
-    with np.errstate(invalid="ignore"):
-        few = values.reshape(-1)[:: max(1, values.size // _SOME)].astype(np.float64)
-        low = float(np.fmin.reduce(few, where=few != 0, initial=np.inf))
-        high = float(np.fmax.reduce(few, initial=-np.inf))
-    if not low <= high < np.inf:
-        return
-    offset, unit = offset_and_unit(low, high, stamp_ns, "", whole=values.dtype.kind in "iu")
-    # A float32 cannot tell moments since 1970 apart.
-    if not offset or values.dtype == np.float32:
-        return
+    _, unit = absolute
     begin = values.__array_interface__["data"][0] - np.frombuffer(data, np.uint8).__array_interface__["data"][0]
     own = np.ndarray(values.shape, values.dtype, data, begin, values.strides)
-    there = own != 0
-    per_unit = round(1e9 * unit)
-    if own.dtype.kind in "iu":
-        limits = np.iinfo(own.dtype)
-        shift = round(shift_ns / per_unit)
-        if limits.min <= min(0, low + shift) and high + shift <= limits.max:
-            own[there] = (own[there].astype(np.int64) + shift).astype(own.dtype)
-    else:
-        own[there] += shift_ns / per_unit
+    own[own != 0] += shift_ns / round(1e9 * unit)

@@ -5,13 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-import numpy as np
-
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic, is_static
 from pc2scan.core.percentiles import median_low
-from pc2scan.core.timing import TIME_FIELDS, point_times
-from pc2scan.errors import UsageError, stamp_text
+from pc2scan.errors import DecodeError, UsageError, stamp_text
 from pc2scan.messages.clouds import CLOUDS
 from pc2scan.messages.imu import IMU
 from pc2scan.messages.poses import POSES
@@ -21,6 +18,7 @@ from pc2scan.text import counted, stamp
 from pc2scan.tf.reading import tf_connections
 
 from .options import TRAJECTORY
+from .stages.point_time import PointTime
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -364,8 +362,6 @@ def _delay_of_end(message: RawMessage) -> int:
     stamp_ns, last_s = stamp_in(message.data, serialization), 0.0
     if kind in CLOUDS:
         points = CLOUDS[kind](serialization)(message.data)
-        name = next((name for name in TIME_FIELDS if name in points.fields), "")
-        times = point_times(points.field(name), stamp_ns) if name else None
-        if times is not None and times.size:
-            last_s = float(np.fmax.reduce(times, initial=0.0))
+        with suppress(DecodeError):
+            last_s = max(0.0, PointTime().read(points).high)
     return message.log_time_ns - stamp_ns - round(min(last_s, _LONGEST_S) * 1e9)

@@ -15,7 +15,7 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
 from pc2scan.core.resolution import RING_FIELDS, azimuth_step
-from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, point_times
+from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns
 from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.text import did_you_mean
 from pc2scan.tf.placing import Placer
@@ -184,8 +184,10 @@ def _shape(cloud: Points, request: ShapeRequest, placer: Placer = _OWN_FRAME) ->
     name = _time_field(cloud.fields) if request.sweep else None
     sweep = None
     if name is not None:
+        from .stages.point_time import PointTime  # noqa: PLC0415  # only where times of beams are measured
+
         with suppress(MessageError):
-            sweep = fit_sweep(_angles(cloud, placer), point_times(cloud.field(name), cloud.stamp_ns))
+            sweep = fit_sweep(_angles(cloud, placer), np.ravel(PointTime().read(cloud).at()))
     return CloudShape(step, sweep, name)
 
 

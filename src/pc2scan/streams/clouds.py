@@ -233,12 +233,11 @@ class Clouds(Stream[Cloud]):
         """
         pandas = import_pandas()
         clouds = list(self)
-        names = [name for name in (clouds[0].fields if clouds else ()) if all(name in c.fields for c in clouds)]
         parts = [cloud._columns() for cloud in clouds]  # noqa: SLF001  # they make one table
         sizes = [len(cloud) for cloud in clouds]
         stamps = np.array([cloud.stamp for cloud in clouds], "datetime64[ns]")
         table: dict[str, Any] = {"stamp": np.repeat(stamps, sizes)}
-        names = [name for name in names if all(name in part for part in parts)]
+        names = [name for name in (parts[0] if parts else ()) if all(name in part for part in parts)]
         table.update({name: np.concatenate([part[name] for part in parts]) for name in names})
         if len(self.topics) > 1:
             table["topic"] = pandas.Categorical(np.repeat([cloud.topic for cloud in clouds], sizes))

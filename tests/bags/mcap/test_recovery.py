@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import struct
 from contextlib import closing
+from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
@@ -12,6 +13,7 @@ from mcap.records import DataEnd, MessageIndex
 
 from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.bags.mcap.recover import is_message
 from pc2scan.errors import DamageError
 from support.bounded import watched
 from support.command import run
@@ -460,3 +462,16 @@ def test_a_packed_message_that_is_broken_is_left_out(tmp_path: Path) -> None:
     assert (damage.messages_lost, damage.first_ns) == (1, packed[5][1])
     with closing(McapReader(path, strict=True)) as reader, pytest.raises(DamageError, match="full frame"):
         content(reader)
+
+
+@pytest.mark.parametrize("known", [None, {1}])
+@pytest.mark.parametrize("span", [None, (5, 9)])
+def test_a_message_is_of_a_known_channel_and_of_a_time_in_the_span(
+    known: set[int] | None, span: tuple[int, int] | None
+) -> None:
+    for channel, time in product((1, 2), (4, 5, 9, 10)):
+        data = memoryview(b"\0" + raw_message(channel, time))
+        expected = (known is None or channel == 1) and (span is None or time in (5, 9))
+        assert is_message(data, 1, known, span) == expected
+        assert not is_message(data, 0, known, span)
+        assert not is_message(data[:-5], 1, known, span)

@@ -235,11 +235,15 @@ def test_times_that_cannot_be_are_errors(times: Any, name: str, what: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("asked", "hint"),
-    [("t:us", "`point_time=t:ns`"), ("t:s", "or have another unit: `point_time=t:us`"), ("", "`point_time=FIELD`")],
+    ("asked", "times", "hint"),
+    [
+        ("t:us", [0, 100_000_000], "`point_time=t:ns`"),
+        ("t:s", [0, 100_000_000], "`point_time=t:ns`"),
+        ("t:s", [100_000_000, 100_000_050], "or have another unit: `point_time=t:us`"),
+        ("", [0, 100 * SECOND], "`point_time=FIELD`"),
+    ],
 )
-def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, hint: str) -> None:
-    times = [0, 100_000_000 if asked else 100 * SECOND]
+def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, times: list[int], hint: str) -> None:
     with pytest.raises(DecodeError) as caught:
         Deskew(frames(), "odom", PointTime.parse(asked) if asked else PointTime())(points(np.ones((2, 3)), times))
     assert hint in str(caught.value.hint)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pc2scan.core import kernel
 from pc2scan.core.points import TIME, Points
-from pc2scan.core.timing import AZIMUTH, TIME_FIELDS, TIME_UNITS, offset_and_unit
+from pc2scan.core.timing import AZIMUTH, TIME_FIELDS, TIME_UNITS, absolute_times, offset_and_unit
 from pc2scan.errors import DecodeError, UsageError
 
 if TYPE_CHECKING:
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 #: Returns the times of points at some places, seconds after their cloud's stamp.
 Times: TypeAlias = "Callable[[tuple[NDArray[np.intp], ...]], NDArray[np.float64]]"
-
-#: Of how many points the times are looked at to see whether they are absolute.
-_SOME = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,15 +148,9 @@ def _mask_zero_times(points: Points, name: str, unit: str) -> Points:
     Drivers write 0 for points without a return. Among times after the stamp, 0 is a time.
     """
     values = points.field(name)
+    if absolute_times(values, points.stamp_ns, unit) is None or not (missing := values == 0).any():
+        return points
     with np.errstate(invalid="ignore"):  # a NaN may be a signalling one
-        few = values.reshape(-1)[:: max(1, values.size // _SOME)].astype(np.float64)
-        low = float(np.fmin.reduce(few, where=few != 0, initial=np.inf))
-        high = float(np.fmax.reduce(few, initial=-np.inf))
-        if not low <= high:
-            return points
-        offset, _ = offset_and_unit(low, high, points.stamp_ns, unit, whole=values.dtype.kind in "iu")
-        if not offset or not (missing := values == 0).any():
-            return points
         times = values.astype(np.float64)
     times[missing] = np.nan
     return points.replace({name: times}, points.frame_id)
