@@ -67,7 +67,7 @@ class Long:
     others: bool = True
 
     def write(self, path: Path) -> Path:
-        """Write it; the name says the format."""
+        """Write it; the name says the format: a folder has a database."""
         with _holes():
             self._write(path)
         return path
@@ -75,7 +75,8 @@ class Long:
     def _write(self, path: Path) -> None:
         version = 1 if path.suffix == ".bag" else 2
         serialization = "ros1" if version == 1 else "cdr"
-        target = plan_destination(path, compression=self.compression, source_ros_version=version)
+        storage = None if path.suffix else "sqlite3"
+        target = plan_destination(path, storage=storage, compression=self.compression, source_ros_version=version)
         writer = open_writer(target, path, path.name)
         topics = {"/points": POINTCLOUD2, "/tf": TF, "/imu": IMU, "/tf_static": TF}
         points, tf, imu, static = (
