@@ -191,3 +191,20 @@ def test_of_a_chunk_that_breaks_midway_the_front_is_kept(compression: str, tmp_p
     assert damage.bytes_lost > 0
     assert damage.messages_lost is None
     assert (damage.first_ns or 0) >= rows[0][1]
+
+
+@pytest.mark.parametrize("run_size", [1, 200, 1 << 22])
+def test_messages_outside_chunks_are_chosen_by_topic_and_time(
+    run_size: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rosbag1_recovery, "_RUN_SIZE", run_size)
+    connections = b"".join(connection_record(number, topic=f"/{number}".encode()) for number in range(3))
+    loose = b"".join(message(100 + time, bytes([time]) * 30, time % 3) for time in range(9))
+    path = tmp_path / "loose.bag"
+    path.write_bytes(bag_header(0, 3, 0) + connections + loose)
+    with closing(Rosbag1Reader(path)) as reader:
+        assert (reader.summary.start_ns, reader.summary.end_ns) == (100, 108)
+        for number, own in enumerate(sorted(reader.connections, key=lambda each: each.topic)):
+            for first, stop in ((0, 9), (3, 6), (4, 9)):
+                found = [each.log_time_ns for each in reader.messages([own], 100 + first, 100 + stop)]
+                assert found == [100 + time for time in range(first, stop) if time % 3 == number]
