@@ -115,24 +115,29 @@ class TransformBuilder:
         """Sort the transforms and reject those that cannot be used. More may be added afterwards."""
         records = np.frombuffer(self._records, self._DTYPE)
         pairs = np.array(self._pair_table, np.int32).reshape(-1, 3)
-        poses = records["pose"]
-        reasons = reasons_of(poses, pairs[records["pair"], 2])
-
+        reasons = reasons_of(records["pose"], pairs[records["pair"], 2])
+        rejections = self._rejections(records, pairs, reasons)
         good = np.flatnonzero(reasons == ACCEPTED)
+        rejected = len(records) - len(good)
+        del reasons
         frames, parents, children = self._renumber(pairs[records["pair"][good], :2])
         is_static = _first_of_each(children, records["static"][good], len(frames))
         order = _time_order(children, records["stamp_ns"][good], is_static)
-        kept = good[order]
+        received = np.bincount(children, minlength=len(frames))
+        kept, parents, children = good[order], parents[order], children[order]
+        offsets = np.searchsorted(children, np.arange(len(frames) + 1))
+        # Freed before the poses are copied, which take more memory than all else.
+        del good, order, children
         return TransformBuffer(
             frames=frames,
-            rejections=self._rejections(records, pairs, reasons),
-            rejected=len(records) - len(good),
+            rejections=rejections,
+            rejected=rejected,
             _stamps_ns=_read_only(records["stamp_ns"][kept]),
-            _poses=_read_only(poses[kept]),
-            _parents=_read_only(parents[order]),
-            _offsets=np.searchsorted(children[order], np.arange(len(frames) + 1)),
+            _poses=_read_only(records["pose"][kept]),
+            _parents=_read_only(parents),
+            _offsets=offsets,
             _static=is_static,
-            _received=np.bincount(children, minlength=len(frames)),
+            _received=received,
             _numbers={name: number for number, name in enumerate(frames)},
         )
 
