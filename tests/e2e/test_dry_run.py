@@ -76,6 +76,17 @@ def test_its_report_has_the_counts_and_about_the_size(keep: bool, least: int, mo
     assert counts[0] == counts[1]
 
 
+@pytest.mark.parametrize("to", ["out.bag", "out.mcap"])
+def test_the_points_that_beams_read_are_counted(to: str, folder: Path) -> None:
+    planned, written = (
+        pc2scan.convert(
+            folder / "drive.bag", folder / to, min_height=-0.3, keep_used="/used", only_scans=True, dry_run=dry_run
+        )
+        for dry_run in (True, False)
+    )
+    assert 0.5 < planned.bytes_written / written.bytes_written < 2
+
+
 def test_a_scan_of_two_lidars_is_as_large_as_a_scan_of_one(tmp_path: Path) -> None:
     source = write_two(tmp_path / "two.mcap", 4)
     how: dict[str, Any] = {"target_frame": "base_link", "min_height": -1.0, "only_scans": True, "dry_run": True}
