@@ -42,10 +42,7 @@ class Chunks(MemoryReader):
         rule: ChunkRule | None = None,
     ) -> Iterator[Unit]:
         del rule
-        wanted = {each.id for each in (self.connections if connections is None else connections)}
-
-        def held(row: tuple[int, int, bytes]) -> bool:
-            return row[0] in wanted and (start_ns or 0) <= row[1] and (stop_ns is None or row[1] < stop_ns)
+        held = self.is_wanted(connections, start_ns, stop_ns)
 
         def load(number: int) -> Any:
             def loaded(callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any]:

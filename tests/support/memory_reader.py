@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -48,6 +49,14 @@ class MemoryReader(Reader):
         self.summary = Summary(container, "", ("none",), 10, len(rows), *span)
         self.log = [] if log is None else log
 
+    def is_wanted(
+        self, connections: Collection[Connection] | None, start_ns: int | None, stop_ns: int | None
+    ) -> Callable[[tuple[int, int, bytes]], bool]:
+        """What finds out whether a row is of these connections and times."""
+        known = {each.id for each in (self.connections if connections is None else connections)}
+        times = -math.inf if start_ns is None else start_ns, math.inf if stop_ns is None else stop_ns
+        return lambda row: row[0] in known and times[0] <= row[1] < times[1]
+
     def units(
         self,
         connections: Collection[Connection] | None = None,
@@ -58,10 +67,11 @@ class MemoryReader(Reader):
         assert rule is None, "there are no chunks to be copied"
         self.log.append(f"open {self.path.name}")
         known = {each.id: each for each in (self.connections if connections is None else connections)}
+        is_wanted = self.is_wanted(connections, start_ns, stop_ns)
         try:
-            for place, (number, time_ns, data) in enumerate(self.rows):
-                wanted = number in known and (start_ns is None or start_ns <= time_ns)
-                if wanted and (stop_ns is None or time_ns < stop_ns):
+            for place, row in enumerate(self.rows):
+                if is_wanted(row):
+                    number, time_ns, data = row
                     message = RawMessage(known[number], time_ns, data, time_ns, 7)
                     yield Unit(time_ns, (place,), len(data), partial(_load, message))
         finally:

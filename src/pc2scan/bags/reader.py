@@ -156,6 +156,68 @@ class Reader(ABC):
         return iter(())
 
 
+class WrappedReader(Reader):
+    """Reads what another reader reads; subclasses say what differs.
+
+    Parameters
+    ----------
+    inner
+        The other reader; `close` closes it.
+    """
+
+    def __init__(self, inner: Reader) -> None:
+        self._inner = inner
+        self.path, self.connections, self.summary = inner.path, inner.connections, inner.summary
+        self.has_chunks = inner.has_chunks
+
+    @property
+    def bytes_read(self) -> int:
+        """See `Reader`."""
+        return self._inner.bytes_read
+
+    @property
+    def damage(self) -> tuple[Damage, ...]:
+        """See `Reader`."""
+        return self._inner.damage
+
+    def units(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+        rule: ChunkRule | None = None,
+    ) -> Iterable[Unit]:
+        """See `Reader`."""
+        return self._inner.units(connections, start_ns, stop_ns, rule)
+
+    def work(
+        self,
+        connections: Collection[Connection] | None = None,
+        start_ns: int | None = None,
+        stop_ns: int | None = None,
+    ) -> int:
+        """See `Reader`."""
+        return self._inner.work(connections, start_ns, stop_ns)
+
+    def counts(
+        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
+    ) -> dict[int, int]:
+        """See `Reader`."""
+        return self._inner.counts(connections, start_ns, stop_ns)
+
+    def close(self) -> None:
+        """Close the other reader."""
+        self._inner.close()
+
+    def attachments(self) -> Iterator[Attachment]:
+        """See `Reader`."""
+        return self._inner.attachments()
+
+    def metadata(self) -> Iterator[Metadata]:
+        """See `Reader`."""
+        return self._inner.metadata()
+
+
 class ConnectionLimit:
     """Counts the connections of a recording and their descriptions as they are found, and refuses too many.
 

@@ -15,17 +15,16 @@ from pc2scan.files.source import open_bytes
 from pc2scan.model import own_message
 
 from .damage import RECOVER, DamageLog
-from .reader import Reader
+from .reader import WrappedReader
 from .units import LazyItems
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Iterable
 
-    from pc2scan.model import Attachment, Buffer, ChunkRule, Connection, Metadata, RawMessage
+    from pc2scan.model import Buffer, RawMessage
 
     from .damage import Damage
     from .formats import Format, ReadOptions
-    from .units import Unit
 
     Messages = list[RawMessage] | LazyItems[RawMessage]
 
@@ -227,7 +226,7 @@ def compressions(inner: Iterable[str]) -> tuple[str, ...]:
     return tuple(sorted({"zstd", *inner} - {"none"}))
 
 
-class ZstdReader(Reader):
+class ZstdReader(WrappedReader):
     """Reads a file that is compressed as a whole from a temporary copy.
 
     Parameters
@@ -241,22 +240,19 @@ class ZstdReader(Reader):
     """
 
     def __init__(self, path: Path, inner: Format, options: ReadOptions) -> None:
-        self.path = path
         self._log = DamageLog(strict=options.strict)
         from pc2scan.files.places import private_folder  # noqa: PLC0415  # few recordings are packed
 
         self._temporary = private_folder(path)
         try:
             unpacked = decompress_file(path, Path(self._temporary.name), self._log)
-            self._inner = inner.open_reader(unpacked, options)
+            super().__init__(inner.open_reader(unpacked, options))
         except BaseException:
             self._temporary.cleanup()
             raise
-        summary = self._inner.summary
-        self.has_chunks = self._inner.has_chunks
-        self.connections = self._inner.connections
-        self.summary = summary._replace(
-            compression=compressions(summary.compression),
+        self.path = path
+        self.summary = self.summary._replace(
+            compression=compressions(self.summary.compression),
             size_bytes=path.stat().st_size,
         )
 
@@ -270,40 +266,7 @@ class ZstdReader(Reader):
         """The damage: that of the compression first, then that of the recording in it."""
         return (*self._log.found, *(place._replace(path=self.path) for place in self._inner.damage))
 
-    def units(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-        rule: ChunkRule | None = None,
-    ) -> Iterable[Unit]:
-        """See `pc2scan.bags.reader.Reader`."""
-        return self._inner.units(connections, start_ns, stop_ns, rule)
-
-    def work(
-        self,
-        connections: Collection[Connection] | None = None,
-        start_ns: int | None = None,
-        stop_ns: int | None = None,
-    ) -> int:
-        """See `pc2scan.bags.reader.Reader`."""
-        return self._inner.work(connections, start_ns, stop_ns)
-
-    def counts(
-        self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
-    ) -> dict[int, int]:
-        """See `pc2scan.bags.reader.Reader`."""
-        return self._inner.counts(connections, start_ns, stop_ns)
-
-    def attachments(self) -> Iterator[Attachment]:
-        """Return the attachments of the recording in it."""
-        return self._inner.attachments()
-
-    def metadata(self) -> Iterator[Metadata]:
-        """Return the metadata records of the recording in it."""
-        return self._inner.metadata()
-
     def close(self) -> None:
         """Close the temporary copy and remove it."""
-        self._inner.close()
+        super().close()
         self._temporary.cleanup()

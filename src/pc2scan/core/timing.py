@@ -69,6 +69,12 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
     return intervals[(len(intervals) - 1) // 2] if intervals else None
 
 
+def time_field(fields: Iterable[str]) -> str:
+    """Return the field that has the times of a cloud's points; empty if none has."""
+    there = set(fields)
+    return next((name for name in TIME_FIELDS if name in there), "")
+
+
 def offset_and_unit(low: float, high: float, stamp_ns: int, unit_name: str, *, whole: bool) -> tuple[float, float]:
     """Return the offset and the unit of the values of one of the `TIME_FIELDS`.
 

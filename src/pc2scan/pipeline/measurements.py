@@ -15,7 +15,7 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.percentiles import median_low
 from pc2scan.core.points import Points
 from pc2scan.core.resolution import RING_FIELDS, azimuth_step
-from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns
+from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, time_field
 from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.text import did_you_mean
 from pc2scan.tf.placing import Placer
@@ -150,18 +150,14 @@ def measure(topics: Iterable[TopicFacts], spec: ScanSpec, placer: Placer) -> tup
     return found, notes
 
 
-def _time_field(fields: Container[str]) -> str | None:
-    return next((name for name in TIME_FIELDS if name in fields), None)
-
-
 def _columns(cloud: Points, _: RawMessage, request: ShapeRequest) -> Points:
     """Return copies of the columns that show the shape of a cloud; without coordinates that cannot be read."""
     rings = [name for name in RING_FIELDS if name in cloud.fields][: request.step]
-    time = _time_field(cloud.fields) if request.sweep else None
+    time = time_field(cloud.fields) if request.sweep else ""
     columns: dict[str, NDArray[Any]] = {}
     with suppress(MessageError):
         columns |= {name: cloud.field(name).copy() for name in (*rings, "x", "y", "z")}
-    if time is not None:
+    if time:
         with suppress(MessageError):
             columns[time] = cloud.field(time).copy()
     return Points(cloud.sequence, cloud.stamp_ns, cloud.frame_id, columns)
@@ -181,14 +177,14 @@ def _shape(cloud: Points, request: ShapeRequest, placer: Placer = _OWN_FRAME) ->
         except MessageError:
             # An error of decoding or transforming is reported when this message is converted.
             return CloudShape(is_readable=False)
-    name = _time_field(cloud.fields) if request.sweep else None
+    name = time_field(cloud.fields) if request.sweep else ""
     sweep = None
-    if name is not None:
+    if name:
         from .stages.point_time import PointTime  # noqa: PLC0415  # only where times of beams are measured
 
         with suppress(MessageError):
             sweep = fit_sweep(_angles(cloud, placer), np.ravel(PointTime().read(cloud).at()))
-    return CloudShape(step, sweep, name)
+    return CloudShape(step, sweep, name or None)
 
 
 def _step(cloud: Points, placer: Placer) -> float | None:
@@ -269,7 +265,7 @@ def _require_fields(facts: TopicFacts, spec: ScanSpec) -> None:
         lambda field: f"{did_you_mean(field, fields)} {there}".strip(),
         "" if time == "azimuth" else time,
     )
-    if spec.deskew and not spec.point_time and not any(name in fields for name in TIME_FIELDS):
+    if spec.deskew and not spec.point_time and not time_field(fields):
         raise ParameterError(
             f"the clouds on {topic} have no times of their points: no field {', '.join(TIME_FIELDS)}",
             name="point_time",

@@ -36,7 +36,7 @@ class Meter:
 
     def add_now(self, work: int) -> None:
         """Add work that is done, and report it."""
-        self._done += work
+        self.add(work)
         self.report()
 
     def report(self) -> None:

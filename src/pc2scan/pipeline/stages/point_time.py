@@ -9,7 +9,7 @@ import numpy as np
 
 from pc2scan.core import kernel
 from pc2scan.core.points import TIME, Points
-from pc2scan.core.timing import AZIMUTH, TIME_FIELDS, TIME_UNITS, absolute_times, offset_and_unit
+from pc2scan.core.timing import AZIMUTH, TIME_FIELDS, TIME_UNITS, absolute_times, offset_and_unit, time_field
 from pc2scan.errors import DecodeError, UsageError
 
 if TYPE_CHECKING:
@@ -64,22 +64,6 @@ class PointTime:
             )
         return cls(field, unit)
 
-    def field_of(self, points: Points) -> str:
-        """Return the name of a cloud's field with the times.
-
-        Raises
-        ------
-        DecodeError
-            If the cloud has none.
-        """
-        name = self.field or next((name for name in TIME_FIELDS if name in points.fields), "")
-        if not name:
-            message = f"its points have no times: there is no field {', '.join(TIME_FIELDS)}"
-            raise DecodeError(
-                message, stamp_ns=points.stamp_ns, hint="name the field that has them: `point_time=FIELD`"
-            )
-        return name
-
     def read(self, points: Points) -> FieldTimes:
         """Return the times of a cloud's points; those of the field `TIME`, if it has that.
 
@@ -92,7 +76,13 @@ class PointTime:
         if given := TIME in points.fields:
             name, whole = TIME, False
         else:
-            name = self.field_of(points)
+            name = self.field or time_field(points.fields)
+            if not name:
+                raise DecodeError(
+                    f"its points have no times: there is no field {', '.join(TIME_FIELDS)}",
+                    stamp_ns=points.stamp_ns,
+                    hint="name the field that has them: `point_time=FIELD`",
+                )
             whole = points.field(name).dtype.kind in "iu"
             points = _mask_zero_times(points, name, self.unit)
         x, values = points.field("x"), points.field(name)

@@ -38,7 +38,7 @@ _REGULAR = 0.8
 _SEEN = 0.5
 _OF_ALL = 0.85
 
-#: The number of parts of a turn that are told apart.
+#: Directions are compared in this many sectors of a turn.
 DIRECTIONS = 90
 
 #: Numbers of turns that an unorganised cloud cannot have: its points go round once, or once for each of many rings.
