@@ -85,11 +85,6 @@ class MergedReader(Reader):
         ]
 
     @property
-    def bytes_read(self) -> int:
-        """Bytes read so far of all sources."""
-        return sum(reader.bytes_read for reader in self._readers)
-
-    @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage of all sources."""
         return tuple(damage for reader in self._readers for damage in reader.damage)

@@ -47,12 +47,6 @@ class Reader(ABC):
     has_chunks: bool = False
     remarks: Sequence[str] = ()
     _log: DamageLog
-    _bytes_read: int = 0
-
-    @property
-    def bytes_read(self) -> int:
-        """Bytes of ``summary.size_bytes`` consumed so far, for progress."""
-        return min(self._bytes_read, self.summary.size_bytes)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -169,11 +163,6 @@ class WrappedReader(Reader):
         self._inner = inner
         self.path, self.connections, self.summary = inner.path, inner.connections, inner.summary
         self.has_chunks = inner.has_chunks
-
-    @property
-    def bytes_read(self) -> int:
-        """See `Reader`."""
-        return self._inner.bytes_read
 
     @property
     def damage(self) -> tuple[Damage, ...]:

@@ -172,7 +172,6 @@ class Sqlite3Reader(Reader):
                         raise RecordingError("has more messages than it counts", path=self.path)
                     after = (time_ns, message_id)
                     if isinstance(data, bytes) and topic_id not in self._packed_topics:
-                        self._bytes_read += len(data)
                         yield after, RawMessage(known[topic_id], time_ns, data, time_ns)
                     elif (message := self._decompress(known[topic_id], time_ns, message_id, data)) is not None:
                         yield after, message
@@ -190,7 +189,6 @@ class Sqlite3Reader(Reader):
                 gone = data is None and self._database.is_rebuilt
                 what = "has lost its data" if gone else f"has data {shown_value(data)}, not a blob"
                 raise self._database.damage(f"{message_row(message_id, connection.topic)} {what}", connection.topic)
-            self._bytes_read += len(data)
             unpacked = zstd.decompress_message(data, self.path, connection.topic)
         except DamageError as err:
             self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
