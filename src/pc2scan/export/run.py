@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pc2scan.files.records import Record
     from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.progress import Progress
+    from pc2scan.progress import Progress
 
     from .formats import ExportFormat, TopicWriter
     from .poses import Poses
@@ -135,7 +135,7 @@ def run(
     also_read
         Files that were read for the options, by option.
     progress
-        Called regularly; see `pc2scan.pipeline.progress.Progress`.
+        Called regularly; see `pc2scan.progress.Progress`.
 
     Raises
     ------
