@@ -189,6 +189,17 @@ SITUATIONS = (
         hall(sensor="16 rings"),
     ),
     Situation(
+        "a lidar upside down between floor and ceiling, which its transform says",
+        hall(180, sensor="128 rings", mount=(0, 0, 0.6), turned=math.pi),
+        (
+            (f"{_HALL} {_HEIGHTS}", "is upside down according to its transform to 'base_link'"),
+            (f"{_HALL} {_HEIGHTS} --target-frame lidar --overwrite", "is upside down according to its transform"),
+            ("info {src}", "is upside down according to its transform to 'base_link'"),
+        ),
+        (f"{_HALL} {_HEIGHTS}",),
+        hall(sensor="128 rings", mount=(0, 0, 0.6)),
+    ),
+    Situation(
         "clouds in map, without a target frame",
         hall(frame="map"),
         ((f"{_HALL} {_HEIGHTS}", "the clouds are in 'map'"),),
