@@ -129,6 +129,7 @@ _ABOVE = "--min-height 0.1 --max-height 1.5"
 _IN_BASE = f"convert {{src}} -o {{out}} --target-frame base_link {_ABOVE}"
 _DESKEW = f"{_IN_BASE} --deskew --fixed-frame odom"
 _HALL = "convert {src} -o {out}"
+_SWAPPED = ("base_link", "odom")
 _LEVEL = (
     f"convert {{src}} imu.mcap -o {{out}} --target-frame base_link {_ABOVE} --level --imu /imu "
     "--static-tf 'base_link imu_link 0 0 0.2 0 0 0.2'"
@@ -336,6 +337,29 @@ SITUATIONS = (
         ((_DESKEW, "jitter by 0.0"),),
         (_DESKEW,),
         drive(Fault(metres=0.001, degrees=0.01), Drive(turn=0.0)),
+    ),
+    Situation(
+        "odometry whose frames are swapped",
+        drive(Fault(pair=_SWAPPED), Drive()),
+        (
+            (_DESKEW, "the robot drives backwards, by their inverses straight ahead: the two frames are swapped"),
+            (f"{_DESKEW} --preset slam_toolbox --range-max 20 --overwrite", "the two frames are swapped"),
+            ("check {out} --for slam_toolbox", "map to odom, which then has two parents"),
+            ("map {out} -o map.yaml", "the two frames are swapped"),
+        ),
+        # Inverted, too, they are right.
+        (_DESKEW, "map {out} -o map.yaml"),
+        drive(Fault(pair=_SWAPPED, inverted=True), Drive()),
+    ),
+    Situation(
+        "odometry that may be the wrong way round",
+        drive(Fault(pair=_SWAPPED)),
+        (
+            (_DESKEW, "if the poses are not inverted, too, the robot moves the wrong way"),
+            ("map {out} -o map.yaml", "if the poses are not inverted, too, the robot moves the wrong way"),
+        ),
+        (_DESKEW, "map {out} -o map.yaml"),
+        drive(),
     ),
     Situation(
         "odometry that lags by 60 ms",

@@ -47,12 +47,13 @@ _MAX_SHOWN = 5
 _PROGRESS_EVERY = 64
 
 
-#: The defects of scans that are of no use, and the consumers to whom they are of none: Nav2 does not match scans.
+#: The defects of scans that are of no use, and the consumers to whom they are of none: Nav2 does not match scans, and
+#: needs no odometry.
 _UNUSABLE: dict[str, frozenset[str]] = {
     **dict.fromkeys(
         ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts"), frozenset(CONSUMERS)
     ),
-    "few-directions": frozenset(CONSUMERS) - {"nav2"},
+    **dict.fromkeys(("few-directions", "odometry-direction"), frozenset(CONSUMERS) - {"nav2"}),
 }
 
 
