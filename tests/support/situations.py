@@ -82,12 +82,13 @@ def drive(
     *,
     hertz: float = 100.0,
     clock: float | None = None,
+    ahead: float = 0.0,
     names: Callable[[str], str] = str,
 ) -> Callable[[Path], Path]:
-    """Three seconds of a robot that weaves; a second lidar's clock is ahead by ``clock`` seconds."""
+    """Three seconds of a robot that weaves; its lidar's clock is ahead, a second lidar's by ``clock`` seconds."""
 
     def build(folder: Path) -> Path:
-        lidars = [RINGS] if clock is None else [RINGS, replace(REAR, clock=clock)]
+        lidars = [replace(RINGS, clock=ahead), *([] if clock is None else [replace(REAR, clock=clock)])]
         return write_weaving(folder / "drive.mcap", lidars, fault, moving or Weaving(), odometry_hz=hertz, frames=names)
 
     return build
@@ -455,6 +456,19 @@ SITUATIONS = (
             ("map {out} -o map.yaml", "--odom-frame robot1/odom"),
         ),
         (f"{_HALL} {_HEIGHTS} --preset slam_toolbox --range-max 20", "check {out} --for slam_toolbox"),
+        drive(),
+    ),
+    Situation(
+        "a lidar whose clock is 1.5 s ahead",
+        drive(ahead=1.5),
+        (
+            (f"{_IN_BASE} --preset slam_toolbox --range-max 20", ""),
+            ("check {out} --for slam_toolbox", "the stamps of /scan are 1.4 s ahead of those of /tf"),
+            ("check {out} --for slam_toolbox", "made from clouds: pc2scan convert --time-offset auto"),
+            (f"{_HALL} --overwrite {_ABOVE} --target-frame odom", "--transform-tolerance 0.91 uses the nearest"),
+            (f"{_HALL} --overwrite {_ABOVE} --target-frame odom", "unless the clocks differ, which --time-offset auto"),
+        ),
+        (f"{_IN_BASE} --preset slam_toolbox --range-max 20", "check {out} --for slam_toolbox"),
         drive(),
     ),
     # Words that are taken for something else.
