@@ -215,7 +215,9 @@ def _is_optical(points: _Points) -> bool:
 def _level_ground(cells: _Points) -> Ground | None:
     """Return the ground if the cloud has an obvious level floor; None otherwise."""
     floor = level_floor(cells)
-    return None if floor is None else Ground("level", *floor, _ceiling_over(cells, tolerances(cells)))
+    if floor is None:
+        return None
+    return Ground("level", floor.up, floor.height, _ceiling_over(cells, tolerances(cells)))
 
 
 def _ceiling_over(cells: _Points, tolerance: NDArray[np.float64]) -> float | None:

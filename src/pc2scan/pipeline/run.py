@@ -116,7 +116,7 @@ def run(
                 from .progress import Meter  # noqa: PLC0415  # only if somebody wants to know
 
                 meter = Meter(progress)
-            prepared = prepare(reader, files.read, plan, options, span, stack, warn, meter=meter)
+            prepared = prepare(reader, plan, options, span, stack, warn, meter=meter)
             report.add(prepared.warnings, prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
             with _writing(target, unfinished, cut) as writer:
@@ -246,7 +246,7 @@ def _estimate(
     else:
         check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
     span = _span_with_messages(reader, plan, options)
-    prepared = prepare(reader, files.read, plan, options, span, stack)
+    prepared = prepare(reader, plan, options, span, stack)
     report.add(prepared.warnings, prepared.notes)
     recording = open_output(reader, plan, prepared, target, options, None, None)
     report.topics = recording.entries
