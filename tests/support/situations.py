@@ -459,6 +459,38 @@ SITUATIONS = (
         drive(),
     ),
     Situation(
+        "an offset of a clock with the wrong sign",
+        drive(ahead=1.5),
+        (
+            (
+                f"{_IN_BASE} --time-offset 1.5",
+                "takes its stamps farther from those of /tf: without it they are 1.5 s off",
+            ),
+            (f"{_IN_BASE} --overwrite --time-offset 1.5", "--time-offset /points=auto measures what corrects them"),
+        ),
+        (f"{_IN_BASE} --time-offset -1.5",),
+    ),
+    Situation(
+        "an offset of a clock that is right",
+        drive(),
+        ((f"{_IN_BASE} --time-offset -37", "without it they fit, with it they are 37 s off"),),
+        (_IN_BASE,),
+    ),
+    Situation(
+        "a map in a frame of the robot",
+        drive(),
+        (
+            (f"{_IN_BASE} --preset slam_toolbox --range-max 20", ""),
+            ("map {out} -o map.yaml --odom-frame lidar", "in which base_link does not move"),
+            (
+                "map {out} -o map.yaml --odom-frame base_link --overwrite",
+                "does not move: the scans are drawn as if it had",
+            ),
+            ("map {out} -o map.yaml --odom-frame base_link --overwrite", "--odom-frame odom"),
+        ),
+        (f"{_IN_BASE} --preset slam_toolbox --range-max 20", "map {out} -o map.yaml"),
+    ),
+    Situation(
         "a lidar whose clock is 1.5 s ahead",
         drive(ahead=1.5),
         (

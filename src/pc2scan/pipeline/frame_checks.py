@@ -179,9 +179,15 @@ def _moving_regions(source: str, spec: ScanSpec, buffer: TransformBuffer) -> lis
 
 def _offered(buffer: TransformBuffer, fixed: str) -> str:
     """Return a hint that suggests a frame in which something moves; empty if there is none."""
+    found = frame_that_stays(buffer, fixed)
+    return f"`fixed_frame={found}` is a frame that does not move" if found else ""
+
+
+def frame_that_stays(buffer: TransformBuffer, fixed: str) -> str:
+    """Return a frame in which something moves, also against ``fixed``; empty if there is none."""
     roots = [root for tree in buffer.trees if not fixed or fixed in tree.frames for root in tree.roots]
     names = dict.fromkeys((*(name for name in WORLDS if name in buffer.frames), *roots))
     moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}
     found = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
     found = [name for name in found if not fixed or not buffer.is_rigid(name, fixed)]
-    return f"`fixed_frame={found[0]}` is a frame that does not move" if found else ""
+    return found[0] if found else ""
