@@ -109,14 +109,19 @@ export class Raster {
     const { places, points, depths, size, width } = this;
     points.fill(0);
     depths.fill(-Infinity);
+    const put = (/** @type {number} */ place, /** @type {number} */ depth, /** @type {number} */ n) => {
+      if (depth < depths[place]) return;
+      depths[place] = depth;
+      points[place] = n + 1;
+    };
     for (let n = 0; n < places.length; n++) {
       if (places[n] < 0) continue;
       const depth = a * xs[n] + b * ys[n] + c * zs[n];
-      for (let row = 0; row < size; row++) {
-        for (let place = places[n] + row * width, end = place + size; place < end; place++) {
-          if (depth < depths[place]) continue;
-          depths[place] = depth;
-          points[place] = n + 1;
+      // Loops of one step take longer than the step.
+      if (size === 1) put(places[n], depth, n);
+      else {
+        for (let row = 0; row < size; row++) {
+          for (let place = places[n] + row * width, end = place + size; place < end; place++) put(place, depth, n);
         }
       }
     }
@@ -130,13 +135,17 @@ export class Raster {
    */
   stamp(colours, ranks, front) {
     const { places, points, pixels, size, width } = this;
+    const put = (/** @type {number} */ place, /** @type {number} */ colour, /** @type {number} */ n) => {
+      pixels[place] = colour;
+      points[place] = n + 1;
+    };
     for (let n = 0; n < places.length; n++) {
       if ((ranks[n] === 0) !== front || places[n] < 0) continue;
       const colour = colours[n];
-      for (let row = 0; row < size; row++) {
-        for (let place = places[n] + row * width, end = place + size; place < end; place++) {
-          pixels[place] = colour;
-          points[place] = n + 1;
+      if (size === 1) put(places[n], colour, n);
+      else {
+        for (let row = 0; row < size; row++) {
+          for (let place = places[n] + row * width, end = place + size; place < end; place++) put(place, colour, n);
         }
       }
     }
