@@ -17,6 +17,7 @@ from pc2scan.core.occupancy import LONGEST, OccupancyGrid, observing_beams, plac
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
+from pc2scan.pipeline.odometry import direction_of
 from pc2scan.result import Skipped
 from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
@@ -202,6 +203,8 @@ class Drawing:
                 f"{_scans_are(self.beams_at_once)} placed at the stamp only: "
                 "there is no transform at the time of the last beam"
             )
+        direction = direction_of(self.buffer, self.asked.odom_frame, self.robot)
+        further += [direction.doubt] if direction is not None and direction.doubt else []
         way = np.array(sorted(self.way)).reshape(-1, 3)
         stamps = sorted(stamp_ns for stamp_ns, _, _ in self.way) or [0]
         return Map(

@@ -142,11 +142,19 @@ class ClockFinding(NamedTuple):
         The value of the option ``time_offset`` that corrects it.
     reason
         Why, in a few words.
+    other
+        The topic with moving transforms that it was compared with; empty if that were the log times.
     """
 
     text: str
     time_offset: str
     reason: str
+    other: str = ""
+
+    @property
+    def warning(self) -> str:
+        """What is wrong, and what to do."""
+        return f"{self.text}; `time_offset={self.time_offset}` corrects them"
 
 
 class Clocks:
@@ -202,9 +210,9 @@ class Clocks:
             how = f"{_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead of'} {against}"
             offset = offset_text(delay_ns, reference_ns)
             cause = _cause(facts.headers[0].stamp_ns, behind_ns)
-            text = f"the stamps of {facts.topic} are {how}{cause}; `time_offset={offset}` corrects them"
+            text = f"the stamps of {facts.topic} are {how}{cause}"
             short = f"its stamps are {_duration_text(behind_ns)} {'behind' if behind_ns > 0 else 'ahead'}"
-            found[facts.topic] = ClockFinding(text, offset, short + cause)
+            found[facts.topic] = ClockFinding(text, offset, short + cause, topic)
         return found
 
 
