@@ -81,7 +81,7 @@ def test_each_pixel_shows_its_point(tmp_path: Path, name: str, by_rank: bool) ->
     cloud[::37, 0] = np.inf
     cloud[3::41, 2] = -np.inf
     ranks = rng.integers(0, 3, 400).tolist() if by_rank else None
-    case = {
+    case: dict[str, Any] = {
         "width": WIDTH,
         "height": HEIGHT,
         "cloud": [[str(value).replace("inf", "Infinity") for value in axis] for axis in cloud.T],
