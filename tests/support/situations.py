@@ -347,9 +347,10 @@ SITUATIONS = (
             (f"{_DESKEW} --preset slam_toolbox --range-max 20 --overwrite", "the two frames are swapped"),
             ("check {out} --for slam_toolbox", "map to odom, which then has two parents"),
             ("map {out} -o map.yaml", "the two frames are swapped"),
+            ("export {out} -o scans.log --pose-frame odom", "the two frames are swapped"),
         ),
         # Inverted, too, they are right.
-        (_DESKEW, "map {out} -o map.yaml"),
+        (f"{_DESKEW} --range-max 20", "map {out} -o map.yaml", "export {out} -o scans.log --pose-frame odom"),
         drive(Fault(pair=_SWAPPED, inverted=True), Drive()),
     ),
     Situation(
