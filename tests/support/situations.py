@@ -221,6 +221,16 @@ SITUATIONS = (
         (_typed(0),),
     ),
     Situation(
+        "a static transform of a frame that is misspelt",
+        hall(frame="lidar_front"),
+        (
+            (_typed(0), "has no effect: the clouds are in lidar_front"),
+            (_typed(0), "did you mean --static-tf 'base_link lidar_front 0 0 0.6 0 0 0'?"),
+        ),
+        (_typed(0),),
+        hall(),
+    ),
+    Situation(
         "a static transform in millimetres",
         hall(),
         ((f"{_IN_BASE} --static-tf 'base_link lidar 0 0 600 0 0 0'", "if these are millimetres"),),
