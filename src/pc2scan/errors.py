@@ -265,9 +265,12 @@ class TransformError(MessageError):
     ----------
     reason
         The text without its times: errors with the same reason are counted together. Empty if the text has no times.
+    gap_ns
+        How far the nearest transform is away, nanoseconds; 0 if that is not why there is none.
     """
 
     reason: str = ""
+    gap_ns: int = 0
 
 
 class UnconnectedError(TransformError):

@@ -92,6 +92,8 @@ class Skipped(NamedTuple):
         The topics of the destination that miss its result.
     messages
         How many messages were skipped for this reason, this one included.
+    gap_ns
+        How far the nearest transform is away, nanoseconds; 0 if that is not the reason.
     """
 
     topic: str
@@ -101,6 +103,7 @@ class Skipped(NamedTuple):
     hint: str = ""
     targets: tuple[str, ...] = ()
     messages: int = 1
+    gap_ns: int = 0
 
     def __str__(self) -> str:
         if self.stamp_ns is not None:
@@ -273,7 +276,7 @@ def listed(label: str, entries: Sequence[object], most: int | None) -> Iterator[
 def skipped_remarks(
     skipped: Sequence[Skipped], total: int, *, targets: bool = False, verbose: bool = False
 ) -> Iterator[Remark]:
-    """Yield the reasons for which messages were skipped, with a hint for the first.
+    """Yield the reasons for which messages were skipped, with a hint for the one that is farthest from any transform.
 
     Parameters
     ----------
@@ -305,8 +308,9 @@ def skipped_remarks(
         shown += count * max(1, len(missing))
     if total > shown:
         yield Remark("skipped", f"{total - shown:,} more")
-    if hint := next((entry.hint for entry in skipped if entry.hint), ""):
-        yield Remark("hint", hint)
+    # What helps the farthest helps the others, too.
+    if hinted := [(-entry.gap_ns, number) for number, entry in enumerate(skipped) if entry.hint]:
+        yield Remark("hint", skipped[min(hinted)[1]].hint)
 
 
 def recovery_text(damage: Sequence[Damage], read: int, declared: int | None) -> str:

@@ -10,7 +10,9 @@ import pytest
 
 import pc2scan
 from pc2scan.bags.mcap import chunks as mcap_chunks
+from pc2scan.bags.mcap.read import McapReader
 from pc2scan.bags.rosbag1 import records as rosbag1_records
+from pc2scan.bags.rosbag1.read import Rosbag1Reader
 from pc2scan.core.rigid import Rigid
 from pc2scan.errors import UsageError
 from support.worlds.moving import Drive, Lidar, write_imu, write_world
@@ -113,16 +115,29 @@ def test_clocks_that_differ_are_compared_in_the_one_reading_ahead(
 
 @pytest.mark.parametrize("kind", ["mcap", "bag"])
 def test_advice_about_several_tilted_sensors_reads_the_transforms_once(
-    kind: str, decompressed: Counter[int], tmp_path: Path
+    kind: str, decompressed: Counter[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     also = Lidar("/also", "also", columns=300, mount=TILTED.mount)
     path = write_world(tmp_path / "world.mcap", (TILTED, also), TILTING)
     drive = tmp_path / f"drive.{kind}"
     pc2scan.convert(path, drive, topics="/tilted:=/unused", keep_clouds=True, min_height=0.1, compression="lz4")
     decompressed.clear()
+    indexed: list[Path] = []
+
+    def counting(find: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        def counted(reader: Any) -> Any:
+            indexed.append(reader.path)
+            return find(reader)
+
+        return counted
+
+    for reader in (McapReader, Rosbag1Reader):
+        monkeypatch.setattr(reader, "_found_index", counting(reader._found_index))
     report = pc2scan.convert(drive, tmp_path / "s.mcap")
     assert "tilted" in " ".join(report.warnings)
     assert max(decompressed.values()) == 2
+    # The index is read once: of a damaged recording, that is a reading of everything.
+    assert indexed == [drive]
 
 
 def test_info_reads_each_chunk_once(drive: Path, decompressed: Counter[int]) -> None:

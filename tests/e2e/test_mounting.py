@@ -135,7 +135,19 @@ def test_transforms_tell_what_clouds_cannot(recorded: Callable[..., Path]) -> No
     tf = (transform("base_footprint", "lidar", (180, 0, 0), (0, 0, 0.6)),)
     done = run("info", recorded(180, sensor="128 rings", tf=tf))
     assert "frame 'lidar' is upside down according to its transform to 'base_footprint'" in done.stderr
-    assert "floor at z = 0.00 m in frame 'base_footprint', ceiling at 3.00 m" in done.stdout
+    assert "floor at z = 0.00 m in frame 'base_footprint', ceiling at 3.00 m; the sensor is 0.60 m above" in done.stdout
+
+
+@pytest.mark.parametrize(("roll", "height", "warned"), [(0, 1.9, False), (180, 0.4, True)])
+def test_a_low_ceiling_is_told_from_the_floor_by_transforms(
+    roll: float, height: float, warned: bool, recorded: Callable[..., Path], tmp_path: Path
+) -> None:
+    """The two clouds of a garage of 2.3 m look alike."""
+    tf = (transform("base_link", "lidar", (roll, 0, 0), (0, 0, height)),)
+    source = recorded(roll, place="garage", sensor="16 rings", height=height, tf=tf)
+    done = run("convert", source, "-o", tmp_path / "a.mcap", "--min-height", "-0.3", "--max-height", "0.3")
+    assert (done.status, "upside down according to its transform" in done.stderr) == (0, warned)
+    assert warned or not done.stderr
 
 
 def test_level_clouds_are_not_warned_of(recorded: Callable[..., Path], tmp_path: Path) -> None:

@@ -220,7 +220,8 @@ def test_how_far_a_comparison_is(tmp_path: Path) -> None:
         assert told[-1][:2] == (total, total)
     told.clear()
     check(many, progress=lambda *step: told.append(step))
-    # The scans are 0 until the transforms are read; a chunk of 16 is done when the next one is due.
-    assert [messages for _, _, messages in told] == [0, 0, 0, *range(0, 200, 16), 200]
+    # The scans are 0 until the transforms, and the first scans' headers, are read. A chunk of 16 is done when the next
+    # one is due.
+    assert [messages for _, _, messages in told] == [0, 0, 0, 0, *range(0, 200, 16), 200]
     assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
-    assert {total for _, total, _ in told[2:]} == {told[-1][0]}
+    assert {total for _, total, _ in told[3:]} == {told[-1][0]}

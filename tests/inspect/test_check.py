@@ -236,4 +236,11 @@ def test_transforms_of_another_clock_are_named(tmp_path: Path) -> None:
     late = [replace(scan, stamp_ns=scan.stamp_ns + 90 * 10**9) for scan in scans(3)]
     found = only(check(write(tmp_path / "a.mcap", *late, static=False, delay=-90 * 10**9)))
     (missing,) = (each for each in found.findings if each.kind == "no-transform")
-    assert "do the clocks differ?" in missing.hint
+    assert missing.hint == "the clocks differ; for scans made from clouds: pc2scan convert `time_offset=auto`"
+    (clock,) = (each for each in found.findings if each.kind == "clock")
+    assert "s ahead of those of /tf, compared with" in clock.text
+    # Without another clock, a tolerance is no help: consumers have none.
+    end = [replace(scan, stamp_ns=scan.stamp_ns + 3 * 10**9) for scan in scans(3)]
+    found = only(check(write(tmp_path / "b.mcap", *end, static=False, delay=3 * 10**9)))
+    (missing,) = (each for each in found.findings if each.kind == "no-transform")
+    assert missing.hint.startswith("record /tf as long as the scans; for scans made from")

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 import pc2scan
+from pc2scan.core.rigid import Rigid
+from pc2scan.pipeline.odometry import Direction, direction_of
+from pc2scan.tf.builder import TransformBuilder
 from support import sampled
 from support.worlds.moving import Drive, Lidar
 from support.worlds.weaving import REAR, RINGS, Fault, Weaving, write_weaving
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 DRIVES = {
@@ -61,6 +67,78 @@ def test_odometry_that_lags_is_said_with_its_lag(late: float, tmp_path: Path) ->
         f"of {1000 * abs(late):.0f} ms {'later: the odometry lags' if late > 0 else 'earlier: the odometry is ahead'}"
         in text
     )
+
+
+def driven(seed: int, *, wheels: bool) -> list[Rigid]:
+    """The poses of a robot for a minute: it goes ahead and back, and turns; without wheels to any side, too."""
+    random = np.random.default_rng(seed)
+    x, y, yaw = random.normal(0, 5, 3).tolist()
+    poses = []
+    for _ in range(20):
+        speed, turn = random.uniform(-0.5, 1.5), random.normal(0, 0.5)
+        aside = 0.0 if wheels else random.normal(0, 0.5)
+        for _ in range(60):
+            yaw += turn * 0.05
+            x += 0.05 * (speed * math.cos(yaw) - aside * math.sin(yaw)) + random.normal(0, 1e-4)
+            y += 0.05 * (speed * math.sin(yaw) + aside * math.cos(yaw)) + random.normal(0, 1e-4)
+            poses.append(Rigid.from_rpy(0.0, 0.0, yaw, (x, y, 0.1)))
+    return poses
+
+
+def direction(poses: Sequence[Rigid], parent: str = "odom", child: str = "base_link") -> Direction:
+    builder = TransformBuilder()
+    builder.add([(parent, child, number * 50_000_000, *each.pose) for number, each in enumerate(poses)], static=False)
+    builder.add([("base_link", "lidar", 0, 0.3, 0.2, 0.5, 0, 0, 1, 0)], static=True)
+    found = direction_of(builder.build(), "odom", "lidar")
+    assert found is not None
+    return found
+
+
+SWAPPED = {"parent": "base_link", "child": "odom"}
+
+
+def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
+    told = 0
+    for seed in range(40):
+        poses = driven(seed, wheels=True)
+        inverse = [pose.inverse() for pose in poses]
+        found = [direction(poses), direction(inverse), direction(poses, **SWAPPED), direction(inverse, **SWAPPED)]
+        assert [each.is_below for each in found] == [False, False, True, True]
+        assert [bool(each.fault) for each in found[2:]] == [True, True]
+        verdicts = [(each.way, each.is_sound) for each in found]
+        if verdicts == [("", False)] * 4:
+            # Where it drives beside odom, its inverse is not much sideways.
+            assert [bool(each.doubt) for each in found] == [False, False, True, True]
+            continue
+        assert verdicts == [("", True), ("sideways", False), ("sideways", False), ("", True)]
+        assert [bool(each.doubt) for each in found] == [False, True, True, False]
+        told += 1
+    assert told >= 30
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_robot_that_goes_to_any_side_may_be_either_way_round(seed: int) -> None:
+    poses = driven(seed, wheels=False)
+    for each in (poses, [pose.inverse() for pose in poses]):
+        assert direction(each).doubt == ""
+        assert "if the poses are not inverted" in direction(each, **SWAPPED).doubt
+
+
+@pytest.mark.parametrize(("way", "turn"), [((1.0, 0.0), 0.0), ((0.0, 1.0), 0.0), ((0.3, 0.0), 0.1)])
+def test_a_way_that_is_straight_or_short_tells_nothing(way: tuple[float, float], turn: float) -> None:
+    """A platform on rails, across its own frame, too."""
+    steps = np.linspace(0.0, 3.0 if turn == 0 else 1.0, 60)
+    for yaw in (0.0, 1.5):
+        poses = [Rigid.from_rpy(0.0, 0.0, yaw + turn * t, (way[0] * t, way[1] * t, 0.0)) for t in steps.tolist()]
+        assert direction(poses).doubt == ""
+        assert direction([pose.inverse() for pose in poses]).doubt == ""
+
+
+def test_a_second_with_a_single_cloud_may_show_too_little(tmp_path: Path) -> None:
+    """A lidar that takes nearly a second for a turn."""
+    slow = [replace(RINGS, period=0.9, columns=3000, latency=-0.8)]
+    source = write_weaving(tmp_path / "drive.mcap", slow)
+    assert warnings(source, slow) == []
 
 
 def test_warnings_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:

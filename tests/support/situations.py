@@ -82,12 +82,13 @@ def drive(
     *,
     hertz: float = 100.0,
     clock: float | None = None,
+    ahead: float = 0.0,
     names: Callable[[str], str] = str,
 ) -> Callable[[Path], Path]:
-    """Three seconds of a robot that weaves; a second lidar's clock is ahead by ``clock`` seconds."""
+    """Three seconds of a robot that weaves; its lidar's clock is ahead, a second lidar's by ``clock`` seconds."""
 
     def build(folder: Path) -> Path:
-        lidars = [RINGS] if clock is None else [RINGS, replace(REAR, clock=clock)]
+        lidars = [replace(RINGS, clock=ahead), *([] if clock is None else [replace(REAR, clock=clock)])]
         return write_weaving(folder / "drive.mcap", lidars, fault, moving or Weaving(), odometry_hz=hertz, frames=names)
 
     return build
@@ -129,6 +130,7 @@ _ABOVE = "--min-height 0.1 --max-height 1.5"
 _IN_BASE = f"convert {{src}} -o {{out}} --target-frame base_link {_ABOVE}"
 _DESKEW = f"{_IN_BASE} --deskew --fixed-frame odom"
 _HALL = "convert {src} -o {out}"
+_SWAPPED = ("base_link", "odom")
 _LEVEL = (
     f"convert {{src}} imu.mcap -o {{out}} --target-frame base_link {_ABOVE} --level --imu /imu "
     "--static-tf 'base_link imu_link 0 0 0.2 0 0 0.2'"
@@ -189,6 +191,17 @@ SITUATIONS = (
         hall(sensor="16 rings"),
     ),
     Situation(
+        "a lidar upside down between floor and ceiling, which its transform says",
+        hall(180, sensor="128 rings", mount=(0, 0, 0.6), turned=math.pi),
+        (
+            (f"{_HALL} {_HEIGHTS}", "is upside down according to its transform to 'base_link'"),
+            (f"{_HALL} {_HEIGHTS} --target-frame lidar --overwrite", "is upside down according to its transform"),
+            ("info {src}", "is upside down according to its transform to 'base_link'"),
+        ),
+        (f"{_HALL} {_HEIGHTS}",),
+        hall(sensor="128 rings", mount=(0, 0, 0.6)),
+    ),
+    Situation(
         "clouds in map, without a target frame",
         hall(frame="map"),
         ((f"{_HALL} {_HEIGHTS}", "the clouds are in 'map'"),),
@@ -206,6 +219,16 @@ SITUATIONS = (
         hall(),
         ((f"{_IN_BASE} --static-tf 'lidar base_link 0 0 0.6 0 0 0'", "the parent comes first"),),
         (_typed(0),),
+    ),
+    Situation(
+        "a static transform of a frame that is misspelt",
+        hall(frame="lidar_front"),
+        (
+            (_typed(0), "has no effect: the clouds are in lidar_front"),
+            (_typed(0), "did you mean --static-tf 'base_link lidar_front 0 0 0.6 0 0 0'?"),
+        ),
+        (_typed(0),),
+        hall(),
     ),
     Situation(
         "a static transform in millimetres",
@@ -327,6 +350,30 @@ SITUATIONS = (
         drive(Fault(metres=0.001, degrees=0.01), Drive(turn=0.0)),
     ),
     Situation(
+        "odometry whose frames are swapped",
+        drive(Fault(pair=_SWAPPED), Drive()),
+        (
+            (_DESKEW, "the robot drives backwards, by their inverses straight ahead: the two frames are swapped"),
+            (f"{_DESKEW} --preset slam_toolbox --range-max 20 --overwrite", "the two frames are swapped"),
+            ("check {out} --for slam_toolbox", "map to odom, which then has two parents"),
+            ("map {out} -o map.yaml", "the two frames are swapped"),
+            ("export {out} -o scans.log --pose-frame odom", "the two frames are swapped"),
+        ),
+        # Inverted, too, they are right.
+        (f"{_DESKEW} --range-max 20", "map {out} -o map.yaml", "export {out} -o scans.log --pose-frame odom"),
+        drive(Fault(pair=_SWAPPED, inverted=True), Drive()),
+    ),
+    Situation(
+        "odometry that may be the wrong way round",
+        drive(Fault(pair=_SWAPPED)),
+        (
+            (_DESKEW, "if the poses are not inverted, too, the robot moves the wrong way"),
+            ("map {out} -o map.yaml", "if the poses are not inverted, too, the robot moves the wrong way"),
+        ),
+        (_DESKEW, "map {out} -o map.yaml"),
+        drive(),
+    ),
+    Situation(
         "odometry that lags by 60 ms",
         drive(Fault(late=0.06)),
         ((_DESKEW, "of 60 ms later: the odometry lags"),),
@@ -420,6 +467,51 @@ SITUATIONS = (
             ("map {out} -o map.yaml", "--odom-frame robot1/odom"),
         ),
         (f"{_HALL} {_HEIGHTS} --preset slam_toolbox --range-max 20", "check {out} --for slam_toolbox"),
+        drive(),
+    ),
+    Situation(
+        "an offset of a clock with the wrong sign",
+        drive(ahead=1.5),
+        (
+            (
+                f"{_IN_BASE} --time-offset 1.5",
+                "takes its stamps farther from those of /tf: without it they are 1.5 s off",
+            ),
+            (f"{_IN_BASE} --overwrite --time-offset 1.5", "--time-offset /points=auto measures what corrects them"),
+        ),
+        (f"{_IN_BASE} --time-offset -1.5",),
+    ),
+    Situation(
+        "an offset of a clock that is right",
+        drive(),
+        ((f"{_IN_BASE} --time-offset -37", "without it they fit, with it they are 37 s off"),),
+        (_IN_BASE,),
+    ),
+    Situation(
+        "a map in a frame of the robot",
+        drive(),
+        (
+            (f"{_IN_BASE} --preset slam_toolbox --range-max 20", ""),
+            ("map {out} -o map.yaml --odom-frame lidar", "in which base_link does not move"),
+            (
+                "map {out} -o map.yaml --odom-frame base_link --overwrite",
+                "does not move: the scans are drawn as if it had",
+            ),
+            ("map {out} -o map.yaml --odom-frame base_link --overwrite", "--odom-frame odom"),
+        ),
+        (f"{_IN_BASE} --preset slam_toolbox --range-max 20", "map {out} -o map.yaml"),
+    ),
+    Situation(
+        "a lidar whose clock is 1.5 s ahead",
+        drive(ahead=1.5),
+        (
+            (f"{_IN_BASE} --preset slam_toolbox --range-max 20", ""),
+            ("check {out} --for slam_toolbox", "the stamps of /scan are 1.4 s ahead of those of /tf"),
+            ("check {out} --for slam_toolbox", "made from clouds: pc2scan convert --time-offset auto"),
+            (f"{_HALL} --overwrite {_ABOVE} --target-frame odom", "--transform-tolerance 0.91 uses the nearest"),
+            (f"{_HALL} --overwrite {_ABOVE} --target-frame odom", "unless the clocks differ, which --time-offset auto"),
+        ),
+        (f"{_IN_BASE} --preset slam_toolbox --range-max 20", "check {out} --for slam_toolbox"),
         drive(),
     ),
     # Words that are taken for something else.

@@ -155,6 +155,23 @@ def test_poses_of_a_topic_replace_other_transforms(tmp_path: Path, by_tf: list[t
     assert pc2scan.tf(out).frames[0].transforms == len(SAMPLES)
 
 
+def test_poses_of_a_topic_replace_transforms_whose_frames_are_swapped(
+    tmp_path: Path, by_tf: list[tuple[int, str, bytes]]
+) -> None:
+    swapped = [each for each in recording("tf", frames=("base_link", "odom")).items if each.stream.topic == "/tf"]
+    path = written(tmp_path, recording("odometry", extra=swapped))
+    assert scans_of(path) != by_tf
+    assert scans_of(path, odom_topic="/odometry") == by_tf
+    out = tmp_path / "out.mcap"
+    report = pc2scan.convert(path, out, target_frame="odom", odom_topic="/odometry", **HEIGHTS)
+    assert "/odometry replaces the transforms of odom in base_link" in report.notes
+    tree = pc2scan.tf(out)
+    assert is_pose(tree, SAMPLES[3])
+    assert [(each.child, each.parents) for each in tree.frames if each.child in ("odom", "base_link")] == [
+        ("base_link", ("odom",))
+    ]
+
+
 def test_odometry_of_a_mounted_lidar_moves_the_robot(tmp_path: Path, by_tf: list[tuple[int, str, bytes]]) -> None:
     mount = rigid((0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0))
 

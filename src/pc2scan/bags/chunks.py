@@ -43,7 +43,7 @@ def shared(value: Shared) -> Shared:
     return value
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class Segment:
     """A part of a file with messages: a chunk, or consecutive records outside any chunk.
 

@@ -50,10 +50,22 @@ _LEAST_HEIGHT = 0.03
 
 
 class Floor(NamedTuple):
-    """A level floor: its normal, upwards, and the height of the sensor above it, metres."""
+    """A level floor.
+
+    Attributes
+    ----------
+    up
+        Its normal, upwards.
+    height
+        The height of the sensor above it, metres.
+    above
+        How far the points above the sensor reach, metres; negative if there are none. If that is less than the height,
+        the floor may be a ceiling, and the sensor upside down.
+    """
 
     up: tuple[float, float, float]
     height: float
+    above: float
 
 
 @dataclass(frozen=True)
@@ -136,7 +148,7 @@ class CloudSample:
         if here is not None and _angle(here.up[2]) < _LEVEL_BESIDE * turned:
             return None
         x, y, z = (matrix @ np.array(own.up)).tolist()
-        return Floor((x, y, z), own.height) if abs(_angle(z) - turned) < _LEVEL_BESIDE * turned else None
+        return Floor((x, y, z), own.height, own.above) if abs(_angle(z) - turned) < _LEVEL_BESIDE * turned else None
 
     @cached_property
     def floor(self) -> Floor | None:
@@ -214,8 +226,10 @@ def level_floor(cells: _Points) -> Floor | None:
         return None
     tolerance = tolerances(cells)
     low = float(below[len(below) // 50])
+    if -low < _LEAST_HEIGHT:
+        return None
     bins = 24
-    width = max(-low, 1e-6) / bins
+    width = -low / bins
     peak = int(np.bincount(np.clip((below - low) / width, 0, bins - 1).astype(np.intp)).argmax())
     inliers = np.abs(cells[:, 2] - (low + (peak + 0.5) * width)) < tolerance + width / 2
     slope = (0.0, 0.0, 0.0)
@@ -234,7 +248,8 @@ def level_floor(cells: _Points) -> Floor | None:
         return None
     if inliers.mean() < _LEAST_SHARE or (distance < -2.5 * tolerance).mean() > _MOST_BELOW:
         return None
-    return Floor((-slope[0] / length, -slope[1] / length, 1 / length), height)
+    above = float(np.sort(cells[:, 2])[-1 - len(cells) // 100])
+    return Floor((-slope[0] / length, -slope[1] / length, 1 / length), height, above)
 
 
 def _fit_plane(points: _Points, weights: NDArray[np.float64]) -> tuple[float, float, float] | None:

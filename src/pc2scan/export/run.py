@@ -358,6 +358,7 @@ class _Export:
             else:
                 self._give_up(topic)
                 report.warnings.append(f"{topic}: nothing to write, so there is no file")
+        report.warnings += () if self._poses is None else self._poses.doubts()
 
     def _give_up(self, topic: str) -> None:
         """Remove the files of a topic without a message that can be written."""

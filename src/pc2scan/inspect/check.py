@@ -15,6 +15,7 @@ from pc2scan.errors import DecodeError, TopicError, UsageError, leading, stamp_t
 from pc2scan.files.urls import path_or_url
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.model import StoredChunk, own_message
+from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.engine import schedule
 from pc2scan.pipeline.items import Span
 from pc2scan.pipeline.survey import Survey
@@ -28,7 +29,7 @@ from .scan_frames import ScanFrames, mounting_findings
 from .scan_topic import ScanTopic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pc2scan.bags.damage import Damage
     from pc2scan.bags.reader import Reader
@@ -44,12 +45,13 @@ if TYPE_CHECKING:
 _MAX_SHOWN = 5
 
 
-#: The defects of scans that are of no use, and the consumers to whom they are of none: Nav2 does not match scans.
+#: The defects of scans that are of no use, and the consumers to whom they are of none: Nav2 does not match scans, and
+#: needs no odometry.
 _UNUSABLE: dict[str, frozenset[str]] = {
     **dict.fromkeys(
         ("angles", "full-circle", "moving-frame", "no-returns", "optical-frame", "parts"), frozenset(CONSUMERS)
     ),
-    "few-directions": frozenset(CONSUMERS) - {"nav2"},
+    **dict.fromkeys(("few-directions", "odometry-direction"), frozenset(CONSUMERS) - {"nav2"}),
 }
 
 
@@ -316,13 +318,16 @@ def check(
         ).values()
         for facts in clouds:
             facts.ask_samples(moved=True)
+        wanted = [each for group in chosen.values() for each in group]
+        clocks = Clocks(survey, survey.topics(wanted).values())
         reading = survey.ask_transforms((odom_frame, base_frame), use=False)
         meter = None if progress is None else Meter(progress, CHECK)
-        wanted = [each for group in chosen.values() for each in group]
         survey.read(meter, 0 if meter is None else reader.work(CHECK, wanted))
         transforms = reading.finish()
         buffer = transforms.buffer
-        found = _check_topics(reader, chosen, buffer, odom_frame, base_frame, meter, echo)
+        wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}
+        places = {name: ScanFrames(buffer, odom_frame, base_frame, wrong.get(name)) for name in chosen}
+        found = _check_topics(reader, chosen, places, meter, echo)
         found = _with_mountings(found, clouds, buffer)
         damage = tuple(place for each in (reader, *others) for place in each.damage)
     return Check(tuple(map(str, paths)), asked, tuple(found), (*transforms.warnings, *transforms.notes), damage)
@@ -353,14 +358,12 @@ def _scan_connections(reader: Reader, topics: tuple[str, ...]) -> dict[str, list
 def _check_topics(
     reader: Reader,
     chosen: dict[str, list[Connection]],
-    buffer: TransformBuffer,
-    odom_frame: str,
-    base_frame: str,
+    frames: Mapping[str, ScanFrames],
     meter: Meter | None,
     echo: str,
 ) -> list[TopicCheck]:
     """Read the scans once, and check them."""
-    topics = {name: (ScanTopic(), ScanFrames(buffer, odom_frame, base_frame)) for name in chosen}
+    topics = {name: (ScanTopic(), frames[name]) for name in chosen}
     wanted = [each for group in chosen.values() for each in group]
     if meter is not None:
         meter.expect(reader.work(meter.price, wanted))
@@ -393,8 +396,11 @@ def _with_mountings(
 
 
 def _topic_check(name: str, scans: ScanTopic, places: ScanFrames) -> TopicCheck:
-    missing = places.findings(scans.interval_ns) if scans.scans else []
-    findings = sorted([*scans.findings(), *missing], key=lambda finding: finding.level)
+    own, missing = scans.findings(), places.findings(scans.interval_ns) if scans.scans else []
+    if any(each.kind == "clock" for each in missing):
+        # This says more than that the stamps are far from the log times.
+        own = [each for each in own if each.kind != "stamps-far"]
+    findings = sorted([*own, *missing], key=lambda finding: finding.level)
     return TopicCheck(
         name,
         scans.scans,

@@ -461,7 +461,7 @@ def _survey(
     elif survey.robot is not None:
         buffer, knows_end = survey.robot.finish(), not survey.robot.is_cut
     wrong = clocks.findings()
-    warnings += (each.text for each in wrong.values())
+    warnings += (each.warning for each in wrong.values())
     warnings += filter(None, (each.unit_warning(moved=moved) for each in facts.values()))
     ups = {topic: _up(reading) for topic, reading in readings.items()}
     places = places._replace(buffer=buffer if moved else None)

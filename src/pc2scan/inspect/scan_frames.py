@@ -9,6 +9,7 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
+from pc2scan.pipeline.odometry import direction_of
 from pc2scan.text import counted, nearest
 from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
 from pc2scan.tf.placing import Placer
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from pc2scan.pipeline.clocks import ClockFinding
     from pc2scan.pipeline.survey import TopicFacts
     from pc2scan.tf.buffer import TransformBuffer
 
@@ -81,9 +83,13 @@ class ScanFrames:
         The frame in which the robot drives.
     base_frame
         The robot's body; empty for the first of `BODIES` that exists.
+    clock
+        What is wrong with the clock of the scans, compared with that of the transforms; None if nothing is.
     """
 
-    def __init__(self, buffer: TransformBuffer, odom_frame: str, base_frame: str = "") -> None:
+    def __init__(
+        self, buffer: TransformBuffer, odom_frame: str, base_frame: str = "", clock: ClockFinding | None = None
+    ) -> None:
         self._buffer = buffer
         known = set(buffer.frames)
         self._odom = odom_frame.removeprefix("/")
@@ -98,6 +104,7 @@ class ScanFrames:
         self._tilt = 0.0
         self._first_poses: dict[str, _Pose] = {}
         self._named = bool(base_frame)
+        self._clock = clock
 
     def add(self, frame_id: str, stamp_ns: int) -> ScanTransforms:
         """Look up one scan's transforms."""
@@ -168,7 +175,19 @@ class ScanFrames:
         try:
             return self._buffer.lookup(target, frame, stamp_ns), "", ""
         except TransformError as err:
-            return None, err.message, err.hint or ""
+            # A tolerance places scans, but does not give consumers a transform at their stamps.
+            return None, err.message, self._gap_cure if err.gap_ns else err.hint or ""
+
+    @property
+    def _gap_cure(self) -> str:
+        """What to do if there are no transforms at the time of scans."""
+        if self._clock is not None:
+            option = f"`time_offset={self._clock.time_offset}`"
+            return f"the clocks differ; for scans made from clouds: pc2scan convert {option}"
+        return (
+            "record /tf as long as the scans; for scans made from clouds, pc2scan convert `start` and `end` leave out "
+            f"those without; {_HINT}"
+        )
 
     def _up(self, base_from_scan: Rigid, matrix: NDArray[np.float64], stamp_ns: int) -> float:
         """See `ScanTransforms.up`; counts how the sensor is tilted."""
@@ -194,6 +213,8 @@ class ScanFrames:
         if not self._trees:
             return [_no_transforms(), *self._optical_findings()]
         found = []
+        if self._clock is not None:
+            found.append(Finding("clock", "notice", self._clock.text, self._gap_cure))
         levels: tuple[Level, Level] = ("defect", "notice")
         for role, name, level in zip(_OPTIONS, (self._odom, self._base), levels, strict=True):
             if name not in self._trees:
@@ -202,6 +223,9 @@ class ScanFrames:
                 if role == "odometry" and all(info.static for info in self._buffer.infos):
                     text += "; nothing moves in them"
                 found.append(Finding(f"no-{role}-frame", level, text, self._naming(role, name)))
+        direction = direction_of(self._buffer, self._odom, self._base)
+        if direction is not None and direction.fault:
+            found.append(Finding("odometry-direction", "defect", direction.fault, f"pc2scan convert {direction.cure}"))
         for frame, scans in self._scans.items():
             # An empty name is reported with the scans themselves.
             if frame:

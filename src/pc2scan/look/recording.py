@@ -37,8 +37,8 @@ class ShownRecording:
 
     Attributes
     ----------
-    sources, reader
-        The files, and the recording.
+    reader
+        The recording.
     options
         The options of a conversion.
     stack
@@ -47,7 +47,6 @@ class ShownRecording:
         The recordings of ``tf_from``, once transforms were read.
     """
 
-    sources: Sequence[Path]
     reader: Reader
     options: ConvertOptions
     stack: ExitStack
@@ -85,7 +84,7 @@ class ShownRecording:
             If it is not clear which transforms to use, or something cannot be measured.
         """
         span = span_of(self.reader, options)
-        request = self.reader, self.sources, plan, options, span, self.stack
+        request = self.reader, plan, options, span, self.stack
         try:
             prepared = prepare(*request, transform_frames=())
         except UsageError:
@@ -127,7 +126,7 @@ def open_recording(sources: Sequence[Path], options: ConvertOptions) -> Iterator
     """
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
-        yield ShownRecording(sources, as_one(readers), options, stack)
+        yield ShownRecording(as_one(readers), options, stack)
 
 
 def title_of(sources: Sequence[Path]) -> str:

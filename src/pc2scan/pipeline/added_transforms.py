@@ -104,7 +104,7 @@ def add_poses(
         The cut.
     """
     target = topics.target
-    children = {attachment.frame for each in added for attachment in each.attachments.values()}
+    children = {name for each in added for attachment in each.attachments.values() for name in attachment.replaced}
     for connection in tf_connections(reader.connections, frames.tf_topics):
         route = opened.by_id.get(connection.id)
         if route is not None and route.passing_handle >= 0 and not is_static(connection.topic):

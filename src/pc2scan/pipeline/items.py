@@ -6,7 +6,7 @@ import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.errors import MessageError, UnconnectedError
+from pc2scan.errors import MessageError, TransformError, UnconnectedError
 from pc2scan.result import MAX_LISTED, Skipped
 
 from .conversion import ConvertedMessage
@@ -279,4 +279,5 @@ class Tally:
                 raise error
             if len(self.skipped) < MAX_LISTED:
                 found = (topic, item.log_time_ns, error.stamp_ns, error.message, error.hint or "")
-                self.skipped.append(Skipped(*found, tuple(filter(None, targets))))
+                gap_ns = error.gap_ns if isinstance(error, TransformError) else 0
+                self.skipped.append(Skipped(*found, tuple(filter(None, targets)), gap_ns=gap_ns))

@@ -1,8 +1,8 @@
 """Judges whether the transforms to a fixed frame fit the clouds that are placed through it.
 
-What the transforms show alone is judged before the first cloud: poses that are noisy, or too few. Whether they fit the
-clouds is judged by samples of those that are converted: what is seen in the seconds of the strongest motion must not be
-sharper by the poses of another time, or with the points in another order.
+What the transforms show alone is judged before the first cloud: poses that are noisy, too few or inverted. Whether they
+fit the clouds is judged by samples of those that are converted: what is seen in the seconds of the strongest motion
+must not be sharper by the poses of another time, or with the points in another order.
 """
 
 from __future__ import annotations
@@ -45,6 +45,13 @@ _LEAST_NOISE = 0.03
 #: If poses come this many nanoseconds apart (median), fewer than five a second, motion within a cloud is not known.
 _SLOW_NS = 205_000_000
 
+#: A robot on wheels moves along its own x axis: less than the first share of its way is sideways. Poses of which more
+#: than the second one is, and whose inverses move along x, are inverted. Nothing is known of a shorter way, metres, and
+#: nothing of sideways if the robot turns by less, radians. The poses that are compared are nanoseconds apart.
+_AHEAD, _SIDEWAYS = 0.1, 0.25
+_LEAST_WAY, _LEAST_TURN = 1.0, 1.0
+_STEP_NS = 200_000_000
+
 #: Roll and pitch that change by more than this within a cloud, radians, and by less than this share of it in the
 #: odometry.
 _LEAST_TILT = math.radians(0.3)
@@ -84,6 +91,110 @@ _NOT_LESS = 0.97
 _COLUMN, _TALL = 0.3, 0.4
 
 
+class Direction(NamedTuple):
+    """Which way round odometry moves the robot.
+
+    Attributes
+    ----------
+    parent, child
+        The frames of the transforms that carry the robot.
+    is_below
+        Whether the odometry's frame is the child, which REP 105 has above the robot's.
+    way
+        How the robot drives by these transforms, if it drives straight ahead by their inverses: ``sideways`` or
+        ``backwards``; empty if it does not, or if its way does not tell.
+    is_sound
+        Whether the robot drives straight ahead by these transforms, and not by their inverses.
+    """
+
+    parent: str
+    child: str
+    is_below: bool
+    way: str
+    is_sound: bool
+
+    @property
+    def doubt(self) -> str:
+        """What may place the robot wrongly, and what to do; empty if nothing does."""
+        return "" if self.is_sound or not self._text else f"{self._text}; {self.cure}"
+
+    @property
+    def fault(self) -> str:
+        """What is wrong for programs that read the transforms; empty if nothing is."""
+        if not self.is_below:
+            return self._text
+        return (
+            f"{self._text}; programs that localise the robot publish the transform from map to {self.child}, which "
+            "then has two parents"
+        )
+
+    @property
+    def cure(self) -> str:
+        """What to do."""
+        return "`odom_topic=/odom` uses the poses of a topic instead"
+
+    @property
+    def _text(self) -> str:
+        if self.way:
+            why = "the two frames are swapped" if self.is_below else "the poses are inverted"
+            return (
+                f"by the transforms from {self.parent} to {self.child} the robot drives {self.way}, by their inverses "
+                f"straight ahead: {why}"
+            )
+        if not self.is_below:
+            return ""
+        text = f"{self.child} is below {self.parent} in the transforms, and REP 105 has it above"
+        return text if self.is_sound else f"{text}: if the poses are not inverted, too, the robot moves the wrong way"
+
+
+def direction_of(buffer: TransformBuffer, fixed: str, source: str) -> Direction | None:
+    """Return which way round the transforms to a fixed frame move the robot; None if nothing moves in it.
+
+    Parameters
+    ----------
+    source
+        The robot's frame, or another one that is fixed to it.
+
+    Notes
+    -----
+    The inverses of a robot's poses move it along no line of its own, unless it drives along one circle: then backwards,
+    which tells something only if the frames are the other way round, too.
+    """
+    links = buffer.moving_links(fixed, source)
+    if not links:
+        return None
+    body = _fastest(links)
+    parent, child = buffer.frames[body.parent_at(None)], buffer.frames[body.child]
+    is_below = len(links) == 1 and child == fixed.removeprefix("/")
+    intervals = np.diff(body.stamps_ns)
+    apart_ns = max(1, int(median(intervals))) if intervals.size else _STEP_NS
+    x, y, _, a, b, c, d = body.poses[:: max(1, _STEP_NS // apart_ns)].T
+    yaw = np.arctan2(2 * (d * c + a * b), 1 - 2 * (b * b + c * c))
+    turned = np.remainder(np.diff(yaw) + math.pi, math.tau) - math.pi
+    turns = np.ptp(np.append(0.0, np.cumsum(turned))) >= _LEAST_TURN
+    # Of the poses, and of their inverses: the shares of the way that are ahead, less those that are back, and sideways.
+    ahead, beside = [0.0, 0.0], [0.0, 0.0]
+    for number, sign in enumerate((1, -1)):
+        # A chord of a circle has the direction of its middle.
+        steps = (np.diff(x) + 1j * np.diff(y)) * np.exp(-1j * sign * (yaw[:-1] + turned / 2))
+        way = float((np.abs(steps.real) + np.abs(steps.imag)).sum())
+        if way < _LEAST_WAY:
+            return Direction(parent, child, is_below, "", is_sound=False)
+        ahead[number], beside[number] = float(steps.real.sum()) / way, float(np.abs(steps.imag).sum()) / way
+        inverse = -(x + 1j * y) * np.exp(-1j * yaw)
+        x, y = inverse.real, inverse.imag
+    if is_below:
+        ahead.reverse()
+        beside.reverse()
+    drives = ""
+    if turns and beside[0] >= _SIDEWAYS and beside[1] <= _AHEAD:
+        drives = "sideways"
+    elif is_below and -ahead[0] >= 1 - _AHEAD and ahead[1] >= 1 - _AHEAD:
+        drives = "backwards"
+    is_sound = ahead[0] >= 1 - _AHEAD or (turns and beside[0] <= _AHEAD and beside[1] >= _SIDEWAYS)
+    return Direction(parent, child, is_below, drives, is_sound=bool(is_sound))
+
+
 def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> Iterator[str]:
     """Yield warnings about poses that are too noisy or too few to place points at their own times.
 
@@ -92,6 +203,9 @@ def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> I
     source
         The frame of the clouds.
     """
+    direction = direction_of(buffer, spec.fixed_frame, source)
+    if direction is not None and (direction.way or direction.is_below) and (doubt := direction.doubt):
+        yield doubt
     links = buffer.moving_links(spec.fixed_frame, source)
     if not links or not spec.deskew:
         return
@@ -159,7 +273,8 @@ def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
 
 def _fastest(links: Sequence[FrameHistory]) -> FrameHistory:
     """Return the link that carries the robot: the one whose poses differ most."""
-    return max(links, key=lambda link: float(np.ptp(link.poses, axis=0) @ (1, 1, 1, 10, 10, 10, 10)))
+    sizes = [float(np.ptp(link.poses, axis=0) @ (1, 1, 1, 10, 10, 10, 10)) for link in links]
+    return links[sizes.index(max(sizes))]
 
 
 def _motion_of_cloud(link: FrameHistory, apart_ns: int) -> float:

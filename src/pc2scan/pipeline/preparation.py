@@ -16,7 +16,6 @@ from .items import Span, Tally
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Generator, Mapping, Sequence
-    from pathlib import Path
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
@@ -98,7 +97,6 @@ def span_of(reader: Reader, options: ConvertOptions) -> Span:
 
 def prepare(
     reader: Reader,
-    sources: Sequence[Path],
     plan: Plan,
     options: ConvertOptions,
     span: Span,
@@ -112,8 +110,8 @@ def prepare(
 
     Parameters
     ----------
-    reader, sources
-        The recording, and its files, which are read again in the few cases that need it.
+    reader
+        The recording.
     span
         The cut.
     stack
@@ -129,7 +127,7 @@ def prepare(
     # Added transforms are written to the output, even if it needs none.
     adds_transforms = asked.write_static or asked.odometry or asked.trajectory
     reads_transforms = transform_frames is not None or plan.needs_transforms or adds_transforms
-    read_later = cache(partial(_robot_transforms, reader, sources, options, span))
+    read_later = cache(partial(_robot_transforms, reader, options, span))
     firsts = FirstClouds(asked.source_frame, read_later, warn)
     needs_survey = reads_transforms or asked.static or asked.model or asked.source_frame or plan.combinations
     if not (needs_survey or any(spec.needs_measuring for spec in plan.specs if not spec.reverse)):
@@ -359,18 +357,17 @@ class _OutputFacts:
         return deskew, [spec.label + note for note in notes], doubts
 
 
-def _robot_transforms(
-    opened: Reader, sources: Sequence[Path], options: ConvertOptions, span: Span
-) -> TransformBuffer | None:
-    """Read the transforms between the robot's frames, with readers that are separate from the running conversion."""
+def _robot_transforms(reader: Reader, options: ConvertOptions, span: Span) -> TransformBuffer | None:
+    """Read the transforms between the robot's frames, while the recording is converted."""
     from pc2scan.tf.reading import read_robot_transforms  # noqa: PLC0415  # only where the first clouds leave a doubt
 
-    given = options.frames.static or options.frames.model
-    if not given and all(each.ros_type not in TF_TYPES for each in opened.connections):
+    frames = options.frames
+    given = frames.static or frames.model or frames.tf_from
+    if not given and all(each.ros_type not in TF_TYPES for each in reader.connections):
         return None
     with suppress(Pc2ScanError), ExitStack() as stack:
-        reader = as_one(open_recordings(sources, stack, verify=options.verify))
-        return read_robot_transforms(reader, options.frames, span.first_ns)
+        others = open_recordings(frames.tf_from, stack, verify=options.verify)
+        return read_robot_transforms(as_one([reader, *others]), frames, span.first_ns)
     return None
 
 

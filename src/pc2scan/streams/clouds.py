@@ -264,7 +264,7 @@ def _own_data(data: Buffer) -> Buffer:
     if isinstance(whole, bytes) and 2 * len(data) >= len(whole):
         return data
     if isinstance(whole, ReadBuffer) and 2 * len(data) >= len(whole) and (memory := retain(whole)):
-        kept: Any = np.frombuffer(data, np.uint8).view(_KeptBytes)
+        kept: Any = _KeptBytes(len(data), np.uint8, data)
         kept.memory = memory
         return memoryview(kept)
     return bytes(data)

@@ -234,7 +234,6 @@ class Scans(Stream[Scan]):
         early: list[str] = []
         prepared = prepare(
             reader,
-            self._selection.paths,
             plan,
             options,
             span_of(reader, options),

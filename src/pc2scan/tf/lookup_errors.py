@@ -83,10 +83,11 @@ MAX_NAMES = 20
 #: Names of a lookup's arguments, as messages call them.
 _ROLES = {"target_frame": "target", "source_frame": "source"}
 
-#: A gap up to this may be bridged; one from the second on is no gap, but a difference between clocks.
+#: A gap up to the first is usual, up to the second it may be bridged; from the third on it is a difference between
+#: clocks.
+_SMALL_NS = 100_000_000
 _BRIDGED_NS = 1_000_000_000
 _OTHER_CLOCK_NS = 3_600_000_000_000
-_PROBABLY_NS = 10_000_000_000
 
 _SEE_TF = "`pc2scan tf` shows the frames of a recording and their times"
 
@@ -184,6 +185,7 @@ def extrapolation_error(query: Query, link: FrameHistory, frames: Sequence[str],
         stamp_ns=query.stamp_ns,
         hint=f"{_tolerance_hint(abs(gap_ns))}; {_SEE_TF}",
     )
+    error.gap_ns = abs(gap_ns)
     error.reason = f"their stamps are {'before the first' if gap_ns < 0 else 'after the last'} [{child}] in [{parent}]"
     return error
 
@@ -192,9 +194,8 @@ def _tolerance_hint(gap_ns: int) -> str:
     """Return what helps if the nearest transform is this far away."""
     seconds = stamp_text(gap_ns).rstrip("0").rstrip(".")
     if gap_ns <= _BRIDGED_NS:
-        return f"pc2scan convert `transform_tolerance={seconds}` uses the nearest transform"
-    if gap_ns < _PROBABLY_NS:
-        return f"the nearest transform is {seconds} s away"
+        clocks = "" if gap_ns <= _SMALL_NS else ", unless the clocks differ, which `time_offset=auto` corrects"
+        return f"pc2scan convert `transform_tolerance={seconds}` uses the nearest transform{clocks}"
     if gap_ns < _OTHER_CLOCK_NS:
         return (
             f"the nearest transform is {seconds} s away: was it recorded later, or do the clocks differ? "

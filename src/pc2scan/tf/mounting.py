@@ -139,7 +139,7 @@ def mounting(
         ground, fault = seen.ground, _fault(seen.ground)
         is_known = ground.off and ground.kind != "slanted"
         if not is_known and (tilted := clouds[0].floor_tilted_by_transform) is not None:
-            ground = Ground("tilted", *tilted)
+            ground = Ground("tilted", tilted.up, tilted.height)
             fault = (
                 f"tilted by {math.degrees(ground.tilt):.1f} deg by the transform of {frame!r}, in which the ground is "
                 "level; expected a mount that leaves it level"
@@ -197,7 +197,7 @@ class _Observation(NamedTuple):
 def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -> Mounting | None:
     """Return what the transforms say about the frame; None if they neither help nor contradict."""
     ground = seen.ground
-    body = next(((name, moved) for name in BODIES if (moved := _above(buffer, name, seen.frame, stamp_ns))), None)
+    body = _body(buffer, seen.frame, stamp_ns)
     if body is None:
         # No frame is known to be level, so a new frame that makes the clouds level is used.
         for name, moved in _ancestors(buffer, seen.frame, stamp_ns) if ground.off else ():
@@ -216,12 +216,18 @@ def _by_transforms(seen: _Observation, buffer: TransformBuffer, stamp_ns: int) -
     if there.kind == "unknown" and ground.kind in {"tilted", "upside-down", "slanted"}:
         return None
     heights = suitable_heights(there, samples, origin_z=_height(body_from_frame))
-    tilt = math.acos(max(-1.0, min(1.0, float(body_from_frame.matrix[2, 2]))))
+    tilt = _tilt(body_from_frame)
     fault = _fault(ground)
     if not fault and tilt > _NOTABLE_TILT:
         if ground.kind == "level" and tilt < math.pi - _NOTABLE_TILT:
             return None
-        how = "upside down" if tilt > math.pi - _NOTABLE_TILT else f"tilted by {math.degrees(tilt):.1f} deg"
+        how = f"tilted by {math.degrees(tilt):.1f} deg"
+        if tilt > math.pi - _NOTABLE_TILT:
+            how = "upside down"
+            if there.kind == "level" and there.up is not None:
+                # What seems the floor in the frame itself is the ceiling.
+                x, y, z = (np.array(there.up) @ turn.matrix).tolist()
+                seen = seen._replace(ground=there._replace(kind="upside-down", up=(x, y, z)))
         fault = f"{how} according to its transform to {name!r}; expected z up"
     return seen.verdict(fault, name, heights=heights)
 
@@ -245,11 +251,25 @@ def _short(number: str) -> str:
     return "0" if short in {"-0", ""} else short
 
 
-def _above(buffer: TransformBuffer, body: str, frame: str, stamp_ns: int) -> Rigid | None:
-    """Return the transform of a frame in another one; None if they are the same, or not connected."""
-    if body not in buffer.frames or body == frame.removeprefix("/"):
-        return None
-    return _lookup(buffer, body, frame, stamp_ns)
+def is_upside_down(buffer: TransformBuffer, frame: str, stamp_ns: int) -> bool:
+    """Return whether a frame is upside down by its transform to the robot's frame."""
+    body = _body(buffer, frame, stamp_ns)
+    return body is not None and _tilt(body[1]) > math.pi - _NOTABLE_TILT
+
+
+def _body(buffer: TransformBuffer, frame: str, stamp_ns: int) -> tuple[str, Rigid] | None:
+    """Return the robot's frame, and the transform of another one to it; None if they are the same, or not connected."""
+    for name in BODIES:
+        if name in buffer.frames and name != frame.removeprefix("/"):
+            moved = _lookup(buffer, name, frame, stamp_ns)
+            if moved is not None:
+                return name, moved
+    return None
+
+
+def _tilt(rigid: Rigid) -> float:
+    """Return the angle between the z axes of two frames, radians."""
+    return math.acos(max(-1.0, min(1.0, float(rigid.matrix[2, 2]))))
 
 
 def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple[str, Rigid]]:

@@ -316,8 +316,8 @@ class TransformReading:
                 if where.frame in self._overridden:
                     texts.append(f"`static_tf` replaces the poses of {where.frame} from {name}")
                     continue
-                replaced = self._builder.parents_of([where.frame])
-                self._builder.remove([where.frame])
+                replaced = self._builder.parents_of(where.replaced)
+                self._builder.remove(where.replaced)
                 add_trajectory(self._builder, each, where)
                 attachments[each.parent, each.child] = where
                 if where.frame != each.child:

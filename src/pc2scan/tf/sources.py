@@ -185,11 +185,15 @@ class Attachment(NamedTuple):
         The frames of the transforms.
     child_from_frame
         The pose of ``frame`` in the frame that has the poses; None if they are the same.
+    replaced
+        The frames whose recorded transforms they replace: ``frame``, and ``parent`` if it is below ``frame``, as where
+        the two were swapped.
     """
 
     parent: str
     frame: str
     child_from_frame: Pose | None
+    replaced: tuple[str, ...]
 
     def row(self, stamp_ns: int, pose: Pose) -> TransformRow:
         """Return the transform of a pose."""
@@ -236,9 +240,10 @@ def attach(buffer: TransformBuffer, parent: str, child: str) -> Attachment:
             break
         met.add(above)
         frame = above
-    if frame == child:
-        return Attachment(parent, child, None)
-    return Attachment(parent, frame, buffer.lookup(child, frame, 0).pose)
+    replaced: tuple[str, ...] = (frame,)
+    if (history := buffer.history(parent)) is not None and buffer.frames[history.parent_at(None)] == frame:
+        replaced = (frame, parent)
+    return Attachment(parent, frame, None if frame == child else buffer.lookup(child, frame, 0).pose, replaced)
 
 
 def add_trajectory(builder: TransformBuilder, trajectory: Trajectory, attachment: Attachment) -> None:

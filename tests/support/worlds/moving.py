@@ -251,14 +251,15 @@ def write_world(
     odometry_hz: float = 100.0,
     odometry: Callable[[float], Rigid] | None = None,
     frames: Callable[[str], str] = str,
+    pair: tuple[str, str] = ("odom", "base_link"),
     known: tuple[float, float] | None = None,
     compression: str | None = None,
 ) -> Path:
     """Write an MCAP file of what lidars measure while the robot drives, with the transforms odom, base_link, lidars.
 
     ``odometry`` is odom_from_base_link at a time, if not the robot's pose, ``frames`` the names that frames have in the
-    transforms. Transforms of the robot are ``known`` from 0.4 s before the clouds to 0.5 s after them, if not at other
-    times.
+    transforms, ``pair`` the parent and the child of the robot's poses. Transforms of the robot are ``known`` from 0.4 s
+    before the clouds to 0.5 s after them, if not at other times.
     """
     odometry = odometry or drive.pose
     first, last = known or (-0.4, seconds + 0.5)
@@ -269,7 +270,7 @@ def write_world(
         time = number / odometry_hz
         stamp_ns = BEGIN_NS + round(time * 1e9)
         pose = odometry(time).pose
-        moved = encode_transforms([(frames("odom"), frames("base_link"), stamp_ns, *pose)], "cdr")
+        moved = encode_transforms([(frames(pair[0]), frames(pair[1]), stamp_ns, *pose)], "cdr")
         rows.append((stamp_ns, "/tf", moved))
     types = {"/tf_static": _TFMESSAGE, "/tf": _TFMESSAGE}
     for lidar in lidars:

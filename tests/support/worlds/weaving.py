@@ -57,6 +57,10 @@ class Fault(NamedTuple):
         The share of the yaw that it measures.
     is_level
         Whether it has no roll and pitch.
+    pair
+        The parent and the child of its transforms.
+    inverted
+        Whether its poses are those of odom in base_link.
     """
 
     late: float = 0.0
@@ -64,6 +68,8 @@ class Fault(NamedTuple):
     degrees: float = 0.0
     scale: float = 1.0
     is_level: bool = False
+    pair: tuple[str, str] = ("odom", "base_link")
+    inverted: bool = False
 
 
 _SOUND = Fault()
@@ -89,8 +95,16 @@ def write_weaving(
         random = np.random.default_rng(round((time + 10) * 1e6))
         dx, dy, turned = (random.normal(0, 1, 3) * (fault.metres, fault.metres, math.radians(fault.degrees))).tolist()
         x, y, _ = drive.positions(at)[0].tolist()
-        return Rigid.from_rpy(roll, pitch, fault.scale * yaw + turned, (x + dx, y + dy, 0.0))
+        pose = Rigid.from_rpy(roll, pitch, fault.scale * yaw + turned, (x + dx, y + dy, 0.0))
+        return pose.inverse() if fault.inverted else pose
 
     return write_world(
-        path, lidars or [RINGS], drive, seconds=3.0, odometry_hz=odometry_hz, odometry=odometry, frames=frames
+        path,
+        lidars or [RINGS],
+        drive,
+        seconds=3.0,
+        odometry_hz=odometry_hz,
+        odometry=odometry,
+        frames=frames,
+        pair=fault.pair,
     )

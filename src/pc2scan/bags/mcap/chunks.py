@@ -34,7 +34,7 @@ _ENTRY_BYTES = 16
 CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + _MAX_COMPRESSION_NAME + UINT64.size
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class ChunkSegment(Segment):
     """A chunk. `crc` is 0 until its header is read; loading uses the CRC in the header.
 

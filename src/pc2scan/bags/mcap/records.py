@@ -382,7 +382,7 @@ def scan_messages(
     others: set[int] = set()
     astray: int | None = None
     count = position = 0
-    while True:
+    while position < len(data):
         more = _scan_stretch(data, wanted, start_ns, stop_ns, span, further, position)
         others |= more.others
         astray = more.astray if astray is None else astray

@@ -134,7 +134,19 @@ class CloudFacts:
             return False
         if first.floor is None or self.floor_share >= _MOST_FLOOR or any(swapped_transform(self)):
             return False
+        if 0 < first.floor.above < first.floor.height and self.are_upside_down:
+            return False
         return self.spec.level or first.floor_tilted_by_transform is None
+
+    @property
+    def are_upside_down(self) -> bool:
+        """Whether clouds that stay in their own frame are upside down by the robot's transforms."""
+        from pc2scan.tf.mounting import is_upside_down  # noqa: PLC0415  # only where the floor may be a ceiling
+
+        first, own = self.samples[0], self.source.removeprefix("/")
+        if first.judged_in.removeprefix("/") != own or self.robot is None:
+            return False
+        return is_upside_down(self.robot, own, first.stamp_ns)
 
     @property
     def no_returns(self) -> int:
@@ -196,13 +208,18 @@ class CloudFacts:
         _, first = np.unique(np.degrees(angles[nearest]).astype(int), return_index=True)
         return float(on_floor[nearest[first]].mean()) if len(first) >= _FEWEST_BEAMS else 0.0
 
+    @property
+    def robot(self) -> TransformBuffer | None:
+        """The robot's transforms, which are read for it; None if there are none."""
+        known = self.transforms
+        return known.read() if known.buffer is None else known.buffer
+
     @cached_property
     def mounting(self) -> Mounting:
-        """How the sensor is mounted, as `info` sees it: with the robot's transforms, which are read for it."""
+        """How the sensor is mounted, as `info` sees it: with the robot's transforms."""
         from pc2scan.tf.mounting import mounting  # noqa: PLC0415  # only where there may be a warning
 
-        known = self.transforms
-        return mounting(self.topic, self.source, self.samples, known.read() if known.buffer is None else known.buffer)
+        return mounting(self.topic, self.source, self.samples, self.robot)
 
     @cached_property
     def advice(self) -> str:

@@ -137,6 +137,24 @@ def test_damage_that_shows_midway_repeats_nothing(tmp_path: Path) -> None:
         list(r.messages())
 
 
+def test_a_reading_goes_on_after_another_one_met_damage(tmp_path: Path) -> None:
+    complete = build(tmp_path / "a.db3", 3_000)
+    data = bytearray((tmp_path / "a.db3").read_bytes())
+    # The last page that a large message continues in is read only with it; then its next page does not exist.
+    pages = [at for at in range(0, len(data), 4096) if data[at] == 0 and struct.unpack_from(">I", data, at)[0]]
+    struct.pack_into(">I", data, pages[-1], 1_000_000)
+    (tmp_path / "a.db3").write_bytes(data)
+    with closing(Sqlite3Reader(tmp_path / "a.db3")) as reader:
+        messages = reader.messages()
+        times = [next(messages).log_time_ns]
+        assert not reader.damage
+        again = [message.log_time_ns for message in reader.messages()]
+        damage = reader.damage
+        assert (len(again), bool(damage)) == (len(complete) - 1, True)
+        times += (message.log_time_ns for message in messages)
+        assert (times, reader.damage) == (again, damage)
+
+
 def test_messages_of_a_topic_that_is_not_described_are_counted(tmp_path: Path) -> None:
     build(tmp_path / "a.db3")
     with closing(sqlite3.connect(tmp_path / "a.db3")) as database, database:

@@ -166,6 +166,7 @@ class Sqlite3Reader(Reader):
         known = {own.id: own for own in self.connections if wanted is None or own.id in wanted}
         expected = sum(own.message_count or 0 for own in known.values())
         while True:
+            is_rebuilt = self._database.is_rebuilt
             try:
                 rows = self._rows(list(known), start_ns, stop_ns, after)
                 for topic_id, time_ns, message_id, data in self._database.bounded_rows(rows):
@@ -179,9 +180,10 @@ class Sqlite3Reader(Reader):
                     elif (message := self._decompress(known[topic_id], time_ns, message_id, data)) is not None:
                         yield after, message
             except (*SQLITE_ERRORS, DamageError) as err:
-                # The rest is read from the pages, from the next row on.
-                self._database.recover(err)
-                self._index = None
+                # The rest is read from the pages, from the next row on; what was read meanwhile may have rebuilt them.
+                if is_rebuilt or not self._database.is_rebuilt:
+                    self._database.recover(err)
+                    self._index = None
             else:
                 return
 
