@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ import pytest
 from pc2scan.bags.destinations import Destination, default_destination, default_storage, plan_destination
 from pc2scan.errors import DestinationError
 from pc2scan.model import Summary
+from support.builders import CONTENT, T0, write_db3
+from support.command import run
+from support.outputs import opened
 from support.tables import rows
 
 TABLES = Path(__file__).with_name("destinations.txt")
@@ -75,3 +79,18 @@ def test_the_default_destination_of_the_current_directory(tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path / "bag")
     found = default_destination([Path()], [summary("rosbag2", "mcap")])
     assert found == tmp_path.resolve() / "bag_scan"
+
+
+@pytest.mark.parametrize(("name", "storage", "earliest_ns"), [("a", "mcap", 0), ("b", "sqlite3", -150_000_000)])
+def test_transforms_of_a_recording_that_begins_before_1970_have_a_time_that_can_be_stored(
+    name: str, storage: str, earliest_ns: int, tmp_path: Path
+) -> None:
+    """MCAP's times have no sign, and those of rosbag2's database have one."""
+    items = [replace(each, log_time_ns=each.log_time_ns - T0 - 150_000_000) for each in CONTENT.items]
+    source = write_db3(tmp_path / "a.db3", replace(CONTENT, items=tuple(items)))
+    first_ns = min(each.log_time_ns for each in items)
+    words = ("--static-tf", "base_link extra 0 0 1 0 0 0", "--write-static-tf", "--min-height", "-5")
+    done = run("convert", source, "-o", tmp_path / name, "--storage", storage, *words)
+    assert done.status == (0 if storage == "sqlite3" else 3), done.stderr
+    kept = [message.log_time_ns for message in opened(tmp_path / name).messages]
+    assert min(kept) == max(first_ns, earliest_ns)

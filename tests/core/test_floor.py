@@ -43,6 +43,10 @@ def test_what_is_no_level_floor() -> None:
     assert level_floor(cells_of(floor(math.tan(LEVEL + 0.01), 0, 1.0))) is None
     assert level_floor(cells_of(floor(0, 0, -1.0))) is None
     assert level_floor(cells_of(floor(0, 0, 0.02))) is None
+    # The smallest number below 0: a 24th of it is 0.
+    flat = floor(0, 0, 0.0)
+    flat[:, 2] = -5e-324
+    assert level_floor(cells_of(flat)) is None
     # A table, with more below it than above.
     found = level_floor(cells_of(np.concatenate([floor(0, 0, 0.5), floor(0, 0, 1.5)])))
     assert found is None or found.height == pytest.approx(1.5, abs=0.02)

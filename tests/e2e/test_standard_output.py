@@ -220,6 +220,6 @@ def test_how_far_a_comparison_is(tmp_path: Path) -> None:
         assert all(0 < done <= total for done, total, _ in told)
     told.clear()
     check(many, progress=lambda *step: told.append(step))
-    # The scans are 0 until the transforms are read.
-    assert [messages for _, _, messages in told] == [0, 0, 0, 64, 128, 192]
+    # The scans are 0 until the transforms, and the first scans' headers, are read.
+    assert [messages for _, _, messages in told] == [0, 0, 0, 0, 64, 128, 192]
     assert {total for _, total, _ in told[2:]} == {told[-1][1]}

@@ -19,6 +19,7 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan, decode_laserscan
 from support import RECORDINGS, ROOT, needs_shared
 from support.command import run
 from support.situations import hall
+from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
 from support.worlds.moving import Drive, Lidar, off_the_walls, returns_in_odom, write_imu, write_world
 
 if TYPE_CHECKING:
@@ -235,6 +236,19 @@ def pasted(path: Path) -> list[Path]:
         done = run(*arguments)
         assert done.status == 0, done.stderr
     return sorted(set(path.parent.iterdir()) - before)
+
+
+def test_the_heights_of_a_sparse_pattern_are_those_of_the_proposed_mount(tmp_path: Path) -> None:
+    """The same points, in a frame that is level and in one that is not, fill a scan in as many clouds."""
+    random = np.random.default_rng(1)
+    mount = mounted(15, -10)
+    whole = cloud(PLACES["hall"], "32 rings", mount, 0.6)
+    clouds = [whole[np.sort(random.choice(len(whole), 800, replace=False))] for _ in range(25)]
+    level = [(points @ mount.T).astype(np.float32) for points in clouds]
+    (one,) = pc2scan.info(write_clouds(tmp_path / "level.mcap", level)).proposals
+    (other,) = pc2scan.info(write_clouds(tmp_path / "tilted.mcap", clouds)).proposals
+    assert ("static_tf" in one.options, "static_tf" in other.options) == (False, True)
+    assert one.options["accumulate"] == other.options["accumulate"] == "0.8s"
 
 
 def test_lidars_that_do_not_measure_together_have_commands_of_their_own(tmp_path: Path) -> None:

@@ -134,6 +134,13 @@ def test_a_way_that_is_straight_or_short_tells_nothing(way: tuple[float, float],
         assert direction([pose.inverse() for pose in poses]).doubt == ""
 
 
+def test_a_second_with_a_single_cloud_may_show_too_little(tmp_path: Path) -> None:
+    """A lidar that takes nearly a second for a turn."""
+    slow = [replace(RINGS, period=0.9, columns=3000, latency=-0.8)]
+    source = write_weaving(tmp_path / "drive.mcap", slow)
+    assert warnings(source, slow) == []
+
+
 def test_warnings_do_not_depend_on_the_number_of_threads(tmp_path: Path) -> None:
     source = write_weaving(tmp_path / "drive.mcap", fault=Fault(late=0.06))
     assert warnings(source, [RINGS], jobs=4) == warnings(source, [RINGS])

@@ -497,7 +497,8 @@ def _estimate_seconds(jobs: Sequence[Job], records: Sequence[ManifestRecord], wo
 
 def _sample_pace(jobs: Sequence[Job]) -> float:
     """Return the bytes per second of a small recording, converted into a temporary folder; 0 if there is none."""
-    local = (job for job in jobs if not any(map(is_url, job.sources)))
+    # The parts of a recording are in one folder.
+    local = (job for job in jobs if not is_url(job.sources[0]))
     fitting = sorted((job for job in local if job.size_bytes in _SAMPLE_BYTES), key=lambda job: job.size_bytes)
     for job in fitting[:3]:
         with TemporaryDirectory(prefix="pc2scan-") as folder:

@@ -226,8 +226,10 @@ def level_floor(cells: _Points) -> Floor | None:
         return None
     tolerance = tolerances(cells)
     low = float(below[len(below) // 50])
+    if -low < _LEAST_HEIGHT:
+        return None
     bins = 24
-    width = max(-low, 1e-6) / bins
+    width = -low / bins
     peak = int(np.bincount(np.clip((below - low) / width, 0, bins - 1).astype(np.intp)).argmax())
     inliers = np.abs(cells[:, 2] - (low + (peak + 0.5) * width)) < tolerance + width / 2
     slope = (0.0, 0.0, 0.0)

@@ -361,12 +361,12 @@ def _choose_ground(points: _Points, *, level_needs_proof: bool = False) -> Groun
     level = [plane for plane in planes if plane.tilt <= LEVEL and plane.beyond < 0.35]
     if level:
         floor = max(level, key=lambda plane: plane.share * (plane.beyond < 0.05))
-        if level_needs_proof and _doubt(floor, planes, view):
+        if level_needs_proof and _doubt(floor, planes, view, upside_down=False):
             return Ground("unknown")
         return _ground_of("level", floor, planes)
     for plane in planes:
         upside_down = plane.tilt >= math.pi - _STEEPEST
-        if (upside_down or plane.tilt <= _STEEPEST) and not _doubt(plane, planes, view):
+        if (upside_down or plane.tilt <= _STEEPEST) and not _doubt(plane, planes, view, upside_down=upside_down):
             return _ground_of("upside-down" if upside_down else "tilted", plane, planes)
     return Ground("slanted" if _are_slanted(planes) else "unknown")
 
@@ -396,9 +396,8 @@ def _opposite_plane(plane: Plane, planes: Sequence[Plane]) -> Plane | None:
     return next((other for other in planes if _angle_between(plane, other) > 172 and other.beyond < 0.05), None)
 
 
-def _doubt(plane: Plane, planes: Sequence[Plane], view: _FieldOfView) -> str:
+def _doubt(plane: Plane, planes: Sequence[Plane], view: _FieldOfView, *, upside_down: bool) -> str:
     """Return why a plane may be something other than the ground; empty if no other explanation fits."""
-    upside_down = plane.tilt > math.pi / 2
     if plane.share < (0.15 if upside_down else 0.08):
         return "it is small"
     if plane.beyond > 0.04:

@@ -55,7 +55,9 @@ if TYPE_CHECKING:
     from .items import Span
     from .options import ConvertOptions
     from .plan import Plan
+    from .preparation import Preparation
     from .progress import Progress
+    from .recording import OpenRecording
 
 
 def run(
@@ -81,31 +83,11 @@ def run(
     """
     if not sources:
         raise UsageError("no source given")
-    at_urls = [path for path in (*sources, *options.frames.tf_from) if isinstance(path, UrlPath)]
-    if output.scratch is not None and not (at_urls or isinstance(destination or output.folder, UrlPath)):
-        raise UsageError("`scratch` has no effect: no source and no destination is a URL")
     files = RunFiles(sources, destination, options.frames, also_read or {}, output)
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
     with ExitStack() as stack, files.reporting(report):
-        if at_urls or output.scratch is not None:
-            from pc2scan.files.transfers import reading_urls  # noqa: PLC0415  # loads fsspec
-
-            # Of a cut, or in a dry run, only some ranges are read.
-            is_whole = not output.dry_run and options.start is None and options.end is None
-            stack.enter_context(reading_urls(at_urls if is_whole else (), output.scratch))
-        if len(sources) > 1 and destination is None and output.folder is None:
-            _refuse_missing_destination(sources)
-        reader, readers, plan = open_plan(sources, options, stack)
-        target = _target(files, reader, readers, options, output)
-        report.destination = str(target.path)
-        report.container, report.ros_version = target.format.name, target.ros_version
-        report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
-        if readers[1:]:
-            from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
-
-            report.add(overlap_warnings(readers))
-        report.add((*plan.warnings, *request_warnings(options, reader.summary)), plan.notes)
+        reader, plan, target = _open(files, options, output, stack, report)
         if output.dry_run:
             _estimate(files, reader, plan, target, options, output, stack, report)
             return report
@@ -142,17 +124,8 @@ def run(
                         write_items(items, writer, tally, recording)
                     finally:
                         report.messages_read = tally.messages
-                report.add(reader.remarks)
                 files.refuse_changed()
-                report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
-                report.add(*result_findings(report, recording.first_scans, target.serialization))
-                routes = recording.routes.values()
-                report.messages_declared, difference = compare_counts(reader, routes, options, report)
-                report.damage += difference
-                if plan.specs:
-                    refuse_nothing(report)
-                if not options.repair:
-                    refuse_unsatisfied(report, options)
+                _judge(reader, plan, prepared, recording, target, options, report)
             report.bytes_written = _size_on_disk(unfinished)
             if cut is not None:
                 from .split import files_in  # noqa: PLC0415  # most recordings are one file
@@ -161,18 +134,26 @@ def run(
     return report
 
 
-def open_plan(
-    sources: Sequence[Path], options: ConvertOptions, stack: ExitStack
-) -> tuple[Reader, Sequence[Reader], Plan]:
-    """Open the sources, each and all as one, and plan the conversion; errors about missing topics mention damage.
+def _open(
+    files: RunFiles, options: ConvertOptions, output: OutputOptions, stack: ExitStack, report: Report
+) -> tuple[Reader, Plan, Destination]:
+    """Open the sources, plan the conversion, and decide the destination; the report then has what they say.
 
-    Parameters
-    ----------
-    stack
-        Closes the sources.
+    Errors about missing topics mention damage. ``stack`` closes the sources.
     """
+    at_urls = [path for path in files.read if isinstance(path, UrlPath)]
+    if output.scratch is not None and not (at_urls or isinstance(files.destination or output.folder, UrlPath)):
+        raise UsageError("`scratch` has no effect: no source and no destination is a URL")
+    if at_urls or output.scratch is not None:
+        from pc2scan.files.transfers import reading_urls  # noqa: PLC0415  # loads fsspec
+
+        # Of a cut, or in a dry run, only some ranges are read.
+        is_whole = not output.dry_run and options.start is None and options.end is None
+        stack.enter_context(reading_urls(at_urls if is_whole else (), output.scratch))
+    if len(files.sources) > 1 and files.destination is None and output.folder is None:
+        _refuse_missing_destination(files.sources)
     refuse_unusable(options)
-    readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
+    readers = open_recordings(files.sources, stack, verify=options.verify, strict=options.strict)
     reader = as_one(readers)
     damage = reader.damage
     if options.repair and damage and not reader.connections:
@@ -189,7 +170,38 @@ def open_plan(
 
         reader, notes = corrected_for(reader, plan, options)
         plan = plan._replace(notes=tuple(notes))
-    return reader, readers, plan
+    target = _target(files, reader, readers, options, output)
+    report.destination = str(target.path)
+    report.container, report.ros_version = target.format.name, target.ros_version
+    report.bytes_read, report.dry_run = reader.summary.size_bytes, output.dry_run
+    if readers[1:]:
+        from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
+
+        report.add(overlap_warnings(readers))
+    report.add((*plan.warnings, *request_warnings(options, reader.summary)), plan.notes)
+    return reader, plan, target
+
+
+def _judge(
+    reader: Reader,
+    plan: Plan,
+    prepared: Preparation,
+    recording: OpenRecording,
+    target: Destination,
+    options: ConvertOptions,
+    report: Report,
+) -> None:
+    """Add to the report what the result and its sources show; raise if the result is of no use."""
+    report.add(reader.remarks)
+    report.damage += [damage for each in (reader, *prepared.others) for damage in each.damage]
+    report.add(*result_findings(report, recording.first_scans, target.serialization))
+    routes = recording.routes.values()
+    report.messages_declared, difference = compare_counts(reader, routes, options, report)
+    report.damage += difference
+    if plan.specs:
+        refuse_nothing(report)
+    if not options.repair:
+        refuse_unsatisfied(report, options)
 
 
 def report_failure(

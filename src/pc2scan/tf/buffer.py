@@ -33,6 +33,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -315,12 +316,10 @@ class TransformBuffer:
 
     def _timeless_chain(self, target: int, source: int) -> Chain | None:
         """Return the chain that is valid at all times; None if frames change parents, loop or are not connected."""
-        target_walk = walk_up(target, self._history, lambda link: link.sole_parent)
-        source_walk = walk_up(source, self._history, lambda link: link.sole_parent)
-        for walk in (target_walk, source_walk):
-            if walk.blocked is not None or walk.loop is not None:
-                return None
-        return join_walks(target_walk, source_walk)
+        walks = [walk_up(frame, self._history, attrgetter("sole_parent")) for frame in (target, source)]
+        if any(walk.blocked is not None or walk.loop is not None for walk in walks):
+            return None
+        return join_walks(*walks)
 
     def _timed_chain(self, query: Query, time_ns: int | None) -> Chain:
         """Return the chain at a time; raise if there is none."""
