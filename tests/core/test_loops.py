@@ -235,6 +235,10 @@ def motion_of(rng: np.random.Generator, times: NDArray[Any], kind: str, nodes: i
     seconds[on_nodes] = rng.choice(node_times, int(on_nodes.sum()))
     if kind == "in time":
         seconds = np.sort(seconds)
+    elif kind == "zeros":
+        # As drivers write for points without a return; some are just before the first time.
+        seconds[rng.random(count) < 0.7] = 0.0
+        seconds[rng.random(count) < 0.1] = -1e-6 if times.dtype.kind != "u" else 0.0
     elif kind == "by ring":
         seconds = np.concatenate([np.sort(part) for part in np.array_split(seconds, 3)])
     if times.dtype.kind == "f":
@@ -265,7 +269,7 @@ def same_bits(one: NDArray[np.float32], other: NDArray[np.float32]) -> None:
     types,
     st.sampled_from(["<u4", "<f4", "<f8", ">u4", "<i4", "<u8"]),
     gaps,
-    st.sampled_from(["in time", "by ring", "random", "level", "tilting"]),
+    st.sampled_from(["in time", "by ring", "random", "zeros", "level", "tilting"]),
     st.sampled_from([2, 3, 17, 400]),
 )
 def test_moving_points_are_where_they_are_at_their_own_times(
@@ -322,6 +326,22 @@ def test_a_transform_is_interpolated_between_its_neighbours() -> None:
             assert kernel.deskew(x, np.zeros_like(x), np.ones_like(x), motion, out) == (1, 4)
         np.testing.assert_array_equal(out[:, 0], np.array([5, 5.25, 6, 6, 6, *[np.nan] * 6], np.float32))
         np.testing.assert_array_equal(out[:5, 1:], np.array([[0, 1], [0, 1], [0, 1], [2, 1], [4, 1]], np.float32))
+
+
+def test_a_time_before_the_first_one_is_nowhere_among_many_that_are_the_first() -> None:
+    """Drivers write 0 for points without a return."""
+    times = np.zeros(64)
+    times[[5, 21, 37]] = -5e-324, -1e-3, 0.5
+    identity = [1.0, 0, 0, 0, 1, 0, 0, 0, 1]
+    transforms = straight(np.array([[*identity, 3, 0, 0], [*identity, 5, 0, 0], [*identity, 6, 0, 0]]))
+    zeros, expected = np.zeros(64, np.float32), np.full(64, 3, np.float32)
+    expected[[5, 21, 37]] = np.nan, np.nan, 4
+    for loops in BOTH_LOOPS:
+        out = np.empty((64, 3), np.float32)
+        with loops():
+            motion = MovingTransform(times, 0.0, 1.0, np.arange(3.0), transforms)
+            assert kernel.deskew(zeros, zeros, zeros, motion, out) == (0, 2)
+        np.testing.assert_array_equal(out[:, 0], expected)
 
 
 def test_a_part_without_a_transform_does_not_hide_its_ends() -> None:

@@ -174,6 +174,31 @@ def test_nothing_overflows_in_any_window(opened: Callable[..., Tab], theme: str,
         assert tab.call(COLOURS, name) >= 3
 
 
+WRITTEN = """(changes) => {
+  const panel = document.getElementById("panel");
+  const observer = new MutationObserver(() => {});
+  observer.observe(panel, { subtree: true, childList: true, characterData: true });
+  window.pc2scan.set(changes);
+  return observer.takeRecords().map(({ target }) => target.className || target.tagName);
+}"""
+
+
+def test_only_the_texts_that_change_are_written(hall: Tab) -> None:
+    # The line with the time that the projection took.
+    assert set(hall.call(WRITTEN, {})) <= {"P"}
+    written = hall.call(WRITTEN, {"max_height": 0.5})
+    assert set(written) <= {"P", "count", "share", "PRE", "word"}
+    assert "count" in written
+
+
+@slow
+def test_the_names_of_outcomes_follow_the_theme(hall: Tab) -> None:
+    swatch = "getComputedStyle(document.querySelector('.swatch')).backgroundColor"
+    assert hall.call(swatch) == "rgb(0, 114, 178)"
+    hall.page.click("#theme")
+    assert hall.call(swatch) == "rgb(86, 180, 233)"
+
+
 COLOURS = """(name) => {
   const canvas = document.querySelector(`#${name} canvas`);
   const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);

@@ -6,7 +6,7 @@
 /* Fit a polynomial to three transforms: at the beginning, in the middle, and at the end of a part. */
 static void fit_part(Part *part, double begin, double end, const double *first) {
     const double *middle = first + 12, *last = first + 24;
-    part->begin = begin;
+    part->begin = part->after = begin;
     part->end = end;
     part->scale = 1.0 / (end - begin);
     part->known = first[0] == first[0] && middle[0] == middle[0] && last[0] == last[0];
@@ -67,6 +67,7 @@ int take_motion(Motion *motion, const Cloud *cloud, PyObject *tuple) {
     motion->count = count;
     const double *ends = motion->nodes.buf, *transforms = motion->rows.buf;
     for (Py_ssize_t k = 0; k < count; k++) fit_part(&motion->parts[k], ends[k], ends[k + 1], transforms + 24 * k);
+    motion->parts[0].after = nextafter(ends[0], -INFINITY);
     bound_z(motion);
     return 0;
 }
@@ -83,7 +84,7 @@ static Py_ssize_t part_at(const Motion *motion, double time) {
     const Part *parts = motion->parts;
     Py_ssize_t part = motion->part, last = motion->count - 1;
     if (!(time >= parts[0].begin && time <= parts[last].end)) return -1;
-    if (!(time > parts[part].begin && time <= parts[part].end)) {
+    if (!(time > parts[part].after && time <= parts[part].end)) {
         if (part < last && time > parts[part].end && time <= parts[part + 1].end) part++;
         else {
             Py_ssize_t low = 0, high = last;
@@ -113,7 +114,7 @@ static inline float move_one(const Part *part, int axis, float x, float y, float
 /* Transform points until one belongs to another part. Returns the index of that one. */
 static int move_run(const Part *part, Moved *block, int from, int end) {
     int i = from;
-    for (; i < end && (i == from || (block->times[i] > part->begin && block->times[i] <= part->end)); i++) {
+    for (; i < end && (i == from || (block->times[i] > part->after && block->times[i] <= part->end)); i++) {
         const float s = (float)((block->times[i] - part->begin) * part->scale);
         const float x = block->x[i], y = block->y[i], z = block->z[i];
         block->to_x[i] = move_one(part, 0, x, y, z, s);

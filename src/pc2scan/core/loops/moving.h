@@ -13,8 +13,9 @@
    (rate + s * bend), with s from 0 to 1. Each coefficient has twelve numbers: the rows of a rotation, then a
    translation. */
 typedef struct {
-    /* A time belongs to the first part that does not end before it. */
-    double begin, end, scale;
+    /* A time belongs to the first part that does not end before it: times after `after` up to `end`. Only the first
+       part has the time of its beginning, which many points may have: drivers write 0 where nothing was measured. */
+    double begin, after, end, scale;
     /* Whether there is a transform, and whether all of its numbers are below TAME. */
     int known, tame;
     double start[12];

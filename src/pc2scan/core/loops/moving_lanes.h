@@ -72,12 +72,13 @@ INLINED_LOOP HALF_TYPE OF_LANES(share)(DOUBLES_TYPE times, DOUBLES_TYPE begin, D
    too low, their x and y are not needed: they are set to 0, unless they may be NaN, because NaN is counted before
    height. */
 LOOP int OF_LANES(move_run)(const Part *part, Moved *block, int from, int end, float lowest, float highest) {
-    const DOUBLES_TYPE begin = PD(set1)(part->begin), scale = PD(set1)(part->scale), close = PD(set1)(part->end);
+    const DOUBLES_TYPE begin = PD(set1)(part->begin), scale = PD(set1)(part->scale);
+    const DOUBLES_TYPE after = PD(set1)(part->after), close = PD(set1)(part->end);
     const FLOATS_TYPE least = PS(set1)(lowest), most = PS(set1)(highest), tame = PS(set1)(TAME);
     for (int i = from; i < end; i += LANES) {
         const DOUBLES_TYPE first = PD(loadu)(block->times + i), second = PD(loadu)(block->times + i + LANES / 2);
-        const unsigned own_first = WHERE_PD(first, begin, _CMP_GT_OQ) & WHERE_PD(first, close, _CMP_LE_OQ);
-        const unsigned own_second = WHERE_PD(second, begin, _CMP_GT_OQ) & WHERE_PD(second, close, _CMP_LE_OQ);
+        const unsigned own_first = WHERE_PD(first, after, _CMP_GT_OQ) & WHERE_PD(first, close, _CMP_LE_OQ);
+        const unsigned own_second = WHERE_PD(second, after, _CMP_GT_OQ) & WHERE_PD(second, close, _CMP_LE_OQ);
         /* The very first point belongs to this part. */
         const unsigned own = own_first | own_second << LANES / 2 | (i == from);
         const FLOATS_TYPE s = JOINED(OF_LANES(share)(first, begin, scale), OF_LANES(share)(second, begin, scale));

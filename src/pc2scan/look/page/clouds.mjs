@@ -6,7 +6,7 @@ import { columns } from "./data.mjs";
 import { band, beamsFromAbove, endsOf, frameMarks, rings, sector } from "./draw.mjs";
 import { Flat, GRAB } from "./flat.mjs";
 import { Orbit } from "./orbit.mjs";
-import { copyButton, element, figure, nameFrame, oncePerFrame, setUpTheme, setUpTime, theme } from "./page.mjs";
+import { copyButton, element, figure, nameFrame, oncePerFrame, put, setUpTheme, setUpTime, theme } from "./page.mjs";
 import { outcomeColours, paintValues, usualRange, word } from "./palette.mjs";
 import { emptyRange, problemOf } from "./params.mjs";
 import { OUTCOMES, Projector, transformed } from "./project.mjs";
@@ -153,6 +153,7 @@ export function showClouds(recording) {
     (step) => `${step + 1} of ${topic.clouds.length}: ${topic.clouds[step].moment}`,
   );
   setUpTheme(() => {
+    results.colour();
     paint();
     draw();
   });
@@ -535,27 +536,28 @@ function resultsIn(panel, choice) {
     return { row, swatch, count, share };
   });
   return {
+    /** Colour the names like the points. */
+    colour() {
+      rows.forEach(({ swatch }, n) => (swatch.style.background = outcomeColours(theme())[n]));
+    },
     /**
      * @param {Scan} scan
      * @param {number} milliseconds
      * @param {CloudEntry} entry
      */
     show(scan, milliseconds, entry) {
-      const colours = outcomeColours(theme());
       const total = Math.max(1, scan.outcomes.length);
-      rows.forEach(({ row, swatch, count, share }, n) => {
-        row.hidden = OUTCOMES[n] === "filtered" && !entry.filtered;
-        swatch.style.background = colours[n];
-        count.textContent = grouped(scan.counts[n]);
-        share.textContent = `${((100 * scan.counts[n]) / total).toFixed(1)} %`;
+      rows.forEach(({ row, count, share }, n) => {
+        put(row, "hidden", OUTCOMES[n] === "filtered" && !entry.filtered);
+        put(count, "textContent", grouped(scan.counts[n]));
+        put(share, "textContent", `${((100 * scan.counts[n]) / total).toFixed(1)} %`);
       });
       const thinned = entry.total > scan.outcomes.length ? ` of ${grouped(entry.total)} points, thinned;` : "";
       summary.textContent = `${scan.ranges.length} beams, ${scan.returns} with a return;${thinned} ${milliseconds.toFixed(1)} ms`;
-      command.replaceChildren(
-        ...commandWords(choice())
-          .flatMap((word) => [" ", unbroken(word)])
-          .slice(1),
-      );
+      const words = commandWords(choice());
+      if (command.children.length === words.length)
+        words.forEach((word, n) => put(command.children[n], "textContent", word));
+      else command.replaceChildren(...words.flatMap((word) => [" ", unbroken(word)]).slice(1));
       staticButton.hidden = !choice().staticTf;
     },
   };

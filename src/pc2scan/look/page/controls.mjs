@@ -1,5 +1,6 @@
 // The form: one row for each parameter, a slider beside its number.
 
+import { put } from "./page.mjs";
 import { MOUNT_KEYS } from "./transform.mjs";
 
 /** @typedef {import("./params.mjs").Params} Params */
@@ -135,9 +136,9 @@ class NumberRow {
     // Upstream's default min_height is the smallest number above 0.
     const above = value > 0 && value < 1e-300;
     const text = none || above ? "" : String(shown);
-    this.number.placeholder = above ? "above 0" : (this.spec.none ?? "");
-    if (document.activeElement !== this.number) this.number.value = text;
-    this.slider.value = String(Math.abs(value) >= NO_LIMIT ? Math.sign(value) * 1e9 : shown);
+    put(this.number, "placeholder", above ? "above 0" : (this.spec.none ?? ""));
+    if (document.activeElement !== this.number) put(this.number, "value", text);
+    put(this.slider, "value", String(Math.abs(value) >= NO_LIMIT ? Math.sign(value) * 1e9 : shown));
   }
 
   /** @param {boolean} wrong */
@@ -164,7 +165,7 @@ class ChoiceRow {
 
   /** @param {string} value */
   show(value) {
-    this.select.value = value;
+    put(this.select, "value", value);
   }
 
   /** @param {boolean} wrong */
@@ -281,7 +282,7 @@ export class Controls {
   /** @param {{name: string, message: string} | null} problem */
   blame(problem) {
     for (const [name, made] of this.rows) made.mark(problem?.name === name);
-    this.problem.textContent = problem ? `${problem.name} ${problem.message}` : "";
+    put(this.problem, "textContent", problem ? `${problem.name} ${problem.message}` : "");
   }
 }
 

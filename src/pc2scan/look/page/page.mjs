@@ -13,6 +13,18 @@ export function element(id, kind) {
   return found;
 }
 
+/**
+ * Set a property, if its value is another one: the browser lays out a text again even if it is the same.
+ * @template {object} T
+ * @template {keyof T} K
+ * @param {T} element
+ * @param {K} property
+ * @param {T[K]} value
+ */
+export function put(element, property, value) {
+  if (element[property] !== value) element[property] = value;
+}
+
 /** @returns {import("./palette.mjs").Theme} */
 export function theme() {
   return document.documentElement.dataset.theme === "dark" ? "dark" : "light";
@@ -90,7 +102,7 @@ export function setUpTime(count, show, describe) {
  * @param {string} frame empty: unknown
  */
 export function nameFrame(frame) {
-  element("frame", HTMLElement).textContent = frame && `in frame ${frame}`;
+  put(element("frame", HTMLElement), "textContent", frame && `in frame ${frame}`);
 }
 
 /**

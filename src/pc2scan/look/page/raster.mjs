@@ -88,14 +88,13 @@ export class Raster {
     const { places, size, width } = this;
     const [mostLeft, mostTop] = [width - size + 1, this.height - size + 1];
     const shift = (1 - size) / 2;
-    // A view along an axis shows points of which only the place along this axis is unknown.
+    // A view along an axis shows points of which only the place along this axis is unknown: another axis, times 0,
+    // takes its place.
     const [hasX, hasY, hasZ] = [a !== 0 || d !== 0, b !== 0 || e !== 0, c !== 0 || f !== 0];
-    for (let n = 0; n < xs.length; n++) {
-      const x = hasX ? xs[n] : 0;
-      const y = hasY ? ys[n] : 0;
-      const z = hasZ ? zs[n] : 0;
-      const left = a * x + b * y + c * z + p + shift;
-      const top = d * x + e * y + f * z + q + shift;
+    const [us, vs, ws] = [hasX ? xs : ys, hasY ? ys : xs, hasZ ? zs : xs];
+    for (let n = 0; n < us.length; n++) {
+      const left = a * us[n] + b * vs[n] + c * ws[n] + p + shift;
+      const top = d * us[n] + e * vs[n] + f * ws[n] + q + shift;
       places[n] = left >= 0 && left < mostLeft && top >= 0 && top < mostTop ? (top | 0) * width + (left | 0) : -1;
     }
   }
@@ -109,14 +108,19 @@ export class Raster {
     const { places, points, depths, size, width } = this;
     points.fill(0);
     depths.fill(-Infinity);
+    const put = (/** @type {number} */ place, /** @type {number} */ depth, /** @type {number} */ n) => {
+      if (depth < depths[place]) return;
+      depths[place] = depth;
+      points[place] = n + 1;
+    };
     for (let n = 0; n < places.length; n++) {
       if (places[n] < 0) continue;
       const depth = a * xs[n] + b * ys[n] + c * zs[n];
-      for (let row = 0; row < size; row++) {
-        for (let place = places[n] + row * width, end = place + size; place < end; place++) {
-          if (depth < depths[place]) continue;
-          depths[place] = depth;
-          points[place] = n + 1;
+      // Loops of one step take longer than the step.
+      if (size === 1) put(places[n], depth, n);
+      else {
+        for (let row = 0; row < size; row++) {
+          for (let place = places[n] + row * width, end = place + size; place < end; place++) put(place, depth, n);
         }
       }
     }
@@ -130,13 +134,17 @@ export class Raster {
    */
   stamp(colours, ranks, front) {
     const { places, points, pixels, size, width } = this;
+    const put = (/** @type {number} */ place, /** @type {number} */ colour, /** @type {number} */ n) => {
+      pixels[place] = colour;
+      points[place] = n + 1;
+    };
     for (let n = 0; n < places.length; n++) {
       if ((ranks[n] === 0) !== front || places[n] < 0) continue;
       const colour = colours[n];
-      for (let row = 0; row < size; row++) {
-        for (let place = places[n] + row * width, end = place + size; place < end; place++) {
-          pixels[place] = colour;
-          points[place] = n + 1;
+      if (size === 1) put(places[n], colour, n);
+      else {
+        for (let row = 0; row < size; row++) {
+          for (let place = places[n] + row * width, end = place + size; place < end; place++) put(place, colour, n);
         }
       }
     }
