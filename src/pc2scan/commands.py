@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from .look.plot import Plotted
     from .look.view import Page
     from .options.call import Options
-    from .pipeline.progress import Progress
     from .pipeline.report import Report
+    from .progress import Progress
     from .requests import Warn
 
 

@@ -208,18 +208,20 @@ def test_how_far_a_comparison_is(tmp_path: Path) -> None:
     many = write_mcap(tmp_path / "many.mcap", recording({"/scan": scans(200)}))
     both = write_mcap(tmp_path / "both.mcap", recording({"/a": scans(96), "/b": scans(96)}))
     told: list[tuple[int, int, int]] = []
-    for path, topics in ((many, 1), (both, 2)):
+    for path, count in ((many, 200), (both, 192)):
         told.clear()
         assert diff(path, path, progress=lambda *step: told.append(step)).same
-        assert [messages for _, _, messages in told] == [32, 64, 96, 128, 160, 192]
-        assert {total for _, total, _ in told} == {told[0][1]}
-        # As many messages as the share of the work: of 200, eight are not reported.
-        count = 200 if topics == 1 else 192
-        assert [round(done / total * count) for done, total, _ in told] == [32, 64, 96, 128, 160, 192]
-        assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
-        assert all(0 < done <= total for done, total, _ in told)
+        total = told[0][1]
+        # Each is more than a thousandth of the work, and the share of the work is that of the messages.
+        assert [messages for _, _, messages in told] == [*range(count + 1), count]
+        assert [(round(done / total * count), all_of_it) for done, all_of_it, _ in told[:-1]] == [
+            (number, total) for number in range(count + 1)
+        ]
+        assert told[-1][:2] == (total, total)
     told.clear()
     check(many, progress=lambda *step: told.append(step))
-    # The scans are 0 until the transforms, and the first scans' headers, are read.
-    assert [messages for _, _, messages in told] == [0, 0, 0, 0, 64, 128, 192]
-    assert {total for _, total, _ in told[3:]} == {told[-1][1]}
+    # The scans are 0 until the transforms, and the first scans' headers, are read. A chunk of 16 is done when the next
+    # one is due.
+    assert [messages for _, _, messages in told] == [0, 0, 0, 0, *range(0, 200, 16), 200]
+    assert [done for done, _, _ in told] == sorted(done for done, _, _ in told)
+    assert {total for _, total, _ in told[3:]} == {told[-1][0]}

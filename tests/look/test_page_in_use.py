@@ -192,6 +192,17 @@ def test_only_the_texts_that_change_are_written(hall: Tab) -> None:
 
 
 @slow
+def test_reset_clears_half_a_number(hall: Tab) -> None:
+    # The browser shows what was typed, and gives an empty value, which the field also has after the reset.
+    hall.page.focus("#param-range_max")
+    hall.page.keyboard.type("1e")
+    wrong = "document.getElementById('param-range_max').validity.badInput"
+    assert hall.call(wrong)
+    hall.page.click("text=Reset all")
+    assert not hall.call(wrong)
+
+
+@slow
 def test_the_names_of_outcomes_follow_the_theme(hall: Tab) -> None:
     swatch = "getComputedStyle(document.querySelector('.swatch')).backgroundColor"
     assert hall.call(swatch) == "rgb(0, 114, 178)"

@@ -30,7 +30,6 @@ class MemoryReader(Reader):
     path: Path = None  # type: ignore[assignment]
     connections: Sequence[Connection] = ()
     summary: Summary = None  # type: ignore[assignment]
-    bytes_read = 3
     damage = ()
 
     def __init__(

@@ -221,6 +221,16 @@ SITUATIONS = (
         (_typed(0),),
     ),
     Situation(
+        "a static transform of a frame that is misspelt",
+        hall(frame="lidar_front"),
+        (
+            (_typed(0), "has no effect: the clouds are in lidar_front"),
+            (_typed(0), "did you mean --static-tf 'base_link lidar_front 0 0 0.6 0 0 0'?"),
+        ),
+        (_typed(0),),
+        hall(),
+    ),
+    Situation(
         "a static transform in millimetres",
         hall(),
         ((f"{_IN_BASE} --static-tf 'base_link lidar 0 0 600 0 0 0'", "if these are millimetres"),),
@@ -347,9 +357,10 @@ SITUATIONS = (
             (f"{_DESKEW} --preset slam_toolbox --range-max 20 --overwrite", "the two frames are swapped"),
             ("check {out} --for slam_toolbox", "map to odom, which then has two parents"),
             ("map {out} -o map.yaml", "the two frames are swapped"),
+            ("export {out} -o scans.log --pose-frame odom", "the two frames are swapped"),
         ),
         # Inverted, too, they are right.
-        (_DESKEW, "map {out} -o map.yaml"),
+        (f"{_DESKEW} --range-max 20", "map {out} -o map.yaml", "export {out} -o scans.log --pose-frame odom"),
         drive(Fault(pair=_SWAPPED, inverted=True), Drive()),
     ),
     Situation(
@@ -457,6 +468,38 @@ SITUATIONS = (
         ),
         (f"{_HALL} {_HEIGHTS} --preset slam_toolbox --range-max 20", "check {out} --for slam_toolbox"),
         drive(),
+    ),
+    Situation(
+        "an offset of a clock with the wrong sign",
+        drive(ahead=1.5),
+        (
+            (
+                f"{_IN_BASE} --time-offset 1.5",
+                "takes its stamps farther from those of /tf: without it they are 1.5 s off",
+            ),
+            (f"{_IN_BASE} --overwrite --time-offset 1.5", "--time-offset /points=auto measures what corrects them"),
+        ),
+        (f"{_IN_BASE} --time-offset -1.5",),
+    ),
+    Situation(
+        "an offset of a clock that is right",
+        drive(),
+        ((f"{_IN_BASE} --time-offset -37", "without it they fit, with it they are 37 s off"),),
+        (_IN_BASE,),
+    ),
+    Situation(
+        "a map in a frame of the robot",
+        drive(),
+        (
+            (f"{_IN_BASE} --preset slam_toolbox --range-max 20", ""),
+            ("map {out} -o map.yaml --odom-frame lidar", "in which base_link does not move"),
+            (
+                "map {out} -o map.yaml --odom-frame base_link --overwrite",
+                "does not move: the scans are drawn as if it had",
+            ),
+            ("map {out} -o map.yaml --odom-frame base_link --overwrite", "--odom-frame odom"),
+        ),
+        (f"{_IN_BASE} --preset slam_toolbox --range-max 20", "map {out} -o map.yaml"),
     ),
     Situation(
         "a lidar whose clock is 1.5 s ahead",

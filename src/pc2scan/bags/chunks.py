@@ -186,6 +186,7 @@ def segment_units(
             may_be_whole=segment in whole,
             extent=Extent(file, segment.offset, segment.length),
             messages=segment.messages,
+            compression=segment.compression,
         )
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage
+    from pc2scan.progress import Price
 
     from .damage import Damage
     from .units import Item, Load, Loaded, Unit
@@ -85,11 +86,6 @@ class MergedReader(Reader):
         ]
 
     @property
-    def bytes_read(self) -> int:
-        """Bytes read so far of all sources."""
-        return sum(reader.bytes_read for reader in self._readers)
-
-    @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage of all sources."""
         return tuple(damage for reader in self._readers for damage in reader.damage)
@@ -112,15 +108,16 @@ class MergedReader(Reader):
 
     def work(
         self,
+        price: Price,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> int:
-        """Return how much work it is to read these messages of all sources."""
+        """Return how much work these messages of all sources are."""
         if self._unchanged:
-            return self._readers[0].work(connections, start_ns, stop_ns)
+            return self._readers[0].work(price, connections, start_ns, stop_ns)
         sources = self._sources(connections, start_ns, stop_ns, None)
-        return sum(source.reader.work(*source.selection[:3]) for source in sources)
+        return sum(source.reader.work(price, *source.selection[:3]) for source in sources)
 
     def _sources(
         self,

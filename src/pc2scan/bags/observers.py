@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
     from pc2scan.model import Connection
+    from pc2scan.progress import Price
 
     from .reader import Reader
     from .units import Loaded, Unit
@@ -187,7 +188,7 @@ class _Seen(NamedTuple):
     values: Sequence[tuple[Observer[Any], Any]]
 
 
-def work_of(reader: Reader, observers: Iterable[Observer[Any]]) -> int:
+def work_of(price: Price, reader: Reader, observers: Iterable[Observer[Any]]) -> int:
     """Return how much work it is to show all messages to those observers that want all; the others want few."""
     lasting = [each for each in observers if each.most is None and each.spread is None and each.is_needless is None]
     starts, stops = ([getattr(each, name) for each in lasting] for name in ("start_ns", "stop_ns"))
@@ -195,19 +196,19 @@ def work_of(reader: Reader, observers: Iterable[Observer[Any]]) -> int:
     if not connections:
         return 0
     start_ns, stop_ns = None if None in starts else min(starts), None if None in stops else max(stops)
-    return reader.work(list(connections.values()), start_ns, stop_ns)
+    return reader.work(price, list(connections.values()), start_ns, stop_ns)
 
 
 def observe(
-    reader: Reader, observers: Iterable[Observer[Any]], count_work: Callable[[int], object] | None = None
+    reader: Reader, observers: Iterable[Observer[Any]], count_unit: Callable[[Unit], object] | None = None
 ) -> None:
     """Show the messages of a recording to observers; see `observing`."""
-    for _ in observing(reader, observers, count_work):
+    for _ in observing(reader, observers, count_unit):
         pass
 
 
 def observing(
-    reader: Reader, observers: Iterable[Observer[Any]], count_work: Callable[[int], object] | None = None
+    reader: Reader, observers: Iterable[Observer[Any]], count_unit: Callable[[Unit], object] | None = None
 ) -> Generator[None]:
     """Show the messages of a recording to observers, and yield after each.
 
@@ -218,8 +219,8 @@ def observing(
     ----------
     reader, observers
         The recording, and what takes its messages.
-    count_work
-        Called with the work of each unit that was read.
+    count_unit
+        Called with each unit that was read.
 
     Raises
     ------
@@ -233,13 +234,13 @@ def observing(
         groups.setdefault(reader.has_chunks or observer.selection, []).append(observer)
     for group in groups.values():
         if not all(observer.is_done for observer in group):
-            yield from _observe_together(reader, group, count_work)
+            yield from _observe_together(reader, group, count_unit)
         for observer in group:
             observer.end()
 
 
 def _observe_together(
-    reader: Reader, observers: Sequence[Observer[Any]], count_work: Callable[[int], object] | None
+    reader: Reader, observers: Sequence[Observer[Any]], count_unit: Callable[[Unit], object] | None
 ) -> Generator[None]:
     """Read a recording once."""
     connections = {each.id: each for observer in observers for each in observer.connections}
@@ -280,7 +281,7 @@ def _observe_together(
         )
     # Twice: when units are announced to the system, and when they are due.
     chosen = (unit for unit in units if is_wanted(unit))
-    loading = partial(_load_wanted, is_wanted, count_work)
+    loading = partial(_load_wanted, is_wanted, count_unit)
     with closing(merge_by_time(chosen, take, loading=loading, holds_units=False, path=reader.path)) as messages:
         for seen in messages:
             if isinstance(seen, RawMessage):
@@ -342,7 +343,7 @@ def _parts_of_units(reader: Reader, observer: Observer[Any]) -> dict[tuple[int, 
 
 def _load_wanted(
     is_wanted: Callable[[Unit], bool],
-    count_work: Callable[[int], object] | None,
+    count_unit: Callable[[Unit], object] | None,
     units: Iterable[Unit],
     callback: Callable[[RawMessage], Any],
 ) -> Generator[Handle]:
@@ -352,8 +353,8 @@ def _load_wanted(
         if not is_wanted(unit):
             return []
         found = unit.load(callback, whole=False)
-        if count_work is not None:
-            count_work(unit.work)
+        if count_unit is not None:
+            count_unit(unit)
         return found
 
     for unit in units:

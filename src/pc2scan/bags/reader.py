@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.model import Attachment, ChunkRule, Connection, Metadata, RawMessage, Summary
+    from pc2scan.progress import Price
 
     from .damage import Damage, DamageLog
     from .units import Unit
@@ -47,12 +48,6 @@ class Reader(ABC):
     has_chunks: bool = False
     remarks: Sequence[str] = ()
     _log: DamageLog
-    _bytes_read: int = 0
-
-    @property
-    def bytes_read(self) -> int:
-        """Bytes of ``summary.size_bytes`` consumed so far, for progress."""
-        return min(self._bytes_read, self.summary.size_bytes)
 
     @property
     def damage(self) -> tuple[Damage, ...]:
@@ -100,18 +95,21 @@ class Reader(ABC):
 
     def work(
         self,
+        price: Price,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> int:
-        """Return how much work it is to read these messages: that of all their units, for progress.
+        """Return how much work these messages are: that of all their units, for progress.
 
         Parameters
         ----------
+        price
+            What is done with them.
         connections, start_ns, stop_ns
             See `units`.
         """
-        return sum(unit.work for unit in self.units(connections, start_ns, stop_ns))
+        return sum(unit.work(price) for unit in self.units(connections, start_ns, stop_ns))
 
     @abstractmethod
     def close(self) -> None:
@@ -171,11 +169,6 @@ class WrappedReader(Reader):
         self.has_chunks = inner.has_chunks
 
     @property
-    def bytes_read(self) -> int:
-        """See `Reader`."""
-        return self._inner.bytes_read
-
-    @property
     def damage(self) -> tuple[Damage, ...]:
         """See `Reader`."""
         return self._inner.damage
@@ -192,12 +185,13 @@ class WrappedReader(Reader):
 
     def work(
         self,
+        price: Price,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
     ) -> int:
         """See `Reader`."""
-        return self._inner.work(connections, start_ns, stop_ns)
+        return self._inner.work(price, connections, start_ns, stop_ns)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pc2scan.files.source import SourceFile
+    from pc2scan.progress import Price
 
 #: Limit of loaded units; beyond it, those needed last are dropped and later loaded again.
 MAX_OPEN_BYTES = 96 << 20
@@ -56,9 +57,6 @@ MAX_LISTED_ITEMS = 1 << 15
 
 #: Bytes that an item takes besides its data.
 ITEM_BYTES = 400
-
-#: The work on a message besides its bytes, as a number of bytes that take as long to decompress and convert: 4 us.
-MESSAGE_WORK = 4096
 
 _Value = TypeVar("_Value")
 _Other = TypeVar("_Other")
@@ -226,6 +224,8 @@ class Unit(NamedTuple):
         Whether it takes its memory as soon as it is listed, as the rows of a database do.
     messages
         How many messages it has; 0 if that is unknown. For progress only.
+    compression
+        How it is stored: ``none``, ``bz2``, ``lz4`` or ``zstd``. For progress only.
     """
 
     start_ns: int
@@ -237,11 +237,13 @@ class Unit(NamedTuple):
     extent: Extent | None = None
     is_in_memory: bool = False
     messages: int = 0
+    compression: str = "none"
 
-    @property
-    def work(self) -> int:
-        """How much work it is, in bytes: uncompressed ones, and `MESSAGE_WORK` for each message."""
-        return self.size + self.messages * MESSAGE_WORK
+    def work(self, price: Price) -> int:
+        """Return how much work it is at a price."""
+        return price.of(
+            self.size, self.messages, self.compression, chunks=not self.is_in_memory, is_quick=self.is_quick
+        )
 
     @property
     def due(self) -> tuple[int, tuple[int, ...]]:

@@ -257,11 +257,6 @@ class ZstdReader(WrappedReader):
         )
 
     @property
-    def bytes_read(self) -> int:
-        """The share of the compressed file that was read so far."""
-        return self._inner.bytes_read * self.summary.size_bytes // max(1, self._inner.summary.size_bytes)
-
-    @property
     def damage(self) -> tuple[Damage, ...]:
         """The damage: that of the compression first, then that of the recording in it."""
         return (*self._log.found, *(place._replace(path=self.path) for place in self._inner.damage))

@@ -176,9 +176,9 @@ class Event(NamedTuple):
     Attributes
     ----------
     what
-        ``begun``; ``progress``: ``value`` is the share that is done, 0 to 1; ``died``: the process that converted the
-        recording has died, it is tried again, and ``value`` says why; ``done``: ``value`` is the line of the manifest;
-        ``workers``: ``value`` is how many recordings are converted at a time, if the executor decides it;
+        ``begun``; ``progress``: ``value`` is the work that is done, and the work in all; ``died``: the process that
+        converted the recording has died, it is tried again, and ``value`` says why; ``done``: ``value`` is the line of
+        the manifest; ``workers``: ``value`` is how many recordings are converted at a time, if the executor decides it;
         ``told``: ``value`` is information for the user, such as the address of a dashboard; ``idle``: nothing.
     key
         The name of the recording; empty if it is about none.

@@ -222,8 +222,8 @@ def run_jobs(
                     worker.ready = True
                     if version != __version__:
                         raise Pc2ScanError(f"a worker process has pc2scan {version}, this is {__version__}")
-                case ("progress", share) if job is not None:
-                    yield Event("progress", job.key, share)
+                case ("progress", work) if job is not None:
+                    yield Event("progress", job.key, work)
                 case ("done", record):
                     worker.job = None
                     # Workers get their next jobs before the manifest is written, which waits for the disk.
@@ -315,7 +315,7 @@ class _Server:
         now = time.monotonic()
         if now - self._last >= _PROGRESS_SECONDS:
             self._last = now
-            send(self._answers, ("progress", done / total if total else 0.0))
+            send(self._answers, ("progress", (done, total)))
 
 
 def serve_jobs() -> None:

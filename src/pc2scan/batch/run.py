@@ -100,10 +100,13 @@ class BatchOptions:
 
 
 class BatchProgress(NamedTuple):
-    """The progress of a batch: bytes of sources and number of recordings, done and in total."""
+    """The progress of a batch: work (see `pc2scan.progress.Price`) and recordings, done and in total.
 
-    bytes_done: int
-    bytes_total: int
+    The work of recordings that have not begun is estimated by their bytes; so the total changes.
+    """
+
+    work_done: int
+    work_total: int
     recordings_done: int
     recordings_total: int
 
@@ -303,23 +306,43 @@ def _source_checksum(found: Recording) -> str:
 
 @dataclass(slots=True)
 class _Progress:
-    """Adds up the progress of all conversions: the bytes that are done of each, and which have ended."""
+    """Adds up the progress of all conversions: the work that is done of each, and which have ended.
+
+    A recording says how much work it is when it has begun; the others are as much for their bytes as those together.
+    """
 
     sizes: Mapping[str, int]
     watch: BatchCallbacks
+    works: dict[str, int] = field(default_factory=dict)
     done: dict[str, int] = field(default_factory=dict)
     ended: set[str] = field(default_factory=set)
 
-    def at(self, key: str, share: float) -> None:
-        """Report how much of a recording is done, 0 to 1."""
-        self.done[key] = round(self.sizes[key] * min(1.0, share))
-        total = sum(self.sizes.values())
-        self.watch.progress(BatchProgress(sum(self.done.values()), total, len(self.ended), len(self.sizes)))
+    def begin(self, key: str) -> None:
+        """Report that a recording begins, for the first time or again."""
+        self.done.pop(key, None)
+        self.works.pop(key, None)
+        self._report()
+
+    def at(self, key: str, done: int, work: int) -> None:
+        """Report how much of the work on a recording is done."""
+        if work:
+            self.done[key], self.works[key] = done, work
+        self._report()
 
     def end(self, key: str) -> None:
         """Report that a recording has ended."""
         self.ended.add(key)
-        self.at(key, 1.0)
+        work = self.works.get(key) or round(self.sizes[key] * self._work_per_byte())
+        self.at(key, work, work)
+
+    def _work_per_byte(self) -> float:
+        known = sum(self.sizes[key] for key in self.works)
+        return sum(self.works.values()) / known if known else 1.0
+
+    def _report(self) -> None:
+        others = sum(size for key, size in self.sizes.items() if key not in self.works)
+        total = sum(self.works.values()) + round(others * self._work_per_byte())
+        self.watch.progress(BatchProgress(sum(self.done.values()), total, len(self.ended), len(self.sizes)))
 
 
 class _Batch:
@@ -435,11 +458,11 @@ class _Batch:
                 match what:
                     case "begun":
                         self._folder.begin(self._steps[key].output)
-                        progress.at(key, 0.0)
+                        progress.begin(key)
                     case "progress":
-                        progress.at(key, value)
+                        progress.at(key, *value)
                     case "died":
-                        progress.at(key, 0.0)
+                        progress.begin(key)
                         self.watch.warn(f"{key}: {value}; it is tried again")
                     case "told":
                         self.watch.inform(value)

@@ -122,12 +122,12 @@ def _show_text(text: str) -> None:
 
 @contextmanager
 def _progress_bar(*, enabled: bool) -> Iterator[Callable[[BatchProgress], None]]:
-    """Show bytes and recordings done, and the time left; yields the function to report to."""
+    """Show the share and the recordings done, and the time left; yields the function to report to."""
     text = "{task.fields[done]:,} of {task.fields[all]:,} recordings"
     with progress_bar(text, "done", "all", enabled=enabled) as show_bar:
 
         def update(now: BatchProgress) -> None:
             if show_bar is not None:
-                show_bar(now.bytes_done, now.bytes_total, now.recordings_done, now.recordings_total)
+                show_bar(now.work_done, now.work_total, now.recordings_done, now.recordings_total)
 
         yield update

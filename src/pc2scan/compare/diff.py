@@ -17,6 +17,7 @@ from pc2scan.bags.reader import Reader
 from pc2scan.errors import DecodeError, TopicError, UsageError, name_list
 from pc2scan.messages.schema import canonical_type
 from pc2scan.messages.transcode import transcoder
+from pc2scan.progress import AHEAD, Meter
 from pc2scan.text import did_you_mean
 
 from .match import OpenRecording, TopicStream, header_stamp_ns, match_messages, read_into_memory
@@ -27,56 +28,16 @@ from .scan_text import is_scan_text, open_scan_text
 from .topic_difference import MessageTimes, TopicDifference
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from pc2scan.model import Buffer, Connection, RawMessage
-
-#: Pairs of messages between two reports.
-_EVERY = 32
+    from pc2scan.progress import Progress
 
 
-class ProgressMeter:
-    """Reports the progress of the comparison of two recordings, topic by topic.
-
-    Parameters
-    ----------
-    progress
-        Takes the work done, the work in all (see `pc2scan.bags.units.Unit.work`), and the messages compared. None:
-        nothing is reported.
-    """
-
-    def __init__(self, progress: Callable[[int, int, int], None] | None) -> None:
-        self._progress = progress
-        #: The work and the number of messages of each topic.
-        self._topics: Sequence[tuple[int, int]] = ()
-        self._topic = self._before = self._messages = 0
-
-    def expect(self, pairs: Sequence[tuple[TopicStream, TopicStream]]) -> None:
-        """Expect these topics, in this order."""
-        if self._progress is not None:
-            self._topics = [
-                (sum(map(_work_of, pair)), max(sum(c.message_count or 0 for c in each.connections) for each in pair))
-                for pair in pairs
-            ]
-
-    def begin(self, topic: int) -> None:
-        """Begin with a topic."""
-        self._topic, self._before = topic, self._messages
-
-    def count(self) -> None:
-        """Count a pair of messages."""
-        self._messages += 1
-        if self._progress is None or self._messages % _EVERY:
-            return
-        work, messages = self._topics[self._topic]
-        done = work * min(self._messages - self._before, messages) // max(1, messages)
-        done += sum(before for before, _ in self._topics[: self._topic])
-        self._progress(done, sum(each for each, _ in self._topics), self._messages)
-
-
-def _work_of(stream: TopicStream) -> int:
-    return stream.source.work(stream.connections) if isinstance(stream.source, Reader) else 0
+def _work_of(pair: tuple[TopicStream, TopicStream]) -> int:
+    """Return how much work it is to read a topic of both recordings."""
+    return sum(each.source.work(AHEAD, each.connections) for each in pair if isinstance(each.source, Reader))
 
 
 #: If there are more topics of scans or clouds, they are read together, because one after the other takes too long.
@@ -112,14 +73,14 @@ def diff(
     topics: Sequence[TopicPair] = (),
     all_topics: bool = False,
     rules: Rules | None = None,
-    progress: Callable[[int, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Difference:
     """Compare two recordings; see `pc2scan.diff`.
 
     Parameters
     ----------
     progress
-        Called regularly; see `pc2scan.compare.diff`.
+        Called regularly; see `pc2scan.progress.Progress`. The messages are pairs.
     """
     if b is None and not (topics and all(pair.a != pair.b for pair in topics)):
         raise UsageError(
@@ -133,7 +94,7 @@ def diff(
             source = open_source(path)
             stack.callback(source.close)
             sources.append(source)
-        meter = ProgressMeter(progress)
+        meter = None if progress is None else Meter(progress)
         return diff_sources(sources[0], sources[1], topics=topics, all_topics=all_topics, rules=rules, meter=meter)
 
 
@@ -155,7 +116,7 @@ def diff_sources(
     topics: Sequence[TopicPair] = (),
     all_topics: bool = False,
     rules: Rules | None = None,
-    meter: ProgressMeter | None = None,
+    meter: Meter | None = None,
 ) -> Difference:
     """Compare open recordings.
 
@@ -170,13 +131,15 @@ def diff_sources(
     result = Difference(str(a.path), str(b.path))
     asked = pair_streams(a, b, topics)
     others = [] if topics and not all_topics else _topics_of_type(a, b, decoded=False, without=topics)
-    meter = meter or ProgressMeter(None)
-    meter.expect(asked)
-    for number, pair in enumerate(_read_into_memory(asked) if len(asked) > _MANY_TOPICS else asked):
-        meter.begin(number)
-        _compare([pair], rules, result, meter)
+    works = [0] * len(asked) if meter is None else list(map(_work_of, asked))
+    if meter is not None:
+        meter.expect(sum(works))
+    for pair, work in zip(_read_into_memory(asked) if len(asked) > _MANY_TOPICS else asked, works, strict=True):
+        _compare([pair], rules, result, meter, work)
+    if meter is not None:
+        meter.finish()
     if all_topics:
-        _compare(others, rules, result, meter)
+        _compare(others, rules, result)
     else:
         result.left_aside = len(others)
     if not result.topics:
@@ -259,9 +222,16 @@ def _compare(
     pairs: Sequence[tuple[TopicStream, TopicStream]],
     rules: Rules,
     result: Difference,
-    meter: ProgressMeter,
+    meter: Meter | None = None,
+    work: int = 0,
 ) -> None:
-    """Compare topics: scans and clouds topic by topic, all others in one pass."""
+    """Compare topics: scans and clouds topic by topic, all others in one pass.
+
+    Parameters
+    ----------
+    meter, work
+        Gets this much work in equal parts while the pairs of scans or clouds are compared.
+    """
     others = []
     for one, other in pairs:
         entry = _entry(one, other, rules)
@@ -270,7 +240,7 @@ def _compare(
         if all(kinds) and (kinds[0] != kinds[1] or len(kinds[0]) > 1):
             entry.change("type", MessageTimes(None, 0), ", ".join(kinds[0]), ", ".join(kinds[1]))
         elif entry.msgtype in DECODED_TYPES:
-            _compare_stream(one, other, entry, rules, meter)
+            _compare_stream(one, other, entry, rules, meter, work)
         else:
             others.append(((one, other), entry))
     if others:
@@ -288,11 +258,16 @@ def _compare_stream(
     other: TopicStream,
     entry: TopicDifference,
     rules: Rules,
-    meter: ProgressMeter,
+    meter: Meter | None,
+    work: int,
 ) -> None:
     """Compare scans or clouds, pair by pair."""
-    for pair in match_messages(one, other):
-        meter.count()
+    pairs = max(sum(c.message_count or 0 for c in each.connections) for each in (one, other))
+    for number, pair in enumerate(match_messages(one, other)):
+        if meter is not None:
+            meter.messages += 1
+            if number < pairs:
+                meter.add(work * (number + 1) // pairs - work * number // pairs)
         entry.messages_a += pair.a is not None
         entry.messages_b += pair.b is not None
         if pair.a is not None and pair.b is not None:

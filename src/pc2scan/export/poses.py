@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import TransformError, UsageError, name_list
+from pc2scan.pipeline.odometry import direction_of
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid
@@ -125,6 +126,13 @@ class Poses:
         base = self._base_of(sensor_frame)
         robot = self._transforms.lookup(self.pose_frame, base, stamp_ns)
         return PosesAtStamp(self.pose_frame, base, robot, self._transforms, sensor_frame, stamp_ns)
+
+    def doubts(self) -> Iterator[str]:
+        """Yield what may be wrong with the poses that were read."""
+        for base in dict.fromkeys(self._bases.values()):
+            direction = direction_of(self._transforms, self.pose_frame, base)
+            if direction is not None and direction.doubt:
+                yield direction.doubt
 
     def _base_of(self, sensor_frame: str) -> str:
         found = self._bases.get(sensor_frame)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pc2scan.files.records import Record
     from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.progress import Progress
+    from pc2scan.progress import Progress
 
     from .formats import ExportFormat, TopicWriter
     from .poses import Poses
@@ -135,7 +135,7 @@ def run(
     also_read
         Files that were read for the options, by option.
     progress
-        Called regularly; see `pc2scan.pipeline.progress.Progress`.
+        Called regularly; see `pc2scan.progress.Progress`.
 
     Raises
     ------
@@ -358,6 +358,7 @@ class _Export:
             else:
                 self._give_up(topic)
                 report.warnings.append(f"{topic}: nothing to write, so there is no file")
+        report.warnings += () if self._poses is None else self._poses.doubts()
 
     def _give_up(self, topic: str) -> None:
         """Remove the files of a topic without a message that can be written."""

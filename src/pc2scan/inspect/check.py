@@ -18,8 +18,8 @@ from pc2scan.model import StoredChunk, own_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.engine import schedule
 from pc2scan.pipeline.items import Span
-from pc2scan.pipeline.progress import Meter
 from pc2scan.pipeline.survey import Survey
+from pc2scan.progress import CHECK, Meter
 from pc2scan.result import Part, Result
 from pc2scan.text import counted
 from pc2scan.tf.placing import FrameOptions
@@ -35,17 +35,14 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.verdicts import ConsumerScan, Verdict
     from pc2scan.model import Connection
-    from pc2scan.pipeline.progress import Progress
     from pc2scan.pipeline.survey import TopicFacts
+    from pc2scan.progress import Progress
     from pc2scan.tf.buffer import TransformBuffer
 
     from .findings import Finding
 
 #: How many frames are shown as text.
 _MAX_SHOWN = 5
-
-#: How many scans are between two reports of the progress.
-_PROGRESS_EVERY = 64
 
 
 #: The defects of scans that are of no use, and the consumers to whom they are of none: Nav2 does not match scans, and
@@ -290,7 +287,7 @@ def check(
     frames
         The source of transforms; None: the recording's ``/tf`` and ``/tf_static``.
     progress
-        Called regularly; see `pc2scan.pipeline.progress.Progress`. The messages are scans.
+        Called regularly; see `pc2scan.progress.Progress`. The messages are scans.
 
     Raises
     ------
@@ -324,8 +321,8 @@ def check(
         wanted = [each for group in chosen.values() for each in group]
         clocks = Clocks(survey, survey.topics(wanted).values())
         reading = survey.ask_transforms((odom_frame, base_frame), use=False)
-        meter = None if progress is None else Meter(progress)
-        survey.read(meter, 0 if meter is None else reader.work(wanted))
+        meter = None if progress is None else Meter(progress, CHECK)
+        survey.read(meter, 0 if meter is None else reader.work(CHECK, wanted))
         transforms = reading.finish()
         buffer = transforms.buffer
         wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}
@@ -369,14 +366,12 @@ def _check_topics(
     topics = {name: (ScanTopic(), frames[name]) for name in chosen}
     wanted = [each for group in chosen.values() for each in group]
     if meter is not None:
-        meter.expect(reader.work(wanted))
+        meter.expect(reader.work(meter.price, wanted))
     for message in schedule(reader.units(wanted), own_message, None, path=reader.path, meter=meter):
         # No rule allows whole chunks here.
         assert not isinstance(message, StoredChunk)
         if meter is not None:
             meter.messages += 1
-            if meter.messages % _PROGRESS_EVERY == 0:
-                meter.report()
         scans, places = topics[message.connection.topic]
         try:
             scan = SCANS[message.connection.ros_type](message.connection.serialization, echo)(message.data)
@@ -384,6 +379,8 @@ def _check_topics(
             scans.add_undecodable(message.log_time_ns, err.message)
             continue
         scans.add(scan, message.log_time_ns, places.add(scan.frame_id, scan.stamp_ns))
+    if meter is not None:
+        meter.finish()
     return [_topic_check(name, scans, places) for name, (scans, places) in topics.items()]
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.pipeline.progress import Progress
+    from pc2scan.progress import Progress
 
     from .map_drawing import MapOptions
     from .map_result import Map
@@ -101,7 +101,7 @@ def map_of(
     asked
         The options of the map.
     progress
-        Called regularly; see `pc2scan.pipeline.progress.Progress`.
+        Called regularly; see `pc2scan.progress.Progress`.
 
     Raises
     ------

@@ -7,6 +7,7 @@ and there are transforms up to its last beam, each beam is placed at its own tim
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -17,16 +18,18 @@ from pc2scan.core.occupancy import LONGEST, OccupancyGrid, observing_beams, plac
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
+from pc2scan.pipeline.frame_checks import frame_that_stays
 from pc2scan.pipeline.odometry import direction_of
 from pc2scan.result import Skipped
 from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
 from pc2scan.tf.summary import BODIES
+from pc2scan.tf.world_frames import find_body_motion
 
 from .map_result import Map
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -39,6 +42,9 @@ if TYPE_CHECKING:
 
 #: A scan is tilted if the cosine between its z axis and the map's is below this: 5 degrees.
 _LEVEL = math.cos(math.radians(5))
+
+#: A robot whose way is narrower and shorter than this, metres, stands.
+_STANDS = 0.01
 
 #: How many reasons for skipping are distinguished.
 _MOST_REASONS = 100
@@ -203,9 +209,8 @@ class Drawing:
                 f"{_scans_are(self.beams_at_once)} placed at the stamp only: "
                 "there is no transform at the time of the last beam"
             )
-        direction = direction_of(self.buffer, self.asked.odom_frame, self.robot)
-        further += [direction.doubt] if direction is not None and direction.doubt else []
         way = np.array(sorted(self.way)).reshape(-1, 3)
+        further += self._odometry_doubts(way[:, 1:])
         stamps = sorted(stamp_ns for stamp_ns, _, _ in self.way) or [0]
         return Map(
             cells=occupancy.cells,
@@ -224,6 +229,21 @@ class Drawing:
             warnings=tuple(further),
             damage=damage,
         )
+
+    def _odometry_doubts(self, way: NDArray[np.float64]) -> Iterator[str]:
+        """Yield warnings about the frame of the map: the robot stands still in it, or moves the wrong way."""
+        odom = self.asked.odom_frame.removeprefix("/")
+        if len(way) and (np.ptp(way, axis=0) < _STANDS).all():
+            other = frame_that_stays(self.buffer, odom)
+            moved = find_body_motion(self.buffer, other, self.robot) if other else None
+            if moved is not None:
+                yield (
+                    f"`odom_frame` is {odom}, in which {self.robot} does not move: the scans are drawn as if it had "
+                    f"stood still; it moves by {moved.metres:.2f} m in {other}: `odom_frame={shlex.quote(other)}`"
+                )
+        direction = direction_of(self.buffer, odom, self.robot)
+        if direction is not None and direction.doubt:
+            yield direction.doubt
 
 
 def _scans_are(number: int) -> str:

@@ -160,7 +160,12 @@ class BatchRunProgress(TypedDict, total=False):
 
     progress: Annotated[
         Progress | None,
-        Option(Function(), "A function that is called from time to time with the progress.", typed=""),
+        Option(
+            Function(),
+            "A function that is called from time to time with a tuple: work_done, work_total, recordings_done, "
+            "recordings_total.",
+            typed="",
+        ),
     ]
 
 

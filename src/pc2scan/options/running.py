@@ -127,8 +127,8 @@ class RunProgress(TypedDict, total=False):
         Progress | None,
         Option(
             Function(),
-            "A function that is called from time to time with work done, work in total, and messages read. Work is "
-            "bytes before compression, and 4096 for each message.",
+            "A function that is called from time to time with work done, work in total, and messages read "
+            "(0 while transforms are read ahead). Work is about nanoseconds.",
             typed="",
         ),
     ]

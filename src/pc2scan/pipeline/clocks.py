@@ -296,13 +296,31 @@ def refuse_other_clock(trajectory: Trajectory, topics: Iterable[TopicFacts], spa
 # --- Offsets between clocks ---
 
 
+class Offset(NamedTuple):
+    """What has to be added to the stamps of a topic.
+
+    Attributes
+    ----------
+    offset_ns
+        Nanoseconds, in whole milliseconds; 0 if the stamps fit.
+    reference
+        The topic of moving transforms that it was measured against; empty if that were the log times.
+    note
+        How it was measured, for users.
+    """
+
+    offset_ns: int
+    reference: str
+    note: str
+
+
 def measure_offsets(
     reader: Reader,
     topics: Mapping[str, Sequence[Connection]],
     tf_topics: Sequence[str] = (),
     start_ns: int | None = None,
     stop_ns: int | None = None,
-) -> dict[str, tuple[int, str]]:
+) -> dict[str, Offset]:
     """Measure how far the stamps of topics are off those of the moving transforms, or the log times without any.
 
     Messages are compared by their log times. A cloud is logged after its last point was measured: the offset is that of
@@ -319,8 +337,8 @@ def measure_offsets(
 
     Returns
     -------
-    dict[str, (int, str)]
-        What has to be added to the stamps of each topic, whole milliseconds in nanoseconds, and a note.
+    dict[str, Offset]
+        What has to be added to the stamps of each topic.
     """
     moving = [each for each in _moving(reader.connections, tf_topics) if each.topic not in topics]
     ends = {topic: Observer(own, _delay_of_end, _MEASURED, start_ns, stop_ns) for topic, own in topics.items()}
@@ -336,14 +354,15 @@ def measure_offsets(
         against = f"the stamps of {reference}" if reference else "the log times"
         number = counted(len(delays), "message")
         if not delays or not are_doubtful(median_low(delays), median_low(others)):
-            found[topic] = 0, f"{topic}: time_offset is 0: its first stamps fit to {against} ({number})"
+            note = f"{topic}: time_offset is 0: its first stamps fit to {against} ({number})"
+            found[topic] = Offset(0, reference, note)
             continue
         offset_ns = round((min(delays) - min(others)) / 1e6) * 1_000_000
         note = (
             f"{topic}: time_offset is {offset_ns / 1e9:.3f} s, measured against {against} in the first {number}, whose "
             f"delays differ by {(max(delays) - min(delays)) / 1e9:.3f} s; `time_offset={topic}={offset_ns / 1e9:.3f}s`"
         )
-        found[topic] = offset_ns, note
+        found[topic] = Offset(offset_ns, reference, note)
     return found
 
 

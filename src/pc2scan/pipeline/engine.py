@@ -31,16 +31,13 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Loaded, TimedItem
     from pc2scan.model import ChunkRule
+    from pc2scan.progress import Meter
     from pc2scan.threads import Threads
 
     from .combine.combiner import Combiner
     from .items import OpenRoute, Output, Span
-    from .progress import Meter
 
     Made = TypeVar("Made", bound=TimedItem)
-
-#: How many messages are between two reports of the progress.
-_PROGRESS_EVERY = 64
 
 #: How many bytes are loaded ahead for every thread. Of units up to the second size, always one more than threads is
 #: loaded.
@@ -125,27 +122,18 @@ def _messages(
 ) -> Generator[Item | StoredChunk]:
     """Yield the items of the messages in the cut, after those of latched messages from before it."""
     work = partial(_work, routes)
-    steps = 0
     if meter is not None:
         wanted = [route.connection for route in routes.values()]
-        meter.expect(reader.work(wanted, span.start_ns, span.stop_ns))
+        meter.expect(reader.work(meter.price, wanted, span.start_ns, span.stop_ns))
     for units in _units_of_cut(reader, routes, span, rule, threads):
         # Closed before the threads are joined, so that work that has not begun is cancelled after an error.
         with closing(schedule(units, work, threads, window=window, path=reader.path, meter=meter)) as items:
             for item in items:
                 if meter is not None:
-                    if isinstance(item, StoredChunk):
-                        meter.messages += sum(map(len, item.index.values()))
-                        steps += _PROGRESS_EVERY
-                    else:
-                        meter.messages += 1
-                        steps += 1
+                    meter.messages += sum(map(len, item.index.values())) if isinstance(item, StoredChunk) else 1
                 yield item.work(item.message) if isinstance(item, DeferredMessage) else item
                 # Frees the item before the next one is made.
                 del item
-                if meter is not None and steps >= _PROGRESS_EVERY:
-                    steps = 0
-                    meter.report()
     if meter is not None:
         meter.finish()
 
@@ -286,7 +274,7 @@ def _count_work(
     """Count each unit as done when the next one is asked for."""
     with closing(loading(units, work)) as handles:
         for handle in handles:
-            done = handle.unit.work
+            done = handle.unit.work(meter.price)
             yield handle
             # Frees the unit before the next one is made.
             del handle

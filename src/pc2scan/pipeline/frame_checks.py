@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import ParameterError, UsageError, name_list
-from pc2scan.text import did_you_mean
+from pc2scan.text import did_you_mean, nearest
 from pc2scan.tf.lookup_errors import frames_text
 from pc2scan.tf.static import static_text
 from pc2scan.tf.summary import BODIES, WORLDS
@@ -50,7 +50,8 @@ def check_given_frames(
     Raises
     ------
     UsageError
-        If an added transform and the recorded ones form a loop.
+        If an added transform and the recorded ones form a loop, or one is for a frame whose name is nearly that of the
+        clouds, which no transform has.
     """
     frames = [frame.removeprefix("/") for frame in dict.fromkeys(own) if frame]
     if asked.source_frame:
@@ -67,11 +68,15 @@ def check_given_frames(
     for static in asked.static:
         child = static.child.removeprefix("/")
         if child not in used and frames and not (asked.write_static or any(spec.imu for spec in plan.specs)):
-            near = did_you_mean(child, frames)
-            yield (
+            near = nearest(child, frames)
+            text = (
                 f"`static_tf` from {static.parent} to {static.child} has no effect: the clouds are in "
-                f"{name_list(frames, _MOST_NAMES)}" + (f"; {near}" if near else "")
+                f"{name_list(frames, _MOST_NAMES)}"
             )
+            if near and targets and not any(frame in buffer.frames for frame in frames):
+                # Nothing could be placed.
+                raise UsageError(text, hint=f"did you mean `static_tf='{static_text(static.parent, near, static)}'`?")
+            yield text + (f"; did you mean {near}?" if near else "")
         elif child in used:
             yield from _far_doubts(static, targets)
 
@@ -179,9 +184,15 @@ def _moving_regions(source: str, spec: ScanSpec, buffer: TransformBuffer) -> lis
 
 def _offered(buffer: TransformBuffer, fixed: str) -> str:
     """Return a hint that suggests a frame in which something moves; empty if there is none."""
+    found = frame_that_stays(buffer, fixed)
+    return f"`fixed_frame={found}` is a frame that does not move" if found else ""
+
+
+def frame_that_stays(buffer: TransformBuffer, fixed: str) -> str:
+    """Return a frame in which something moves, also against ``fixed``; empty if there is none."""
     roots = [root for tree in buffer.trees if not fixed or fixed in tree.frames for root in tree.roots]
     names = dict.fromkeys((*(name for name in WORLDS if name in buffer.frames), *roots))
     moving = {child for child in buffer.frames if (link := buffer.history(child)) is not None and not link.static}
     found = [name for name in names if any(not buffer.is_rigid(name, child) for child in moving if child != name)]
     found = [name for name in found if not fixed or not buffer.is_rigid(name, fixed)]
-    return f"`fixed_frame={found[0]}` is a frame that does not move" if found else ""
+    return found[0] if found else ""

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.observers import Observer
     from pc2scan.bags.reader import Reader
+    from pc2scan.progress import Meter
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import FrameOptions
     from pc2scan.tf.reading import FoundTransforms
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     from .odometry import Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
-    from .progress import Meter
     from .report import Report
     from .stages.deskew import Deskew
     from .stages.point_time import PointTime
@@ -170,7 +170,8 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Me
     outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
     following = 0
     if meter is not None:
-        following = reader.work([route.connection for route in plan.routes], span.start_ns, span.stop_ns)
+        connections = [route.connection for route in plan.routes]
+        following = reader.work(meter.price, connections, span.start_ns, span.stop_ns)
     survey.read(meter, following)
     transforms: TransformBuffer | None = None
     found: FoundTransforms | None = None

@@ -50,13 +50,13 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.splitting import Cut
     from pc2scan.model import Writer
+    from pc2scan.progress import Price, Progress
     from pc2scan.result import Failure
 
     from .items import Span
     from .options import ConvertOptions
     from .plan import Plan
     from .preparation import Preparation
-    from .progress import Progress
     from .recording import OpenRecording
 
 
@@ -77,7 +77,7 @@ def run(
     also_read
         Files that were read for the request, by option: the destination must not overwrite them.
     progress
-        Called regularly; see `pc2scan.pipeline.progress.Progress`.
+        Called regularly; see `pc2scan.progress.Progress`.
     warn
         Called immediately with warnings about the first clouds; the report has them, too.
     """
@@ -93,16 +93,16 @@ def run(
             return report
         with _staging(files, target, output, stack, report) as unfinished:
             span = _span_with_messages(reader, plan, options)
+            jobs = options.jobs or cores()
             meter = None
             if progress is not None:
-                from .progress import Meter  # noqa: PLC0415  # only if somebody wants to know
+                from pc2scan.progress import Meter  # noqa: PLC0415  # only if somebody wants to know
 
-                meter = Meter(progress)
+                meter = Meter(progress, _price_of(plan, target, jobs))
             prepared = prepare(reader, plan, options, span, stack, warn, meter=meter)
             report.add(prepared.warnings, prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
             with _writing(target, unfinished, cut) as writer:
-                jobs = options.jobs or cores()
                 threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
                 recording = open_output(reader, plan, prepared, target, options, cut, writer)
                 report.topics = recording.entries
@@ -274,6 +274,20 @@ def _estimate(
 
             there = [part.name for part in parts_beside(target.path) if str(part) not in report.files]
             report.warnings += unrecorded_warning(target.path.name, there)
+
+
+def _price_of(plan: Plan, target: Destination, threads: int) -> Price:
+    """Return what a conversion costs."""
+    from pc2scan.progress import Price  # noqa: PLC0415  # only if somebody wants to know
+
+    versions = {route.connection.ros_version for route in plan.routes if route.passes}
+    return Price.of_conversion(
+        projects=any(route.tasks for route in plan.routes),
+        deskews=any(spec.deskew for spec in plan.specs),
+        writes=target.compression if any(route.tasks and route.passes for route in plan.routes) else None,
+        reencodes=bool(versions - {None, target.ros_version}),
+        threads=threads,
+    )
 
 
 def _span_with_messages(reader: Reader, plan: Plan, options: ConvertOptions) -> Span:

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from .options import ConvertOptions, StampOptions
     from .plan import Plan
 
-#: If a constant offset leaves stamps that differ from their log times by more than this, it is not constant.
+#: If a constant offset leaves stamps that differ from their log times by more than this, it is not constant. One that
+#: takes them farther from those of the transforms by more than this is wrong.
 _CONSTANT_NS = 1_000_000_000
 
 
@@ -123,12 +124,23 @@ def corrected(
     topics = by_topic(each for each in reader.connections if each.topic in offsets and _is_stamped(each))
     notes: list[str] = []
     by_log = clock.by_log
-    if any(offset is None for offset in offsets.values()):
-        wanted = {topic: topics[topic] for topic, offset in offsets.items() if offset is None and topic in topics}
-        for topic, (offset_ns, note) in measure_offsets(reader, wanted, tf_topics, start_ns, stop_ns).items():
-            offsets[topic] = offset_ns
-            notes.append(note)
     remarks: list[str] = []
+    wanted = {
+        topic: topics[topic]
+        for topic, offset in offsets.items()
+        if topic in topics and (offset is None or abs(offset) > _CONSTANT_NS)
+    }
+    measured = measure_offsets(reader, wanted, tf_topics, start_ns, stop_ns) if wanted else {}
+    for topic, found in measured.items():
+        if (given_ns := offsets[topic]) is None:
+            offsets[topic] = found.offset_ns
+            notes.append(found.note)
+        elif found.reference and abs(given_ns - found.offset_ns) > abs(found.offset_ns) + _CONSTANT_NS:
+            remarks.append(
+                f"{topic}: `time_offset` takes its stamps farther from those of {found.reference}: without it they "
+                f"{_fit(found.offset_ns)}, with it they are {abs(given_ns - found.offset_ns) / 1e9:.3g} s off; "
+                f"`time_offset={topic}=auto` measures what corrects them"
+            )
     clocks = {
         topic: _Clock(topic, None if by_log and topic not in own else offset_ns, fields, remarks)
         for topic, offset_ns in offsets.items()
@@ -136,6 +148,10 @@ def corrected(
     }
     changes = {each.id: clocks[topic].correct for topic, group in topics.items() if topic in clocks for each in group}
     return (ChangedReader(reader, changes, remarks) if changes else reader), notes
+
+
+def _fit(offset_ns: int) -> str:
+    return f"are {abs(offset_ns) / 1e9:.3g} s off" if offset_ns else "fit"
 
 
 def corrected_for(reader: Reader, plan: Plan, options: ConvertOptions) -> tuple[Reader, list[str]]:

@@ -8,6 +8,7 @@ nothing. The subjects' modules declare the facts (`Fact`), and say what follows 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import starmap
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
@@ -24,13 +25,13 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.points import Points
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.progress import Meter
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.imu import ImuReading
     from pc2scan.tf.mounting import Mounting
     from pc2scan.tf.placing import FrameOptions, Placer
 
     from .items import Span
-    from .progress import Meter
 
 #: How many messages are read to find the first clouds that can be decoded and transformed.
 _MOST_SAMPLES = 30
@@ -360,9 +361,13 @@ class Survey:
                 observers += (each for facts in self._facts.values() for each in facts.observers)
                 observers += self.observers
             asked.append((reader, observers))
+        count_unit = None
         if meter is not None:
-            meter.expect(sum(starmap(work_of, asked)) + following)
+            from pc2scan.progress import AHEAD  # noqa: PLC0415  # only if somebody wants to know
+
+            meter.expect(sum(starmap(partial(work_of, AHEAD), asked)) + following)
+            count_unit = lambda unit: meter.add(unit.work(AHEAD))  # noqa: E731
         for reader, observers in asked:
-            observe(reader, observers, None if meter is None else meter.add_now)
+            observe(reader, observers, count_unit)
         if self.transforms is not None:
             self.transforms.supply(self.reader, self._needed, use=self._use)

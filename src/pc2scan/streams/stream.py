@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.combine.combiner import Combiner
     from pc2scan.pipeline.items import Item as EngineItem
     from pc2scan.pipeline.items import Span
-    from pc2scan.pipeline.progress import Progress
+    from pc2scan.progress import Progress
     from pc2scan.result import Skipped
     from pc2scan.tf.placing import LevelTransform
 
@@ -279,7 +279,7 @@ class Stream(ABC, Generic[Item]):
         self.skipped_count = 0
         #: Receives the warnings of a conversion, instead of Python's warnings; its owner reports the rest.
         self.listener: Callable[[str], None] | None = None
-        #: Called regularly; see `pc2scan.pipeline.progress.Progress`.
+        #: Called regularly; see `pc2scan.progress.Progress`.
         self.progress: Callable[[int, int, int], None] | None = None
         source = self._open()
         self._prepared: StreamSource | None = source
@@ -357,7 +357,7 @@ class Stream(ABC, Generic[Item]):
         Parameters
         ----------
         progress
-            Called regularly; see `pc2scan.pipeline.progress.Progress`.
+            Called regularly; see `pc2scan.progress.Progress`.
 
         Raises
         ------
@@ -381,9 +381,9 @@ class Stream(ABC, Generic[Item]):
         jobs = source.jobs or cores()
         meter = None
         if progress is not None:
-            from pc2scan.pipeline.progress import Meter  # noqa: PLC0415  # most loops show no progress
+            from pc2scan.progress import Meter, Price  # noqa: PLC0415  # most loops show no progress
 
-            meter = Meter(progress)
+            meter = Meter(progress, Price.of_conversion(threads=jobs))
         with ExitStack() as stack:
             threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
             found = items_of(

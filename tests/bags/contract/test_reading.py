@@ -22,6 +22,7 @@ import pc2scan.bags
 from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import RecordingError
 from pc2scan.model import Attachment, Definition, Metadata
+from pc2scan.progress import AHEAD
 from support import sampled
 from support.builders import CONTENT, IDL, SOURCES, Recording, definition, ros_version_of
 from support.command import environment
@@ -31,9 +32,11 @@ from support.rosbag1_files import ROS1, SCRIPT, ros1, ros1_missing, string
 from support.rosbag2_files import STORE, STRING, text
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
+    from pc2scan.bags.units import Unit
 
 #: Options of MCAP's library with which there is nothing to count by, at least for a part of the time.
 SILENT = {"unchunked", "unchunked without summary", "no indexes", "only chunk indexes", "no message indexes",
@@ -226,7 +229,6 @@ def test_files_compressed_as_a_whole_are_read(kind: str, tmp_path: Path, monkeyp
         assert (reader.path, summary.container, summary.size_bytes) == (packed, kind, packed.stat().st_size)
         assert "zstd" in summary.compression
         assert "none" not in summary.compression
-        assert 0 <= reader.bytes_read <= summary.size_bytes
         assert [*reader.attachments(), *reader.metadata()] == []
     assert not list(temporary.iterdir())
     packed.write_bytes(zstandard.compress(made.read_bytes()[:600]))
@@ -270,29 +272,52 @@ def long_recording(name: str, folder: Path) -> Path:
     return recorded(LONG[name], folder, [(f"/{number % 5}", 10 * number, DATA) for number in range(10)])
 
 
+def units_read(reader: Reader) -> list[Unit]:
+    """Return a list that gets each unit when it is read; rows are read when they are listed."""
+    read: list[Unit] = []
+    listed = reader.units
+
+    def units(*selection: Any) -> Iterator[Unit]:
+        for unit in listed(*selection):
+            if unit.is_in_memory:
+                read.append(unit)
+                yield unit
+                continue
+
+            def load(callback: Any, *, whole: bool, unit: Unit = unit) -> Any:
+                read.append(unit)
+                return unit.load(callback, whole=whole)
+
+            yield unit._replace(load=load)
+
+    reader.units = units  # type: ignore[method-assign, assignment]
+    return read
+
+
 @pytest.mark.parametrize("name", LONG)
 def test_chunks_are_read_when_they_are_due(name: str, tmp_path: Path) -> None:
     with closing(open_recording(long_recording(name, tmp_path))) as reader:
-        part = reader.summary.size_bytes / 10
-        assert reader.bytes_read == 0
+        read = units_read(reader)
         messages = reader.messages()
         tracemalloc.start()
         try:
             for number in range(10):
                 next(messages)
-                assert number * part * 0.9 < reader.bytes_read < (number + 2.5) * part
+                # One is announced ahead.
+                assert number < len(read) <= number + 2
             assert tracemalloc.get_traced_memory()[1] < 5_000_000
         finally:
             tracemalloc.stop()
         assert next(messages, None) is None
-        before = reader.bytes_read
-        assert len(list(reader.messages(start_ns=80))) == 2
-        assert reader.bytes_read - before < 3.5 * part
-        before = reader.bytes_read
-        assert list(reader.messages([])) == list(reader.messages(start_ns=91)) == []
-        assert reader.bytes_read - before < part
-        assert len(list(reader.messages(reader.connections[1:2]))) == 2
-        assert reader.bytes_read - before < 2.5 * part
+        assert len(read) == 10
+        for selection, found in (
+            ({"start_ns": 80}, 2),
+            ({"connections": []}, 0),
+            ({"start_ns": 91}, 0),
+            ({"connections": reader.connections[1:2]}, 2),
+        ):
+            read.clear()
+            assert len(list(reader.messages(**selection))) == len(read) == found
 
 
 @pytest.mark.parametrize("name", LONG)
@@ -302,9 +327,10 @@ def test_the_work_of_reading_is_known_before(
 ) -> None:
     with closing(open_recording(long_recording(name, tmp_path))) as reader:
         connections = reader.connections[:topics]
-        units = [unit.work for unit in reader.units(connections, start, stop)]
-        assert sum(units) == pytest.approx(reader.work(connections, start, stop), rel=0.02)
-        assert sum(units) == pytest.approx(len(units) * 900_000, rel=0.02)
+        units = [unit.work(AHEAD) for unit in reader.units(connections, start, stop)]
+        assert sum(units) == pytest.approx(reader.work(AHEAD, connections, start, stop), rel=0.02)
+        one = AHEAD.of(900_000, 1, reader.summary.compression[0], chunks="sqlite3" not in name, is_quick=True)
+        assert sum(units) == pytest.approx(len(units) * one, rel=0.02)
 
 
 @pytest.mark.parametrize("name", LONG)
@@ -343,9 +369,15 @@ def test_importing_loads_no_other_package() -> None:
         assert hasattr(pc2scan.bags, name)
 
 
-def test_opening_and_counting_read_no_messages(tmp_path: Path) -> None:
+def test_opening_and_counting_read_no_messages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise AssertionError("a chunk was decompressed")
+
+    for room in ("mcap.chunks", "rosbag1.records"):
+        monkeypatch.setattr(f"pc2scan.bags.{room}.decompress", refuse)
     for name in ("bag-lz4", "mcap-zstd"):
         with closing(open_recording(SOURCES[name](tmp_path, CONTENT))) as reader:
             times = [item.log_time_ns for item in CONTENT.items]
             assert sum(reader.counts(reader.connections, min(times) + 1, max(times)).values()) > 10
-            assert reader.bytes_read == 0
+            with pytest.raises(AssertionError, match="was decompressed"):
+                list(reader.messages())

@@ -85,7 +85,6 @@ def test_split_recordings_are_merged_by_time(suffix: str, with_metadata: bool, b
         assert [(c.id, c.topic, c.message_count) for c in reader.connections] == [(1, "/a", 3), (2, "/b", 2)]
         found = [(m.connection.topic, m.log_time_ns) for m in reader.messages()]
         assert found == [("/a", 1), ("/b", 2), ("/b", 2), ("/a", 3), ("/a", 9)]
-        assert reader.bytes_read > 0
         assert reader.summary.size_bytes == sum(f.stat().st_size for f in storage_files(bag))
 
 
@@ -112,7 +111,6 @@ def test_compressed_files_are_read_from_copies(suffix: str, mode: str | None, ba
     assert [m.log_time_ns for m in reader.messages()] == [0, 1, 10, 11]
     assert reader.summary.compression == ("zstd",)
     assert reader.summary.size_bytes == sum(f.stat().st_size for f in storage_files(bag))
-    assert reader.bytes_read <= reader.summary.size_bytes
     reader.close()
     assert not Path(temporary.name).exists()
     assert names(bag) == before

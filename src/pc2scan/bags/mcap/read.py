@@ -176,7 +176,6 @@ class McapReader(ChunkedReader):
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
     ) -> Loaded[Item]:
         """Load a segment; see `pc2scan.bags.units.Load`."""
-        self._bytes_read += segment.length
         found: StoredChunk | Messages | None = None
         payload: BorrowedBytes | None = None
         # A damaged segment is read again to recover its messages; a damaged chunk is not copied.

@@ -163,7 +163,6 @@ class Rosbag1Reader(ChunkedReader):
         rule = rule if rule and rule.container == "rosbag1" else None
         ids = None if connections is None else frozenset(connection.id for connection in connections)
         wanted = {key: item if ids is None or key in ids else None for key, item in self._index.connections.items()}
-        self._bytes_read = 0
         due = self._segments_with(ids, start_ns, stop_ns)
         whole = whole_chunks(due, rule, start_ns, stop_ns) if rule else {}
         needed = first_uses(due, whole, start_ns) if whole else {}
@@ -174,7 +173,6 @@ class Rosbag1Reader(ChunkedReader):
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
     ) -> Loaded[Item]:
         """Load a chunk; see `pc2scan.bags.units.Load`."""
-        self._bytes_read += segment.length
         try:
             if selection.rule and whole:
                 found = self._load_whole(selection, selection.rule, segment)

@@ -112,11 +112,6 @@ class Rosbag2Reader(MergedReader):
         )
 
     @property
-    def bytes_read(self) -> int:
-        """Bytes read so far; of compressed files in proportion."""
-        return super().bytes_read * self.summary.size_bytes // max(1, self._inner.size_bytes)
-
-    @property
     def custom_data(self) -> Mapping[str, str]:
         """metadata.yaml's ``custom_data``."""
         return self._info.custom_data

@@ -137,8 +137,8 @@ class NumberRow {
     const above = value > 0 && value < 1e-300;
     const text = none || above ? "" : String(shown);
     put(this.number, "placeholder", above ? "above 0" : (this.spec.none ?? ""));
-    if (document.activeElement !== this.number) put(this.number, "value", text);
-    put(this.slider, "value", String(Math.abs(value) >= NO_LIMIT ? Math.sign(value) * 1e9 : shown));
+    if (document.activeElement !== this.number) this.number.value = text;
+    this.slider.value = String(Math.abs(value) >= NO_LIMIT ? Math.sign(value) * 1e9 : shown);
   }
 
   /** @param {boolean} wrong */
@@ -165,7 +165,7 @@ class ChoiceRow {
 
   /** @param {string} value */
   show(value) {
-    put(this.select, "value", value);
+    this.select.value = value;
   }
 
   /** @param {boolean} wrong */

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.bags import zstd
 from pc2scan.bags.damage import DamageLog
 from pc2scan.bags.reader import Reader
-from pc2scan.bags.units import MESSAGE_WORK, Unit
+from pc2scan.bags.units import Unit
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.files.compression import zstd_content_size
 from pc2scan.model import RawMessage, Summary, declared_counts
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.units import Item
     from pc2scan.model import ChunkRule, Connection
+    from pc2scan.progress import Price
 
 #: Limits of a unit's bytes and rows. Loading less takes less time than handing it to another thread.
 _UNIT_BYTES = 1 << 19
@@ -99,10 +100,11 @@ class Sqlite3Reader(Reader):
             self.close()
             raise
         self.connections, start_ns, end_ns, self._index, self._packed_topics = tables
+        self._compression = "zstd" if self._packed_topics else "none"
         self.summary = Summary(
             container="sqlite3",
             storage="",
-            compression=("zstd" if self._packed_topics else "none",),
+            compression=(self._compression,),
             size_bytes=self._database.size,
             message_count=sum(connection.message_count or 0 for connection in self.connections),
             start_ns=start_ns,
@@ -136,6 +138,7 @@ class Sqlite3Reader(Reader):
                 is_quick=size < _WORTH_A_THREAD,
                 is_in_memory=True,
                 messages=len(rows),
+                compression=self._compression,
             )
 
         for key, message in wanted():
@@ -173,7 +176,6 @@ class Sqlite3Reader(Reader):
                         raise RecordingError("has more messages than it counts", path=self.path)
                     after = (time_ns, message_id)
                     if isinstance(data, bytes) and topic_id not in self._packed_topics:
-                        self._bytes_read += len(data)
                         yield after, RawMessage(known[topic_id], time_ns, data, time_ns)
                     elif (message := self._decompress(known[topic_id], time_ns, message_id, data)) is not None:
                         yield after, message
@@ -192,7 +194,6 @@ class Sqlite3Reader(Reader):
                 gone = data is None and self._database.is_rebuilt
                 what = "has lost its data" if gone else f"has data {shown_value(data)}, not a blob"
                 raise self._database.damage(f"{message_row(message_id, connection.topic)} {what}", connection.topic)
-            self._bytes_read += len(data)
             unpacked = zstd.decompress_message(data, self.path, connection.topic)
         except DamageError as err:
             self._log.note(err, key=message_id, messages_lost=1, first_ns=time_ns, last_ns=time_ns)
@@ -201,6 +202,7 @@ class Sqlite3Reader(Reader):
 
     def work(
         self,
+        price: Price,
         connections: Collection[Connection] | None = None,
         start_ns: int | None = None,
         stop_ns: int | None = None,
@@ -212,9 +214,10 @@ class Sqlite3Reader(Reader):
             with self._database.ending():
                 for topic_id, is_inside, size, head in self._sampled_rows(start_ns, stop_ns):
                     if topic_id in rows:
-                        rows[topic_id].append(self._work_of(topic_id, size, head) if is_inside else 0)
+                        rows[topic_id].append(self._work_of(price, topic_id, size, head) if is_inside else 0)
         except (*SQLITE_ERRORS, DamageError, RecordingError):
-            return self.summary.size_bytes
+            size, messages = self.summary.size_bytes, self.summary.message_count or 0
+            return price.of(size, messages, self._compression, chunks=0, is_quick=False)
         return sum(sum(found) * (known[key].message_count or 0) // max(1, len(found)) for key, found in rows.items())
 
     def _sampled_rows(self, start_ns: int | None, stop_ns: int | None) -> Iterator[tuple[int, object, object, object]]:
@@ -228,12 +231,12 @@ class Sqlite3Reader(Reader):
         for begin, end in pairwise(first + (last + 1 - first) * part // _PLACES for part in range(_PLACES + 1)):
             yield from chain(self._database.query(sql, (*bounds, begin, end - 1)))
 
-    def _work_of(self, topic_id: int, size: object, head: object) -> int:
+    def _work_of(self, price: Price, topic_id: int, size: object, head: object) -> int:
         """Return the work on a message by its size and its first bytes."""
         stored = size if isinstance(size, int) else 0
         if topic_id in self._packed_topics and isinstance(head, bytes):
             stored = zstd_content_size(head) or stored
-        return stored + MESSAGE_WORK
+        return price.of(stored, 1, self._compression, chunks=0, is_quick=stored < _WORTH_A_THREAD)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
