@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -304,45 +304,58 @@ def _source_checksum(found: Recording) -> str:
 # --- Converting ---
 
 
-@dataclass(slots=True)
+#: Of a recording that has not said how much work it is.
+_NOTHING_SAID = (0, 0, 0)
+
+
 class _Progress:
     """Adds up the progress of all conversions: the work that is done of each, and which have ended.
 
     A recording says how much work it is when it has begun; the others are as much for their bytes as those together.
+
+    Parameters
+    ----------
+    sizes
+        The bytes of each recording.
+    watch
+        Gets the reports.
     """
 
-    sizes: Mapping[str, int]
-    watch: BatchCallbacks
-    works: dict[str, int] = field(default_factory=dict)
-    done: dict[str, int] = field(default_factory=dict)
-    ended: set[str] = field(default_factory=set)
+    def __init__(self, sizes: Mapping[str, int], watch: BatchCallbacks) -> None:
+        self._sizes = sizes
+        self._bytes = sum(sizes.values())
+        self._watch = watch
+        self._ended: set[str] = set()
+        #: Of each recording that has said how much work it is: the work that is done, the work in all, and its bytes.
+        self._said: dict[str, tuple[int, int, int]] = {}
+        #: The sums of these, which are kept because a batch may have very many recordings.
+        self._sums = _NOTHING_SAID
 
     def begin(self, key: str) -> None:
         """Report that a recording begins, for the first time or again."""
-        self.done.pop(key, None)
-        self.works.pop(key, None)
-        self._report()
+        self._say(key, _NOTHING_SAID)
 
     def at(self, key: str, done: int, work: int) -> None:
         """Report how much of the work on a recording is done."""
-        if work:
-            self.done[key], self.works[key] = done, work
-        self._report()
+        self._say(key, (done, work, self._sizes[key]) if work else self._said.get(key, _NOTHING_SAID))
 
     def end(self, key: str) -> None:
         """Report that a recording has ended."""
-        self.ended.add(key)
-        work = self.works.get(key) or round(self.sizes[key] * self._work_per_byte())
+        self._ended.add(key)
+        _, work, _ = self._said.get(key, _NOTHING_SAID)
+        work = work or round(self._sizes[key] * self._work_per_byte())
         self.at(key, work, work)
 
     def _work_per_byte(self) -> float:
-        known = sum(self.sizes[key] for key in self.works)
-        return sum(self.works.values()) / known if known else 1.0
+        _, work, known = self._sums
+        return work / known if known else 1.0
 
-    def _report(self) -> None:
-        others = sum(size for key, size in self.sizes.items() if key not in self.works)
-        total = sum(self.works.values()) + round(others * self._work_per_byte())
-        self.watch.progress(BatchProgress(sum(self.done.values()), total, len(self.ended), len(self.sizes)))
+    def _say(self, key: str, said: tuple[int, int, int]) -> None:
+        before, self._said[key] = self._said.get(key, _NOTHING_SAID), said
+        done, work, known = (each + now - old for each, now, old in zip(self._sums, said, before, strict=True))
+        self._sums = done, work, known
+        total = work + round((self._bytes - known) * self._work_per_byte())
+        self._watch.progress(BatchProgress(done, total, len(self._ended), len(self._sizes)))
 
 
 class _Batch:
