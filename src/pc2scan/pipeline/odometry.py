@@ -273,8 +273,7 @@ def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
 
 def _fastest(links: Sequence[FrameHistory]) -> FrameHistory:
     """Return the link that carries the robot: the one whose poses differ most."""
-    sizes = [float(np.ptp(link.poses, axis=0) @ (1, 1, 1, 10, 10, 10, 10)) for link in links]
-    return links[sizes.index(max(sizes))]
+    return max(links, key=lambda link: float(np.ptp(link.poses, axis=0) @ (1, 1, 1, 10, 10, 10, 10)))
 
 
 def _motion_of_cloud(link: FrameHistory, apart_ns: int) -> float:
