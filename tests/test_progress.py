@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.units import Unit
+from pc2scan.bags.units import Extent, Unit
 from pc2scan.cli.time_left import TimeLeft
 from pc2scan.progress import AHEAD, Meter, Price
 
 MB = 1 << 20
+NO_FILE: Any = None
 
 
 class Phase(NamedTuple):
@@ -114,6 +115,13 @@ def test_what_work_costs() -> None:
     assert cloud.work(two) < 0.7 * cloud.work(one)
     quick = cloud._replace(is_quick=True)
     assert quick.work(two) == quick.work(one)
+    # Of zeros little is stored, and little is to be decompressed.
+    scanned, zeros = (cloud._replace(extent=Extent(NO_FILE, 0, stored)) for stored in (2 * MB, 1_000))
+    assert scanned.work(one) == cloud.work(one)
+    assert zeros.work(one) < 0.4 * cloud.work(one)
+    # A row of a database takes longer than a message of a chunk.
+    rows = trifles._replace(is_in_memory=True)
+    assert rows.work(AHEAD) > 2 * trifles.work(AHEAD)
     # An unknown compression is an error when it is read.
     assert unit(9, 9, "rle").work(one) == unit(9, 9).work(one)
     dearer = [
@@ -122,7 +130,4 @@ def test_what_work_costs() -> None:
         Price.of_conversion(threads=1, writes="zstd"),
         Price.of_conversion(threads=1, reencodes=True),
     ]
-    assert all(
-        each.of(MB, 9, "none", chunks=1, is_quick=False) > one.of(MB, 9, "none", chunks=1, is_quick=False)
-        for each in dearer
-    )
+    assert all(unit(MB, 9).work(each) > unit(MB, 9).work(one) for each in dearer)

@@ -12,8 +12,12 @@ Progress: TypeAlias = Callable[[int, int, int], None]
 # What work costs, nanoseconds. Only their ratios matter: of what is read ahead to what is converted, and of small
 # messages to clouds. docs/benchmarks.md says how they were measured, and how far the time left is from the truth.
 
-#: To read a byte, to decompress it, and to compare its CRC, by the compression of its chunk.
-_READ_NS = {"none": 0.25, "lz4": 0.6, "zstd": 1.1, "bz2": 35.0}
+#: To read a stored byte, and to make a byte of what is stored and compare its CRC, by the compression. Of what is
+#: compressed to next to nothing, such as zeros, the first is little.
+_READ_NS = {"none": (0.0, 0.25), "lz4": (0.3, 0.4), "zstd": (2.0, 0.2), "bz2": (70.0, 2.0)}
+
+#: What is stored of a byte of clouds, about, where it is unknown.
+_STORED = 0.5
 
 #: To project a byte of a cloud, and to deskew it.
 _PROJECT_NS = 0.2
@@ -22,8 +26,9 @@ _DESKEW_NS = 0.5
 #: To write a byte of a cloud that is kept, by the compression.
 _WRITE_NS = {"none": 2.5, "lz4": 3.0, "zstd": 4.5, "bz2": 60.0}
 
-#: To begin with a chunk.
+#: To begin with a chunk, and to read a row of a database.
 _CHUNK_NS = 50_000
+_ROW_NS = 6_000
 
 #: To read messages ahead, of which a third are transforms, which are decoded; to check scans among other messages.
 _AHEAD_NS = 2_000
@@ -78,25 +83,31 @@ class Price(NamedTuple):
         byte_ns = _PROJECT_NS * projects + _DESKEW_NS * deskews + (_WRITE_NS[writes] if writes else 0.0)
         return cls(byte_ns, _PASS_NS + _REENCODE_NS * reencodes, threads)
 
-    def of(self, size: int, messages: int, compression: str, *, chunks: int, is_quick: bool) -> int:
+    def of(
+        self, size: int, stored: int | None, messages: int, compression: str, *, are_rows: bool, is_quick: bool
+    ) -> int:
         """Return how much work some messages are: about nanoseconds.
 
         Parameters
         ----------
         size
             Their bytes before compression.
+        stored
+            Their bytes in the file; None if that is unknown.
         messages
             How many they are; 0 if that is unknown.
         compression
-            That of their chunk.
-        chunks
-            In how many chunks they are.
+            How they are stored.
+        are_rows
+            Whether they are rows of a database, not a chunk.
         is_quick
             Whether no other thread gets them; see `pc2scan.bags.units.Unit`.
         """
-        byte_ns = _READ_NS.get(compression, _READ_NS["none"]) + self.byte_ns
+        stored_ns, made_ns = _READ_NS.get(compression, _READ_NS["none"])
+        bytes_ns = size * (made_ns + self.byte_ns) + (size * _STORED if stored is None else stored) * stored_ns
         share = 1.0 if is_quick else 1 - _SHARED + _SHARED / self.threads
-        return round(size * byte_ns * share) + messages * self.message_ns + chunks * _CHUNK_NS
+        fixed_ns = messages * _ROW_NS if are_rows else _CHUNK_NS
+        return round(bytes_ns * share) + messages * self.message_ns + fixed_ns
 
 
 #: The price of what is read ahead or compared, and of scans that are checked.
@@ -112,21 +123,25 @@ class Meter:
     report
         The function to report to.
     price
-        The price of what the run is for; what is read ahead has the price `AHEAD`.
+        The price of what the run is for.
 
     Attributes
     ----------
-    price
-        See above.
+    price, ahead
+        The price of what the run is for, and of what is read ahead.
+    following
+        How much work follows what is read ahead.
     messages
         How many messages were read, without those that were read ahead.
     """
+
+    ahead = AHEAD
 
     def __init__(self, report: Progress, price: Price = AHEAD) -> None:
         self._report = report
         self._done = self._total = self._next = 0
         self.price = price
-        self.messages = 0
+        self.following = self.messages = 0
 
     def expect(self, work: int) -> None:
         """Expect this much work from now on, whatever was expected before."""

@@ -40,7 +40,7 @@ def test_each_observer_sees_the_first_messages_of_its_own(name: str, tmp_path: P
             chosen = chance.sample(list(reader.connections), chance.randint(1, len(reader.connections)))
             cut = sorted(chance.choices(times, k=2)) if chance.random() < 0.5 else (None, None)
             observers.append(Observer(chosen, row, chance.choice([1, 2, 3, 7, None]), *cut))
-        observe(reader, observers)
+        observe((reader, observers))
         for each in observers:
             alone = reader.messages(each.connections, each.start_ns, each.stop_ns)
             assert each.found == list(map(row, islice(alone, each.most)))
@@ -60,7 +60,7 @@ def test_messages_that_cannot_be_decoded_count() -> None:
         return message.log_time_ns
 
     observer = Observer([A], odd, 3)
-    observe(made([(0, time_ns) for time_ns in range(10)]), [observer])
+    observe((made([(0, time_ns) for time_ns in range(10)]), [observer]))
     assert observer.found == [1]
 
 
@@ -71,13 +71,13 @@ def test_an_observer_may_find_that_another_one_has_enough() -> None:
         Observer([each], row, 2, is_needless=lambda each=each: sum(t == each.topic for t, *_ in first.found) > 1)  # type: ignore[misc]
         for each in (A, B)
     ]
-    observe(reader, [first, *late])
+    observe((reader, [first, *late]))
     assert [len(each.found) for each in (first, *late)] == [4, 0, 2]
 
 
 def test_rows_of_a_database_are_read_for_each_topic_and_chunks_once() -> None:
     log: list[str] = []
-    observe(made([(0, 1), (1, 2)], log), [Observer([A], row, 1), Observer([A], row, 2), Observer([B], row)])
+    observe((made([(0, 1), (1, 2)], log), [Observer([A], row, 1), Observer([A], row, 2), Observer([B], row)]))
     assert log.count("open made") == 2
 
 
@@ -103,7 +103,7 @@ class Chunked(MemoryReader):
 def test_no_unit_is_loaded_that_nobody_wants_any_longer() -> None:
     reader = Chunked(Path("made"), [A, B], [(number % 2, number, b"") for number in range(20)])
     first, every = Observer([A], row, 2), Observer([B], row, None, 11)
-    observe(reader, [first, every])
+    observe((reader, [first, every]))
     assert reader.loaded == [(0,), (2,), (11,), (13,), (15,), (17,), (19,)]
     assert [time_ns for _, time_ns, _ in (*first.found, *every.found)] == [0, 2, 11, 13, 15, 17, 19]
 

@@ -91,7 +91,7 @@ def test_chunks_between_the_samples_are_not_loaded() -> None:
     rows = [(0, time, b"") for time in range(100)]
     reader = Chunks(rows, 5)
     observer = Observer(CONNECTIONS, copied_message, start_ns=0, stop_ns=100, spread=Spread(0, 100, 4))
-    observe(reader, [observer])
+    observe((reader, [observer]))
     assert [each.log_time_ns for each in observer.found] == [0, 25, 50, 75]
     assert sum(reader.loads) == 4
 

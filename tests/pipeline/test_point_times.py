@@ -57,7 +57,7 @@ def option_warnings(
     reader = MemoryReader(Path("made"), [POINTS], rows)
     facts, point_time = TopicFacts([POINTS], Span(None, None, T0)), PointTime.parse(asked)
     ask_times(facts, point_time)
-    observe(reader, facts.observers)
+    observe((reader, facts.observers))
     return list(time_warnings(facts, point_time))
 
 

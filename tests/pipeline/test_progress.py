@@ -55,3 +55,39 @@ def test_the_share_of_the_work_is_that_of_the_messages(name: str, case: str, tmp
     for done, total, number in converting[:-1]:
         # A unit that is loaded counts when the next one is due.
         assert (done - before) / (total - before) == pytest.approx(number / messages, abs=0.06)
+
+
+#: Exports and maps that read transforms ahead, and whether they convert clouds.
+AHEAD: dict[str, tuple[str, bool, dict[str, Any]]] = {
+    "a map of clouds": ("map", True, {"odom_frame": "odom"}),
+    "a map of scans": ("map", False, {"odom_frame": "odom"}),
+    "scans of clouds": ("export", True, {"target_frame": "base_link"}),
+    "scans with poses": ("export", False, {"pose_frame": "odom"}),
+}
+
+
+@pytest.mark.parametrize("case", AHEAD)
+def test_what_exports_and_maps_read_ahead_counts(case: str, tmp_path: Path) -> None:
+    command, converts, options = AHEAD[case]
+    source = Long(clouds=100, points=4_096, scanned=True).write(tmp_path / "a.mcap")
+    parameters = {"min_height": -2} if converts else {}
+    if not converts:
+        pc2scan.convert(source, tmp_path / "b.mcap", min_height=-2)
+        source = tmp_path / "b.mcap"
+
+    def told_by(function: Any, *arguments: Path, **further: Any) -> list[tuple[int, int, int]]:
+        told: list[tuple[int, int, int]] = []
+        function(source, *arguments, progress=lambda *step: told.append(step), **parameters, **further)
+        dones = [done for done, _, _ in told]
+        assert dones == sorted(dones)
+        assert {total for _, total, _ in told} == {dones[-1]}
+        assert told[-1][2] == 100
+        return told
+
+    plain = told_by(pc2scan.export, tmp_path / "plain.npz")
+    arguments = [tmp_path / "scans.npz"] if command == "export" else []
+    told = told_by(getattr(pc2scan, command), *arguments, **options)
+    ahead = told[-1][0] - plain[-1][0]
+    assert 0.1 < ahead / told[-1][0] < 0.5
+    # The conversion begins when all of it has been read.
+    assert (ahead, told[-1][1], 0) in told

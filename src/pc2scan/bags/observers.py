@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
     from pc2scan.model import Connection
-    from pc2scan.progress import Price
+    from pc2scan.progress import Meter, Price
 
     from .reader import Reader
     from .units import Loaded, Unit
@@ -188,7 +188,7 @@ class _Seen(NamedTuple):
     values: Sequence[tuple[Observer[Any], Any]]
 
 
-def work_of(price: Price, reader: Reader, observers: Iterable[Observer[Any]]) -> int:
+def _work_of(price: Price, reader: Reader, observers: Iterable[Observer[Any]]) -> int:
     """Return how much work it is to show all messages to those observers that want all; the others want few."""
     lasting = [each for each in observers if each.most is None and each.spread is None and each.is_needless is None]
     starts, stops = ([getattr(each, name) for each in lasting] for name in ("start_ns", "stop_ns"))
@@ -199,17 +199,24 @@ def work_of(price: Price, reader: Reader, observers: Iterable[Observer[Any]]) ->
     return reader.work(price, list(connections.values()), start_ns, stop_ns)
 
 
-def observe(
-    reader: Reader, observers: Iterable[Observer[Any]], count_unit: Callable[[Unit], object] | None = None
-) -> None:
-    """Show the messages of a recording to observers; see `observing`."""
-    for _ in observing(reader, observers, count_unit):
-        pass
+def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None = None) -> None:
+    """Show the messages of recordings to observers; see `observing`.
+
+    Parameters
+    ----------
+    asked
+        Each recording, and what takes its messages.
+    meter
+        Counts the work; None: nothing is reported.
+    """
+    if meter is not None:
+        meter.expect(sum(_work_of(meter.ahead, *each) for each in asked) + meter.following)
+    for reader, observers in asked:
+        for _ in observing(reader, observers, meter):
+            pass
 
 
-def observing(
-    reader: Reader, observers: Iterable[Observer[Any]], count_unit: Callable[[Unit], object] | None = None
-) -> Generator[None]:
+def observing(reader: Reader, observers: Iterable[Observer[Any]], meter: Meter | None = None) -> Generator[None]:
     """Show the messages of a recording to observers, and yield after each.
 
     A recording with chunks is read once for all of them. Of one with rows, which are read topic by topic without
@@ -219,8 +226,8 @@ def observing(
     ----------
     reader, observers
         The recording, and what takes its messages.
-    count_unit
-        Called with each unit that was read.
+    meter
+        Gets the work of each unit that was read; None: nothing is reported.
 
     Raises
     ------
@@ -234,14 +241,12 @@ def observing(
         groups.setdefault(reader.has_chunks or observer.selection, []).append(observer)
     for group in groups.values():
         if not all(observer.is_done for observer in group):
-            yield from _observe_together(reader, group, count_unit)
+            yield from _observe_together(reader, group, meter)
         for observer in group:
             observer.end()
 
 
-def _observe_together(
-    reader: Reader, observers: Sequence[Observer[Any]], count_unit: Callable[[Unit], object] | None
-) -> Generator[None]:
+def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter: Meter | None) -> Generator[None]:
     """Read a recording once."""
     connections = {each.id: each for observer in observers for each in observer.connections}
     by_connection: dict[int, list[Observer[Any]]] = {}
@@ -281,7 +286,7 @@ def _observe_together(
         )
     # Twice: when units are announced to the system, and when they are due.
     chosen = (unit for unit in units if is_wanted(unit))
-    loading = partial(_load_wanted, is_wanted, count_unit)
+    loading = partial(_load_wanted, is_wanted, meter)
     with closing(merge_by_time(chosen, take, loading=loading, holds_units=False, path=reader.path)) as messages:
         for seen in messages:
             if isinstance(seen, RawMessage):
@@ -343,7 +348,7 @@ def _parts_of_units(reader: Reader, observer: Observer[Any]) -> dict[tuple[int, 
 
 def _load_wanted(
     is_wanted: Callable[[Unit], bool],
-    count_unit: Callable[[Unit], object] | None,
+    meter: Meter | None,
     units: Iterable[Unit],
     callback: Callable[[RawMessage], Any],
 ) -> Generator[Handle]:
@@ -353,8 +358,8 @@ def _load_wanted(
         if not is_wanted(unit):
             return []
         found = unit.load(callback, whole=False)
-        if count_unit is not None:
-            count_unit(unit)
+        if meter is not None:
+            meter.add(unit.work(meter.ahead))
         return found
 
     for unit in units:

@@ -241,8 +241,9 @@ class Unit(NamedTuple):
 
     def work(self, price: Price) -> int:
         """Return how much work it is at a price."""
+        stored = None if self.extent is None else self.extent.length
         return price.of(
-            self.size, self.messages, self.compression, chunks=not self.is_in_memory, is_quick=self.is_quick
+            self.size, stored, self.messages, self.compression, are_rows=self.is_in_memory, is_quick=self.is_quick
         )
 
     @property

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import Rigid
+    from pc2scan.progress import Meter
     from pc2scan.tf.buffer import TransformBuffer
     from pc2scan.tf.placing import FrameOptions
     from pc2scan.tf.sources import Attachment
@@ -162,7 +163,12 @@ def find_base(transforms: TransformBuffer, pose_frame: str, sensor_frame: str) -
     return next((name for name in _BASES if name in below), fixed)
 
 
-def open_poses(readers: Sequence[Reader], frames: FrameOptions, options: PoseOptions) -> tuple[Poses, list[str]]:
+def open_poses(
+    readers: Sequence[Reader],
+    frames: FrameOptions,
+    options: PoseOptions,
+    meter: Meter | None = None,
+) -> tuple[Poses, list[str]]:
     """Read the poses of recordings; return them and warnings.
 
     Parameters
@@ -173,6 +179,8 @@ def open_poses(readers: Sequence[Reader], frames: FrameOptions, options: PoseOpt
         The source of transforms.
     options
         The requested poses.
+    meter
+        Counts the work; None: nothing is reported.
 
     Raises
     ------
@@ -184,7 +192,8 @@ def open_poses(readers: Sequence[Reader], frames: FrameOptions, options: PoseOpt
     if options.base_frame and frames.odometry:
         unnamed = options.base_frame.removeprefix("/")
         frames = replace(frames, odometry=tuple(each._replace(unnamed=unnamed) for each in frames.odometry))
-    found = read_transforms(readers, frames, needed=(options.pose_frame, options.base_frame))
+    needed = (options.pose_frame, options.base_frame)
+    found = read_transforms(readers, frames, needed=needed, meter=meter)
     known = set(found.buffer.frames)
     for option, name in (("pose_frame", options.pose_frame), ("base_frame", options.base_frame)):
         if name and name.removeprefix("/") not in known:

@@ -26,7 +26,7 @@ from pc2scan.pipeline.options import TopicRequest
 from pc2scan.result import Skipped
 from pc2scan.streams.clouds import Clouds
 from pc2scan.streams.scans import Scans
-from pc2scan.streams.stream import Selection
+from pc2scan.streams.stream import Selection, meter_of
 
 from .formats import format_of
 from .poses import PoseOptions, open_poses
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pc2scan.files.records import Record
     from pc2scan.options.call import Options
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.progress import Progress
+    from pc2scan.progress import Meter, Progress
 
     from .formats import ExportFormat, TopicWriter
     from .poses import Poses
@@ -157,11 +157,12 @@ def run(
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
         names = _topics([c for c in reader.connections if c.ros_version is not None], file_format, options, form)
-        stream = _stream(sources, names, file_format, options, form)
+        meter = None if progress is None else meter_of(progress, options, converting=form.converting)
+        stream = _stream(sources, names, file_format, options, form, meter)
         stack.callback(stream.close)
         folder = _is_folder(destination, stream.topics, file_format, in_folder=in_folder)
         report = ExportReport([str(source) for source in sources], str(destination), file_format.name)
-        stream.listener, stream.progress = report.warnings.append, progress
+        stream.listener = report.warnings.append
         # Before transforms are read, which may take long.
         partial = stack.enter_context(
             staged_output(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
@@ -174,7 +175,7 @@ def run(
                 from pc2scan.pipeline.stamps import corrected  # noqa: PLC0415  # most clocks are the recording's
 
                 posing, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
-            poses, texts = open_poses([posing, *others], options.frames, form.poses)
+            poses, texts = open_poses([posing, *others], options.frames, form.poses, meter)
             report.warnings += texts
         # Scans that are made of clouds have the right frame in their headers.
         frame = "" if form.converting else options.frames.source_frame
@@ -260,6 +261,7 @@ def _stream(
     file_format: ExportFormat,
     options: ConvertOptions,
     form: ExportOptions,
+    meter: Meter | None,
 ) -> Scans | Clouds:
     selection = Selection(
         paths=tuple(sources),
@@ -272,13 +274,13 @@ def _stream(
         clock=options.clock,
     )
     if file_format.clouds:
-        return Clouds(selection)
+        return Clouds(selection, meter)
     if not form.converting:
-        return Scans(selection)
+        return Scans(selection, meter=meter)
     from dataclasses import replace  # noqa: PLC0415  # only if clouds are converted
 
     topics = options.scan.topics or tuple(map(TopicRequest, names))
-    return Scans(selection, replace(options.with_scan(topics=topics), only_scans=True))
+    return Scans(selection, replace(options.with_scan(topics=topics), only_scans=True), meter=meter)
 
 
 def _is_folder(destination: Path, topics: Sequence[str], file_format: ExportFormat, *, in_folder: bool) -> bool:

@@ -321,8 +321,11 @@ def check(
         wanted = [each for group in chosen.values() for each in group]
         clocks = Clocks(survey, survey.topics(wanted).values())
         reading = survey.ask_transforms((odom_frame, base_frame), use=False)
-        meter = None if progress is None else Meter(progress, CHECK)
-        survey.read(meter, 0 if meter is None else reader.work(CHECK, wanted))
+        meter = None
+        if progress is not None:
+            meter = Meter(progress, CHECK)
+            meter.following = reader.work(CHECK, wanted)
+        survey.read(meter)
         transforms = reading.finish()
         buffer = transforms.buffer
         wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}

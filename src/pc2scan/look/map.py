@@ -16,7 +16,7 @@ from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
 from pc2scan.streams.scans import Scans
-from pc2scan.streams.stream import Selection
+from pc2scan.streams.stream import Selection, meter_of
 
 from .map_drawing import Drawing
 from .map_files import map_paths
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from pc2scan.bags.reader import Reader
     from pc2scan.pipeline.options import ConvertOptions
-    from pc2scan.progress import Progress
+    from pc2scan.progress import Meter, Progress
 
     from .map_drawing import MapOptions
     from .map_result import Map
@@ -117,18 +117,20 @@ def map_of(
     notes: list[str] = []
     with open_recording(sources, options) as recording:
         topics, converted = _topics(recording.reader, options)
-        stream = _stream(sources, options, topics, (asked.odom_frame, asked.base_frame), converted=converted)
+        meter = None if progress is None else meter_of(progress, options, converting=converted)
+        frames = (asked.odom_frame, asked.base_frame)
+        stream = _stream(sources, options, topics, frames, meter, converted=converted)
         buffer = stream.transforms
         if buffer is None:
             # Recorded scans are read as they are.
-            found = recording.transforms((asked.odom_frame, asked.base_frame))
+            found = recording.transforms(frames, meter)
             buffer, notes = found.buffer, [*found.warnings, *found.notes]
         further = recording.damage
     if not converted and _converts(options):
         notes.append("The recording has no clouds: options about clouds have no effect.")
     drawn = Drawing(OccupancyGrid(asked.resolution, _MAX_CELLS), buffer, asked, options)
     stream.listener = notes.append
-    with stream, closing(stream.results(progress)) as results:
+    with stream, closing(stream.results()) as results:
         for result in results:
             for error in result.errors:
                 error.topic = result.topic
@@ -178,6 +180,7 @@ def _stream(
     options: ConvertOptions,
     topics: tuple[TopicRequest, ...],
     frames: tuple[str, ...],
+    meter: Meter | None,
     *,
     converted: bool,
 ) -> Scans:
@@ -191,6 +194,6 @@ def _stream(
         clock=options.clock,
     )
     if not converted:
-        return Scans(selection)
+        return Scans(selection, meter=meter)
     scans_alone = replace(options, only_scans=True, keep=(), keep_clouds=False)
-    return Scans(selection, scans_alone.with_scan(topics=topics), transform_frames=frames)
+    return Scans(selection, scans_alone.with_scan(topics=topics), transform_frames=frames, meter=meter)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.options import ConvertOptions
     from pc2scan.pipeline.plan import Plan
     from pc2scan.pipeline.preparation import Preparation
+    from pc2scan.progress import Meter
     from pc2scan.tf.reading import FoundTransforms
 
 #: Earlier stamps are shown in seconds, not as a date: stamps of simulations begin at 0.
@@ -94,8 +95,15 @@ class ShownRecording:
         self.others = prepared.others
         return prepared
 
-    def transforms(self, needed: Collection[str] = ()) -> FoundTransforms:
-        """Read all transforms; ``needed`` are frames that they must have.
+    def transforms(self, needed: Collection[str] = (), meter: Meter | None = None) -> FoundTransforms:
+        """Read all transforms.
+
+        Parameters
+        ----------
+        needed
+            Frames that they must have.
+        meter
+            Counts the work; None: nothing is reported.
 
         Raises
         ------
@@ -112,7 +120,7 @@ class ShownRecording:
 
             # Of topics with poses that have an offset of their own.
             reader, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
-        return read_transforms([reader, *self.others], options.frames, needed=needed)
+        return read_transforms([reader, *self.others], options.frames, needed=needed, meter=meter)
 
 
 @contextmanager

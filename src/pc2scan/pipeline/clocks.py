@@ -343,7 +343,7 @@ def measure_offsets(
     moving = [each for each in _moving(reader.connections, tf_topics) if each.topic not in topics]
     ends = {topic: Observer(own, _delay_of_end, _MEASURED, start_ns, stop_ns) for topic, own in topics.items()}
     references = {topic: Observer(own, _delays, _MOTIONS, start_ns, stop_ns) for topic, own in by_topic(moving).items()}
-    observe(reader, [*ends.values(), *references.values()])
+    observe((reader, [*ends.values(), *references.values()]))
     known = {topic: _nearest(observer.found) for topic, observer in references.items()}
     fitting = {topic: delays for topic, delays in known.items() if delays}
     reference = min(fitting, key=lambda topic: abs(median_low(fitting[topic])), default="")

@@ -168,11 +168,10 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Me
         for facts in placed:
             facts.ask_headers(CLOCK_HEADERS)
     outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
-    following = 0
     if meter is not None:
         connections = [route.connection for route in plan.routes]
-        following = reader.work(meter.price, connections, span.start_ns, span.stop_ns)
-    survey.read(meter, following)
+        meter.following = reader.work(meter.price, connections, span.start_ns, span.stop_ns)
+    survey.read(meter)
     transforms: TransformBuffer | None = None
     found: FoundTransforms | None = None
     if survey.transforms is not None:

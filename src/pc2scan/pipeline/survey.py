@@ -8,11 +8,9 @@ nothing. The subjects' modules declare the facts (`Fact`), and say what follows 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
-from itertools import starmap
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
-from pc2scan.bags.observers import Observer, observe, work_of
+from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.errors import TransformError
@@ -330,7 +328,7 @@ class Survey:
             self._imus[topic] = ImuReading([self.reader, *self.others], topic, most)
         return self._imus[topic]
 
-    def read(self, meter: Meter | None = None, following: int = 0) -> None:
+    def read(self, meter: Meter | None = None) -> None:
         """Read the recordings: each once, as far as anything of it is needed.
 
         A topic with poses that was not asked for is read separately, if only it has a frame that is needed.
@@ -339,8 +337,6 @@ class Survey:
         ----------
         meter
             Counts the work; None: nothing is reported.
-        following
-            The work that follows.
 
         Raises
         ------
@@ -361,13 +357,6 @@ class Survey:
                 observers += (each for facts in self._facts.values() for each in facts.observers)
                 observers += self.observers
             asked.append((reader, observers))
-        count_unit = None
-        if meter is not None:
-            from pc2scan.progress import AHEAD  # noqa: PLC0415  # only if somebody wants to know
-
-            meter.expect(sum(starmap(partial(work_of, AHEAD), asked)) + following)
-            count_unit = lambda unit: meter.add(unit.work(AHEAD))  # noqa: E731
-        for reader, observers in asked:
-            observe(reader, observers, count_unit)
+        observe(*asked, meter=meter)
         if self.transforms is not None:
             self.transforms.supply(self.reader, self._needed, use=self._use)

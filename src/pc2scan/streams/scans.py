@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.conversion import ConvertedMessage
     from pc2scan.pipeline.first_clouds import FirstClouds
     from pc2scan.pipeline.options import ConvertOptions
+    from pc2scan.progress import Meter
     from pc2scan.tf.buffer import TransformBuffer
 
     from .stream import Selection
@@ -195,12 +196,13 @@ class Scans(Stream[Scan]):
         conversion: ConvertOptions | None = None,
         *,
         transform_frames: Collection[str] | None = None,
+        meter: Meter | None = None,
     ) -> None:
         self._conversion = conversion
         self._transform_frames = transform_frames
         self.transforms: TransformBuffer | None = None
         self.notes: tuple[str, ...] = ()
-        super().__init__(selection)
+        super().__init__(selection, meter)
 
     def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self._selection, self._conversion)
@@ -240,6 +242,7 @@ class Scans(Stream[Scan]):
             stack,
             early.append,
             transform_frames=self._transform_frames,
+            meter=self._meter,
         )
         self.transforms = prepared.transforms
         report.add(prepared.warnings, (*plan.notes, *prepared.notes))

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from pc2scan.pipeline.combine.combiner import Combiner
     from pc2scan.pipeline.items import Item as EngineItem
     from pc2scan.pipeline.items import Span
-    from pc2scan.progress import Progress
+    from pc2scan.progress import Meter, Progress
     from pc2scan.result import Skipped
     from pc2scan.tf.placing import LevelTransform
 
@@ -100,6 +100,15 @@ class NumpyTimes:
     def log_time(self) -> np.datetime64:
         """The time of recording as ``numpy.datetime64`` in nanoseconds; ``NaT`` if that cannot represent it."""
         return datetime64(self.log_time_ns)
+
+
+def meter_of(progress: Progress, options: ConvertOptions, *, converting: bool) -> Meter:
+    """Return what counts the work of a `Stream`; ``converting`` is whether it makes scans of clouds."""
+    from pc2scan.progress import Meter, Price  # noqa: PLC0415  # most loops show no progress
+
+    # What is read as it was recorded is read on one thread.
+    threads = (options.jobs or cores()) if converting else 1
+    return Meter(progress, Price.of_conversion(threads=threads, deskews=converting and options.scan.deskew))
 
 
 Item = TypeVar("Item")
@@ -272,15 +281,15 @@ class Stream(ABC, Generic[Item]):
 
     notes: tuple[str, ...] = ()
 
-    def __init__(self, selection: Selection) -> None:
+    def __init__(self, selection: Selection, meter: Meter | None = None) -> None:
         self._selection = selection
+        #: Counts the work of preparing, and of the first loop; None: nothing is reported.
+        self._meter = meter
         self._live: WeakSet[Generator[Item]] = WeakSet()
         self.skipped: list[Skipped] = []
         self.skipped_count = 0
         #: Receives the warnings of a conversion, instead of Python's warnings; its owner reports the rest.
         self.listener: Callable[[str], None] | None = None
-        #: Called regularly; see `pc2scan.progress.Progress`.
-        self.progress: Callable[[int, int, int], None] | None = None
         source = self._open()
         self._prepared: StreamSource | None = source
         #: Closes the open files if the object is never iterated over.
@@ -335,8 +344,10 @@ class Stream(ABC, Generic[Item]):
             source = self._source(stack, as_one(readers))
             # A topic without messages gives an empty loop, but a cut outside of the recording is an error.
             start_ns, stop_ns, _ = source.span
+            connections = [route.connection for route in source.routes.values()]
+            if self._meter is not None:
+                self._meter.following = source.readers[0].work(self._meter.price, connections, start_ns, stop_ns)
             if start_ns is not None or stop_ns is not None:
-                connections = [route.connection for route in source.routes.values()]
                 with suppress(TopicError):
                     refuse_no_messages(source.readers[0], connections, start_ns, stop_ns)
             # No error: the files stay open.
@@ -349,15 +360,10 @@ class Stream(ABC, Generic[Item]):
         next(items)
         return items
 
-    def results(self, progress: Progress | None = None) -> Generator[StreamedResult]:
+    def results(self) -> Generator[StreamedResult]:
         """Yield what each message became, for callers that report errors themselves: Python's warnings are not used.
 
         At the end, `listener` receives the warnings of a conversion.
-
-        Parameters
-        ----------
-        progress
-            Called regularly; see `pc2scan.progress.Progress`.
 
         Raises
         ------
@@ -365,7 +371,7 @@ class Stream(ABC, Generic[Item]):
             If it is certain that no message can be used.
         """
         source = self._take_source()
-        with source.stack, closing(self._read(source, progress)) as items:
+        with source.stack, closing(self._read(source)) as items:
             for item in items:
                 yield StreamedResult(item.route.connection.topic, self._objects(item), item.errors)
                 del item
@@ -374,16 +380,12 @@ class Stream(ABC, Generic[Item]):
                 for text in source.warnings.conclude():
                     self.listener(text)
 
-    def _read(self, source: StreamSource, progress: Progress | None) -> Generator[EngineItem]:
+    def _read(self, source: StreamSource) -> Generator[EngineItem]:
         """Yield the engine's items, after they were counted."""
         tally = Tally(source.routes, self._selection.on_error)
         self.skipped, self.skipped_count = tally.skipped, 0
         jobs = source.jobs or cores()
-        meter = None
-        if progress is not None:
-            from pc2scan.progress import Meter, Price  # noqa: PLC0415  # most loops show no progress
-
-            meter = Meter(progress, Price.of_conversion(threads=jobs))
+        meter, self._meter = self._meter, None
         with ExitStack() as stack:
             threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
             found = items_of(
@@ -428,7 +430,7 @@ class Stream(ABC, Generic[Item]):
             self.damage = source.damage
             warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
             told: set[str] = set()
-            with closing(self._read(source, self.progress)) as items:
+            with closing(self._read(source)) as items:
                 for item in items:
                     if source.warnings is not None and not self.listener:
                         for text in source.warnings.early():

@@ -208,8 +208,7 @@ def read_up(readers: Sequence[Reader], request: ImuRequest) -> UpEstimate:
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # few recordings have one
 
     reading = ImuReading(readers, request.topic)
-    for reader in readers:
-        observe(reader, reading.observers(reader))
+    observe(*((reader, reading.observers(reader)) for reader in readers))
     return reading.up(request.frame)
 
 

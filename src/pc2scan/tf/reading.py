@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from pc2scan.bags.reader import Reader
     from pc2scan.core.rigid import TransformRow
     from pc2scan.model import Connection, RawMessage
+    from pc2scan.progress import Meter
 
     from .buffer import TransformBuffer
     from .placing import FrameOptions
@@ -194,7 +195,8 @@ class TransformReading:
         from .sources import PoseReading, PoseTopic  # noqa: PLC0415
 
         trials = {topic: PoseReading(PoseTopic(topic), own) for topic, own in candidates.items()}
-        observe(reader, [Observer(each.connections, copied_message, 1, keep=each.add) for each in trials.values()])
+        firsts = [Observer(each.connections, copied_message, 1, keep=each.add) for each in trials.values()]
+        observe((reader, firsts))
         fitting = []
         for topic, trial in trials.items():
             pairs = [(each.parent, each.child) for each in trial.finish()[0]]
@@ -212,7 +214,7 @@ class TransformReading:
             )
             return
         for topic, (parent, child) in fitting:
-            observe(reader, [self._pose_observer(PoseTopic(topic), reader)])
+            observe((reader, [self._pose_observer(PoseTopic(topic), reader)]))
             self._notes.append(
                 f"no transform has the frame {parent if parent in missing else child}: the poses of {topic} are used "
                 f"({child} in {parent}), as with `odom_topic={topic}`"
@@ -357,10 +359,10 @@ def _model_connections(connections: Sequence[Connection], options: FrameOptions)
 def read_transforms(
     readers: Sequence[Reader],
     options: FrameOptions,
-    others: Sequence[Observer[Any]] = (),
     *,
     needed: Collection[str] = (),
     use: bool = True,
+    meter: Meter | None = None,
 ) -> FoundTransforms:
     """Read all transforms of recordings, anywhere in the files, and add the user's own.
 
@@ -368,17 +370,15 @@ def read_transforms(
     ----------
     readers
         The source first, then the recordings of ``tf_from``.
-    others
-        What else observes the source.
     needed, use
         Frames that are needed; see `TransformReading.supply`.
+    meter
+        Counts the work; None: nothing is reported.
     """
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
 
     reading = TransformReading(options)
-    for reader in readers:
-        own = reader is readers[0]
-        observe(reader, [*reading.observers(reader, own=own), *(others if own else ())])
+    observe(*((each, reading.observers(each, own=each is readers[0])) for each in readers), meter=meter)
     if needed:
         reading.supply(readers[0], needed, use=use)
     return reading.finish()
@@ -459,5 +459,5 @@ def read_robot_transforms(reader: Reader, options: FrameOptions, time_ns: int) -
     from pc2scan.bags.observers import observe  # noqa: PLC0415  # only with transforms
 
     robot = RobotTransforms(reader, options, [time_ns])
-    observe(reader, robot.observers)
+    observe((reader, robot.observers))
     return robot.finish()

@@ -217,7 +217,7 @@ class Sqlite3Reader(Reader):
                         rows[topic_id].append(self._work_of(price, topic_id, size, head) if is_inside else 0)
         except (*SQLITE_ERRORS, DamageError, RecordingError):
             size, messages = self.summary.size_bytes, self.summary.message_count or 0
-            return price.of(size, messages, self._compression, chunks=0, is_quick=False)
+            return price.of(size, None, messages, self._compression, are_rows=True, is_quick=False)
         return sum(sum(found) * (known[key].message_count or 0) // max(1, len(found)) for key, found in rows.items())
 
     def _sampled_rows(self, start_ns: int | None, stop_ns: int | None) -> Iterator[tuple[int, object, object, object]]:
@@ -236,7 +236,7 @@ class Sqlite3Reader(Reader):
         stored = size if isinstance(size, int) else 0
         if topic_id in self._packed_topics and isinstance(head, bytes):
             stored = zstd_content_size(head) or stored
-        return price.of(stored, 1, self._compression, chunks=0, is_quick=stored < _WORTH_A_THREAD)
+        return price.of(stored, None, 1, self._compression, are_rows=True, is_quick=stored < _WORTH_A_THREAD)
 
     def counts(
         self, connections: Collection[Connection], start_ns: int | None = None, stop_ns: int | None = None
