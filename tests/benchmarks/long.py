@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
+from shutil import rmtree
 from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -196,7 +197,7 @@ _ZSTD, _NONE = Long(_CLOUDS, compression="zstd"), Long(_CLOUDS)
 _ODOM = {"target_frame": "base_link"}
 
 #: What is converted to see whether the time left is true: the recording of a gigabyte, and the options. ``start`` is a
-#: share. Scanned points take room: at most `_LARGEST` gigabytes.
+#: share. Scanned points and databases take room: at most `_LARGEST` gigabytes.
 _PROGRESSES: dict[str, tuple[str, Long, dict[str, Any]]] = {
     "MCAP, zstd": ("long.mcap", _ZSTD, {}),
     "MCAP, zstd, the second half, `--start`": ("long.mcap", _ZSTD, {"start": 0.5}),
@@ -207,6 +208,11 @@ _PROGRESSES: dict[str, tuple[str, Long, dict[str, Any]]] = {
         replace(_ZSTD, clouds=4 * _CLOUDS, points=32_768),
         _ODOM,
     ),
+    "MCAP, lz4, clouds of 1 MB, `--target-frame`": (
+        "long.mcap",
+        replace(_ZSTD, clouds=4 * _CLOUDS, points=32_768, compression="lz4"),
+        _ODOM,
+    ),
     "MCAP, none": ("long.mcap", _NONE, {}),
     "MCAP, none, `--target-frame`": ("long.mcap", _NONE, _ODOM),
     "MCAP, none, clouds of 0.5 MB, `--target-frame`": (
@@ -215,6 +221,7 @@ _PROGRESSES: dict[str, tuple[str, Long, dict[str, Any]]] = {
         _ODOM,
     ),
     "ROS 1, none, no clouds in the first half": ("long.bag", replace(_NONE, quiet=_CLOUDS // 2), {}),
+    "sqlite3, clouds of 0.5 MB, `--target-frame`": ("long", replace(_NONE, clouds=8 * _CLOUDS, points=16_384), _ODOM),
     "MCAP, zstd, to ROS 1": ("long.mcap", _ZSTD, {"destination": "scans.bag"}),
     "MCAP, zstd, scanned, `--target-frame`": ("long.mcap", replace(_ZSTD, scanned=True), _ODOM),
     "MCAP, zstd, scanned, no clouds in the first half": (
@@ -338,7 +345,7 @@ def _print_progress(folder: Path, gigabytes: int, repeat: int) -> None:
     print("\n| converted | share done | predicted end | as steady: share done | predicted end |")  # noqa: T201
     print("|---|---:|---:|---:|---:|")  # noqa: T201
     for what, (name, short, asked) in _PROGRESSES.items():
-        size = min(gigabytes, _LARGEST) if short.scanned else gigabytes
+        size = min(gigabytes, _LARGEST) if short.scanned or name == "long" else gigabytes
         long, options = short.times(size), dict(asked)
         if "start" in options:
             options["start"] *= long.clouds / 10  # seconds
@@ -349,7 +356,10 @@ def _print_progress(folder: Path, gigabytes: int, repeat: int) -> None:
         best = min(runs, key=lambda steps: max(map(abs, largest_errors(steps))))
         cells = [f"{error:+.1%}" for steps in (best, steady(best)) for error in largest_errors(steps)]
         print(f"| {what}, {size} GB |", " | ".join(cells), "|", flush=True)  # noqa: T201
-        source.unlink()
+        if source.is_dir():
+            rmtree(source)
+        else:
+            source.unlink()
 
 
 if __name__ == "__main__":
