@@ -11,7 +11,7 @@ import pytest
 
 import pc2scan
 from pc2scan.core.rigid import Rigid
-from pc2scan.pipeline.odometry import Direction, direction_of
+from pc2scan.pipeline.odometry import Odometry, odometry_of
 from pc2scan.tf.builder import TransformBuilder
 from support import sampled
 from support.worlds.moving import Drive, Lidar
@@ -85,13 +85,11 @@ def driven(seed: int, *, wheels: bool) -> list[Rigid]:
     return poses
 
 
-def direction(poses: Sequence[Rigid], parent: str = "odom", child: str = "base_link") -> Direction:
+def direction(poses: Sequence[Rigid], parent: str = "odom", child: str = "base_link") -> Odometry:
     builder = TransformBuilder()
     builder.add([(parent, child, number * 50_000_000, *each.pose) for number, each in enumerate(poses)], static=False)
     builder.add([("base_link", "lidar", 0, 0.3, 0.2, 0.5, 0, 0, 1, 0)], static=True)
-    found = direction_of(builder.build(), "odom", "lidar")
-    assert found is not None
-    return found
+    return odometry_of(builder.build(), "odom", "lidar")
 
 
 SWAPPED = {"parent": "base_link", "child": "odom"}

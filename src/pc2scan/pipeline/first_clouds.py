@@ -36,19 +36,6 @@ class SharedSample(NamedTuple):
     sample: CloudSample
 
 
-class Candidate(NamedTuple):
-    """A cloud that may be among the first ones, as long as its message is in memory."""
-
-    clouds: TopicClouds
-    points: Points
-    place: Placement
-
-    def sample(self, log_time_ns: int) -> SharedSample | None:
-        """Return a sample of the cloud's points; None if it is not among the first. On any thread."""
-        clouds = self.clouds
-        return clouds.sample(self.points, self.place) if clouds.times.may_have(log_time_ns) else None
-
-
 class FirstClouds:
     """The first clouds of every topic that is converted, and what they show.
 
@@ -129,8 +116,10 @@ class TopicClouds:
         self._counts: list[PointCounts] = []
         self.times = FirstTimes(JUDGED_CLOUDS)
 
-    def sample(self, points: Points, place: Placement) -> SharedSample:
-        """Return a sample of a cloud's points; on any thread."""
+    def sample(self, points: Points, place: Placement, log_time_ns: int | None = None) -> SharedSample | None:
+        """Return a sample of a cloud's points; None if its log time is not among the first. On any thread."""
+        if log_time_ns is not None and not self.times.may_have(log_time_ns):
+            return None
         return SharedSample(self, CloudSample.of(points).placed_in(place.frame_id, place.target_from_source))
 
     def add(self, sample: CloudSample, counts: PointCounts) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .combine.measurements import SourceFacts
     from .conversion import Conversion, Measurements
     from .items import OpenRoute
-    from .odometry import Surroundings
+    from .odometry import Odometry, Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
     from .report import Report
@@ -280,19 +280,20 @@ class _OutputFacts:
             from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
             warnings += clock_warnings(self._topics.values(), self._motion)
-        source = ""
+        odometry = None
         if spec.fixed_frame and placer.buffer is not None:
             from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
-            from .odometry import odometry_warnings, tilt_warnings  # noqa: PLC0415
+            from .odometry import odometry_of, odometry_warnings, tilt_warnings  # noqa: PLC0415
 
             # By log time.
             first = min((facts.headers[0] for facts in self._topics.values() if facts.headers), default=None)
             source = placer.source_frame or ("" if first is None else first.frame_id)
             with spec.naming_errors():
                 doubts = check_fixed_frame(source, spec, placer.buffer)
-            doubts += odometry_warnings(spec, source, placer.buffer)
+            odometry = odometry_of(placer.buffer, spec.fixed_frame, source)
+            doubts += odometry_warnings(spec, odometry)
             if placer.up is not None:
-                doubts += tilt_warnings(spec, source, placer.buffer, placer.up)
+                doubts += tilt_warnings(spec, odometry, placer.up)
             warnings += (spec.label + doubt for doubt in doubts)
         for sources in self._sources:
             from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
@@ -303,7 +304,7 @@ class _OutputFacts:
             notes += (spec.label + note for note in new_notes)
             warnings += (spec.label + doubt for doubt in doubts)
             combination = sources.combination
-            seen = self._surroundings(placer, firsts, source, combination.sources)
+            seen = self._surroundings(placer, firsts, odometry, combination.sources)
             deskew, new_notes, doubts = self._deskew(placer, sources.facts.values(), seen)
             notes += new_notes
             warnings += doubts
@@ -318,7 +319,7 @@ class _OutputFacts:
                 with spec.naming_errors():
                     measurements, new_notes = measure(self._alone.values(), spec, placer)
                 notes += (spec.label + note for note in new_notes)
-            seen = self._surroundings(placer, firsts, source)
+            seen = self._surroundings(placer, firsts, odometry)
             deskew, new_notes, doubts = self._deskew(placer, self._alone.values(), seen)
             notes += new_notes
             warnings += doubts
@@ -326,16 +327,18 @@ class _OutputFacts:
         return conversions, notes, warnings
 
     def _surroundings(
-        self, placer: Placer, firsts: FirstClouds, source: str, topics: Sequence[str] = ()
+        self, placer: Placer, firsts: FirstClouds, odometry: Odometry | None, topics: Sequence[str] = ()
     ) -> Surroundings | None:
         """Return what samples the clouds of some topics, to compare them with the odometry; None where nothing does."""
-        if not source or placer.buffer is None or not (self._spec.deskew or len(topics) > 1):
+        if placer.buffer is None or odometry is None or not odometry.links:
+            return None
+        if not (self._spec.deskew or len(topics) > 1):
             return None
         from .odometry import Surroundings  # noqa: PLC0415  # few conversions have a fixed frame
 
         first_ns, last_ns = self._span.first_ns, self._span.stop_ns or self._reader.summary.end_ns
         span = (first_ns, first_ns if last_ns is None else last_ns)
-        seen = Surroundings(self._spec, placer.buffer, source, placer.source_frame, span, topics)
+        seen = Surroundings(self._spec, placer.buffer, odometry, placer.source_frame, span, topics)
         firsts.surroundings.append((self._spec.label, seen))
         return seen
 
