@@ -44,14 +44,15 @@ class FirstClouds:
     source_frame, transforms
         See `KnownTransforms`.
     warn
-        Called with each warning immediately, so that a user can stop a conversion that makes empty scans.
+        Called with each warning immediately, so that a user can stop a conversion that makes empty scans, and knows why
+        one failed.
 
     Attributes
     ----------
     transforms
         The transforms that checks may use.
     warnings, notes
-        What was found so far.
+        What was found so far, the warnings also by the preparation of the conversion.
     advice
         Options with heights that suit the clouds, by their topic and the output.
     no_returns
@@ -79,13 +80,13 @@ class FirstClouds:
         """Return the first clouds of one topic for one output; the publishers of a topic share them."""
         return self._topics.setdefault((topic, spec), TopicClouds(topic, spec, self))
 
-    def warn(self, text: str) -> None:
+    def warn(self, *texts: str) -> None:
         """Warn immediately, but only once of what concerns several outputs."""
-        if text in self.warnings:
-            return
-        self.warnings.append(text)
-        if self._warn is not None:
-            self._warn(text)
+        for text in texts:
+            if text not in self.warnings:
+                self.warnings.append(text)
+                if self._warn is not None:
+                    self._warn(text)
 
     def finish(self) -> None:
         """Judge topics that have fewer clouds than usual, and what was seen where the robot moved most."""
