@@ -109,6 +109,7 @@ def export(
         in_folder=path is None,
         also_read=conversion.files,
         progress=progress,
+        warn=warn,
     )
     done.warnings += conversion.notes
     return done
@@ -123,9 +124,15 @@ def view(sources: Sequence[Path], destination: Path | None, options: Options, *,
     # The node's heights are part of its parameters, also where a file of these does not have them.
     asked["proposed"] = not options.given.keys() & {"params", "params_file", "param", "scans"}
     if destination is None:
-        return _with(page_of(sources, conversion.options, **asked), conversion.notes)
+        return _with(page_of(sources, conversion.options, **asked, warn=warn), conversion.notes)
     page = write_page(
-        sources, destination, conversion.options, overwrite=options.overwrite, also_read=conversion.files, **asked
+        sources,
+        destination,
+        conversion.options,
+        **asked,
+        overwrite=options.overwrite,
+        also_read=conversion.files,
+        warn=warn,
     )
     return _with(page, conversion.notes)
 
@@ -143,6 +150,7 @@ def plot(sources: Sequence[Path], destination: Path, options: Options, *, warn: 
         at=options.at,
         overwrite=options.overwrite,
         also_read=conversion.files,
+        warn=warn,
     )
     return _with(drawn, conversion.notes)
 
@@ -163,7 +171,7 @@ def map(  # noqa: A001  # the command's name
 
     asked = MapOptions.of(options)
     if not write:
-        return _with(map_of(sources, conversion.options, asked, progress=progress), conversion.notes)
+        return _with(map_of(sources, conversion.options, asked, progress=progress, warn=warn), conversion.notes)
     drawn = write_map(
         sources,
         destination,
@@ -173,6 +181,7 @@ def map(  # noqa: A001  # the command's name
         overwrite=options.overwrite,
         also_read=conversion.files,
         progress=progress,
+        warn=warn,
     )
     return _with(drawn, conversion.notes)
 

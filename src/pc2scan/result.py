@@ -19,7 +19,7 @@ from .text import counted, stamp
 from .version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from .bags.damage import Damage
 
@@ -264,6 +264,17 @@ def _names(value: Any) -> tuple[str, ...]:
         return tuple(listed_names)
     named = value._fields if hasattr(value, "_fields") else (each.name for each in fields(value))
     return tuple(name for name in named if not name.startswith("_"))
+
+
+def tell_early(warnings: list[str], warn: Callable[[str], None] | None, *texts: str) -> None:
+    """Add warnings to those of a result, and pass them on at once: a user may stop a run, or it fails, because of them.
+
+    ``warn`` is called with each of them; None: nobody waits for them.
+    """
+    warnings += texts
+    if warn is not None:
+        for text in texts:
+            warn(text)
 
 
 def listed(label: str, entries: Sequence[object], most: int | None) -> Iterator[Remark]:

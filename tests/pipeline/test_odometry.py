@@ -11,7 +11,7 @@ import pytest
 
 import pc2scan
 from pc2scan.core.rigid import Rigid
-from pc2scan.pipeline.odometry import Direction, direction_of
+from pc2scan.pipeline.odometry import Odometry, odometry_of
 from pc2scan.tf.builder import TransformBuilder
 from support import sampled
 from support.worlds.moving import Drive, Lidar
@@ -85,13 +85,13 @@ def driven(seed: int, *, wheels: bool) -> list[Rigid]:
     return poses
 
 
-def direction(poses: Sequence[Rigid], parent: str = "odom", child: str = "base_link") -> Direction:
+def direction(poses: Sequence[Rigid], parent: str = "odom", child: str = "base_link", every: str = "1 s") -> Odometry:
+    """Which way round poses are, twenty a second: each second is read, or one of six."""
     builder = TransformBuilder()
-    builder.add([(parent, child, number * 50_000_000, *each.pose) for number, each in enumerate(poses)], static=False)
+    read = [number for number in range(len(poses)) if number % (20 if every == "1 s" else 120) < 20]
+    builder.add([(parent, child, number * 50_000_000, *poses[number].pose) for number in read], static=False)
     builder.add([("base_link", "lidar", 0, 0.3, 0.2, 0.5, 0, 0, 1, 0)], static=True)
-    found = direction_of(builder.build(), "odom", "lidar")
-    assert found is not None
-    return found
+    return odometry_of(builder.build(), "odom", "lidar")
 
 
 SWAPPED = {"parent": "base_link", "child": "odom"}
@@ -113,6 +113,18 @@ def test_the_way_of_a_robot_tells_which_way_round_its_odometry_is() -> None:
         assert verdicts == [("", True), ("sideways", False), ("sideways", False), ("", True)]
         assert [bool(each.doubt) for each in found] == [False, True, True, False]
         told += 1
+    assert told >= 30
+
+
+def test_seconds_that_are_spread_over_a_drive_tell_the_same() -> None:
+    """As `info` reads them; from one to the next the robot may have driven anywhere."""
+    told = 0
+    for seed in range(40):
+        poses = driven(seed, wheels=True)
+        right = direction(poses, every="6 s")
+        wrong = direction([pose.inverse() for pose in poses], every="6 s")
+        assert (right.way, wrong.is_sound) == ("", False)
+        told += right.is_sound and wrong.way == "sideways"
     assert told >= 30
 
 

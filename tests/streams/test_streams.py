@@ -205,6 +205,13 @@ def test_files_are_closed_whatever_becomes_of_the_loop(recording: Path, tmp_path
         assert open_files(tmp_path) == 0, end
 
 
+def test_warnings_precede_the_error() -> None:
+    with pytest.warns(pc2scan.RecordingWarning) as warned, pytest.raises(MessageError, match="nothing can be conv"):
+        list(pc2scan.scans(HALL, angle_increment=1.0, target_frame="nowhere"))
+    assert "57.3 degrees" in str(warned[0].message)
+    assert {each.filename for each in warned} == {__file__}
+
+
 def broken(folder: Path) -> Path:
     """A recording whose third scan ends too early."""
     path = folder / "broken.mcap"

@@ -19,7 +19,7 @@ from support import ROOT
 from support.command import run
 from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
 from support.worlds.moving import BEGIN_NS, Drive, write_imu
-from support.worlds.weaving import REAR, RINGS, Fault, Weaving, write_weaving
+from support.worlds.weaving import REAR, RINGS, Fault, Weaving, Winding, write_weaving
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -350,6 +350,16 @@ SITUATIONS = (
         drive(Fault(metres=0.001, degrees=0.01), Drive(turn=0.0)),
     ),
     Situation(
+        "odometry whose poses are inverted",
+        drive(Fault(inverted=True), Winding()),
+        (
+            ("info {src}", "the robot drives sideways, by their inverses straight ahead: the poses are inverted"),
+            (_DESKEW, "the poses are inverted"),
+        ),
+        ("info {src}", _DESKEW),
+        drive(_SOUND, Winding()),
+    ),
+    Situation(
         "odometry whose frames are swapped",
         drive(Fault(pair=_SWAPPED), Drive()),
         (
@@ -358,9 +368,17 @@ SITUATIONS = (
             ("check {out} --for slam_toolbox", "map to odom, which then has two parents"),
             ("map {out} -o map.yaml", "the two frames are swapped"),
             ("export {out} -o scans.log --pose-frame odom", "the two frames are swapped"),
+            ("info {src}", "the two frames are swapped"),
+            # Also if that is why a conversion fails.
+            (f"{_DESKEW} --min-used 0.9 --overwrite", "the two frames are swapped"),
         ),
         # Inverted, too, they are right.
-        (f"{_DESKEW} --range-max 20", "map {out} -o map.yaml", "export {out} -o scans.log --pose-frame odom"),
+        (
+            f"{_DESKEW} --range-max 20",
+            "map {out} -o map.yaml",
+            "export {out} -o scans.log --pose-frame odom",
+            "info {src}",
+        ),
         drive(Fault(pair=_SWAPPED, inverted=True), Drive()),
     ),
     Situation(

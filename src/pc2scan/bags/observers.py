@@ -104,7 +104,7 @@ class Observer(Generic[_Value]):
     found: list[_Value] = field(default_factory=list)
     _count: int = 0
     _first: FirstTimes | None = None
-    _has_ended: bool = False
+    has_ended: bool = False
     _earliest: dict[int, int] = field(default_factory=dict)
     _filled: set[int] = field(default_factory=set)
 
@@ -117,7 +117,7 @@ class Observer(Generic[_Value]):
     def is_done(self) -> bool:
         """Whether no more messages are wanted."""
         return (
-            self._has_ended
+            self.has_ended
             or (self.most is not None and self._count >= self.most)
             or (self.spread is not None and len(self._filled) == self.spread.parts)
             or (self.is_needless is not None and self.is_needless())
@@ -132,10 +132,6 @@ class Observer(Generic[_Value]):
     def wants(self, parts: AbstractSet[int]) -> bool:
         """Return whether a message of any of these parts is wanted."""
         return not self.is_done and (self.spread is None or not parts <= self._filled)
-
-    def end(self) -> None:
-        """Note that there are no more messages."""
-        self._has_ended = True
 
     def value_of(self, message: RawMessage) -> tuple[Observer[Any], _Value | None] | None:
         """Return what is kept of a message; None if it is not wanted."""
@@ -243,7 +239,7 @@ def observing(reader: Reader, observers: Iterable[Observer[Any]], meter: Meter |
         if not all(observer.is_done for observer in group):
             yield from _observe_together(reader, group, meter)
         for observer in group:
-            observer.end()
+            observer.has_ended = True
 
 
 def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter: Meter | None) -> Generator[None]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import TransformError, UsageError, name_list
-from pc2scan.pipeline.odometry import direction_of
+from pc2scan.pipeline.odometry import odometry_of
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
@@ -131,9 +131,8 @@ class Poses:
     def doubts(self) -> Iterator[str]:
         """Yield what may be wrong with the poses that were read."""
         for base in dict.fromkeys(self._bases.values()):
-            direction = direction_of(self._transforms, self.pose_frame, base)
-            if direction is not None and direction.doubt:
-                yield direction.doubt
+            if doubt := odometry_of(self._transforms, self.pose_frame, base).doubt:
+                yield doubt
 
     def _base_of(self, sensor_frame: str) -> str:
         found = self._bases.get(sensor_frame)

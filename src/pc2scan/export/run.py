@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.bags.opening import as_one, open_recordings
@@ -23,7 +24,7 @@ from pc2scan.files.staging import staged_output
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
-from pc2scan.result import Skipped
+from pc2scan.result import Skipped, tell_early
 from pc2scan.streams.clouds import Clouds
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection, meter_of
@@ -33,7 +34,7 @@ from .poses import PoseOptions, open_poses
 from .report import ExportedTopic, ExportReport
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.files.records import Record
@@ -117,6 +118,7 @@ def run(
     in_folder: bool = False,
     also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> ExportReport:
     """Export the scans, or the clouds, of a recording.
 
@@ -136,6 +138,8 @@ def run(
         Files that were read for the options, by option.
     progress
         Called regularly; see `pc2scan.progress.Progress`.
+    warn
+        Called with each warning as soon as it is known, also if an error follows; the report has all of them.
 
     Raises
     ------
@@ -162,9 +166,9 @@ def run(
         stack.callback(stream.close)
         folder = _is_folder(destination, stream.topics, file_format, in_folder=in_folder)
         report = ExportReport([str(source) for source in sources], str(destination), file_format.name)
-        stream.listener = report.warnings.append
+        stream.listener = tell = partial(tell_early, report.warnings, warn)
         # Before transforms are read, which may take long.
-        partial = stack.enter_context(
+        unfinished = stack.enter_context(
             staged_output(destination, overwrite=form.overwrite, owned=form.owned, record_in=read_record)
         )
         poses = None
@@ -176,17 +180,17 @@ def run(
 
                 posing, _ = corrected(reader, [], options.clock, options.frames.tf_topics)
             poses, texts = open_poses([posing, *others], options.frames, form.poses, meter)
-            report.warnings += texts
+            tell(*texts)
         # Scans that are made of clouds have the right frame in their headers.
         frame = "" if form.converting else options.frames.source_frame
         export = _Export(file_format, poses, report, source_frame=frame, failing=options.on_error == "fail")
-        export.lay_out(stream.topics, partial, destination, folder=folder)
+        export.lay_out(stream.topics, unfinished, destination, folder=folder)
         try:
             export.write(stream)
         finally:
             export.abort()
-        if partial.is_dir():
-            write_record(partial)
+        if unfinished.is_dir():
+            write_record(unfinished)
         report.notes += getattr(stream, "notes", ())
         report.damage = tuple(dict.fromkeys((*stream.damage, *(d for each in readers for d in each.damage))))
     return report

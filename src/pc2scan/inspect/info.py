@@ -30,7 +30,7 @@ from pc2scan.tf.summary import BODIES
 
 from .cloud_info import CloudInfo, CloudLook
 from .edges import EDGE_NS
-from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, proposals
+from .proposals import HEADERS, Lidar, ask_facts, missing_mounts, odometry_doubts, proposals
 from .sampling import spread_over
 from .scan_info import ScanInfo, ScanLook
 
@@ -336,7 +336,7 @@ def info(
             for each in clouds
             if each.mounting is not None
         ]
-        warnings += missing_mounts(lidars)
+        warnings += (*missing_mounts(lidars), *odometry_doubts(lidars))
         summaries = [each.summary for each in readers]
         calls = proposals(
             lidars,

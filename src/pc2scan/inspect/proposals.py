@@ -16,6 +16,7 @@ from pc2scan.core.timing import median_interval_ns
 from pc2scan.errors import TransformError
 from pc2scan.pipeline.clocks import are_doubtful
 from pc2scan.pipeline.measurements import ShapeRequest, regular_step, shapes_of
+from pc2scan.pipeline.odometry import odometry_of
 from pc2scan.pipeline.point_times import time_warnings, times_of
 from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.stages.turn import DIRECTIONS, directions_of
@@ -24,7 +25,7 @@ from pc2scan.result import Call
 from pc2scan.tf.motion import sensor_motion, spread_of_up
 from pc2scan.tf.mounting import sensor_exclusion
 from pc2scan.tf.static import StaticTransform
-from pc2scan.tf.summary import BODIES
+from pc2scan.tf.summary import BODIES, WORLDS
 
 from .edges import EDGE_NS, EdgeClouds, edge_cuts
 
@@ -612,6 +613,21 @@ def _exclusions(group: Sequence[Lidar]) -> Iterator[Choice]:
             reasons.append("(0, 0, 0) is no return")
     if boxes:
         yield Choice("exclude_box", boxes[0] if len(boxes) == 1 else tuple(boxes), ", ".join(dict.fromkeys(reasons)))
+
+
+def odometry_doubts(lidars: Iterable[Lidar]) -> Iterator[str]:
+    """Yield what is wrong with the transforms that move the robot, by the frame that a conversion would deskew in."""
+    found: set[str] = set()
+    for lidar in lidars:
+        if (buffer := lidar.buffer) is None:
+            continue
+        motion = lidar.motion(0.1)
+        # Frames that are the wrong way round move nothing.
+        fixed = motion.fixed if motion is not None else next((name for name in WORLDS if name in buffer.frames), "")
+        doubt = odometry_of(buffer, fixed, lidar.mounting.frame).doubt
+        if doubt and doubt not in found:
+            found.add(doubt)
+            yield doubt
 
 
 def missing_mounts(lidars: Iterable[Lidar]) -> Iterator[str]:

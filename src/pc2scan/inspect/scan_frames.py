@@ -9,7 +9,7 @@ from pc2scan.core.layout import TURN
 from pc2scan.core.rigid import Rigid
 from pc2scan.core.verdicts import ScanTransforms
 from pc2scan.errors import TransformError
-from pc2scan.pipeline.odometry import direction_of
+from pc2scan.pipeline.odometry import odometry_of
 from pc2scan.text import counted, nearest
 from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
 from pc2scan.tf.placing import Placer
@@ -223,9 +223,9 @@ class ScanFrames:
                 if role == "odometry" and all(info.static for info in self._buffer.infos):
                     text += "; nothing moves in them"
                 found.append(Finding(f"no-{role}-frame", level, text, self._naming(role, name)))
-        direction = direction_of(self._buffer, self._odom, self._base)
-        if direction is not None and direction.fault:
-            found.append(Finding("odometry-direction", "defect", direction.fault, f"pc2scan convert {direction.cure}"))
+        odometry = odometry_of(self._buffer, self._odom, self._base)
+        if odometry.fault:
+            found.append(Finding("odometry-direction", "defect", odometry.fault, f"pc2scan convert {odometry.cure}"))
         for frame, scans in self._scans.items():
             # An empty name is reported with the scans themselves.
             if frame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.topics import find_topics, matches
@@ -15,6 +16,7 @@ from pc2scan.files.text_output import files_output
 from pc2scan.messages.clouds import CLOUDS, usual_topics
 from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.pipeline.options import TopicRequest
+from pc2scan.result import tell_early
 from pc2scan.streams.scans import Scans
 from pc2scan.streams.stream import Selection, meter_of
 
@@ -24,7 +26,7 @@ from .map_result import contents_of
 from .recording import open_recording
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.reader import Reader
@@ -49,6 +51,7 @@ def write_map(
     overwrite: bool = False,
     also_read: Mapping[str, Path] | None = None,
     progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Map:
     """Make a map of a recording, and write it; see `map_of`.
 
@@ -81,13 +84,18 @@ def write_map(
         [OutputPath(path) for path in paths],
     )
     with files_output(paths, overwrite=overwrite) as deliver:
-        made = map_of(sources, options, asked, progress=progress)
+        made = map_of(sources, options, asked, progress=progress, warn=warn)
         deliver([made.png] if destination is None else contents_of(made, destination))
     return made
 
 
 def map_of(
-    sources: Sequence[Path], options: ConvertOptions, asked: MapOptions, *, progress: Progress | None = None
+    sources: Sequence[Path],
+    options: ConvertOptions,
+    asked: MapOptions,
+    *,
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Map:
     """Draw the scans of a recording, or scans made of its clouds, where its transforms place them.
 
@@ -102,6 +110,8 @@ def map_of(
         The options of the map.
     progress
         Called regularly; see `pc2scan.progress.Progress`.
+    warn
+        Called with each warning as soon as it is known, also if an error follows; the result has all of them.
 
     Raises
     ------
@@ -115,6 +125,7 @@ def map_of(
     if options.scan.reverse:
         raise UsageError("`reverse` makes clouds, but a map is made of scans")
     notes: list[str] = []
+    tell = partial(tell_early, notes, warn)
     with open_recording(sources, options) as recording:
         topics, converted = _topics(recording.reader, options)
         meter = None if progress is None else meter_of(progress, options, converting=converted)
@@ -124,12 +135,13 @@ def map_of(
         if buffer is None:
             # Recorded scans are read as they are.
             found = recording.transforms(frames, meter)
-            buffer, notes = found.buffer, [*found.warnings, *found.notes]
+            buffer = found.buffer
+            tell(*found.warnings, *found.notes)
         further = recording.damage
     if not converted and _converts(options):
-        notes.append("The recording has no clouds: options about clouds have no effect.")
+        tell("The recording has no clouds: options about clouds have no effect.")
     drawn = Drawing(OccupancyGrid(asked.resolution, _MAX_CELLS), buffer, asked, options)
-    stream.listener = notes.append
+    stream.listener = tell
     with stream, closing(stream.results()) as results:
         for result in results:
             for error in result.errors:

@@ -19,7 +19,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.core.unproject import beam_angles, last_beam_ns
 from pc2scan.errors import MessageError, ResultError, TransformError, UsageError, name_list
 from pc2scan.pipeline.frame_checks import frame_that_stays
-from pc2scan.pipeline.odometry import direction_of
+from pc2scan.pipeline.odometry import odometry_of
 from pc2scan.result import Skipped
 from pc2scan.text import counted, did_you_mean
 from pc2scan.tf.lookup_errors import mount_text, named_in_namespace
@@ -241,9 +241,8 @@ class Drawing:
                     f"`odom_frame` is {odom}, in which {self.robot} does not move: the scans are drawn as if it had "
                     f"stood still; it moves by {moved.metres:.2f} m in {other}: `odom_frame={shlex.quote(other)}`"
                 )
-        direction = direction_of(self.buffer, odom, self.robot)
-        if direction is not None and direction.doubt:
-            yield direction.doubt
+        if doubt := odometry_of(self.buffer, odom, self.robot).doubt:
+            yield doubt
 
 
 def _scans_are(number: int) -> str:

@@ -23,7 +23,7 @@ from .recording import open_recording, title_of
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -98,6 +98,7 @@ def plot(
     at: Sequence[TimeBound] = (),
     overwrite: bool = False,
     also_read: Mapping[str, Path] | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Plotted:
     """Draw clouds of a recording into a file.
 
@@ -117,6 +118,8 @@ def plot(
         Whether an existing file may be replaced.
     also_read
         Files that were read for the options, by option. They are never replaced.
+    warn
+        Called with each warning as soon as it is known, also if an error follows; the result has all of them.
 
     Raises
     ------
@@ -141,7 +144,7 @@ def plot(
     )
     with (
         file_output(destination, beginning=None, overwrite=overwrite) as deliver,
-        open_recording(sources, options) as recording,
+        open_recording(sources, options, warn) as recording,
     ):
         taken = take_shots(recording, options, count=clouds, at_ns=recording.log_times(at), level=True)
         figure = _figure(taken, title_of(sources), kind)

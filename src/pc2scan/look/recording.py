@@ -15,7 +15,7 @@ from pc2scan.pipeline.refusals import refuse_outside
 from pc2scan.tf.reading import read_transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -44,6 +44,8 @@ class ShownRecording:
         The options of a conversion.
     stack
         Closes the recordings.
+    warn
+        Called with each warning of a preparation as soon as it is known; None: nobody waits for them.
     others
         The recordings of ``tf_from``, once transforms were read.
     """
@@ -51,6 +53,7 @@ class ShownRecording:
     reader: Reader
     options: ConvertOptions
     stack: ExitStack
+    warn: Callable[[str], None] | None = None
     others: Sequence[Reader] = ()
 
     @property
@@ -85,7 +88,7 @@ class ShownRecording:
             If it is not clear which transforms to use, or something cannot be measured.
         """
         span = span_of(self.reader, options)
-        request = self.reader, plan, options, span, self.stack
+        request = self.reader, plan, options, span, self.stack, self.warn
         try:
             prepared = prepare(*request, transform_frames=())
         except UsageError:
@@ -124,8 +127,10 @@ class ShownRecording:
 
 
 @contextmanager
-def open_recording(sources: Sequence[Path], options: ConvertOptions) -> Iterator[ShownRecording]:
-    """Open recordings as one.
+def open_recording(
+    sources: Sequence[Path], options: ConvertOptions, warn: Callable[[str], None] | None = None
+) -> Iterator[ShownRecording]:
+    """Open recordings as one; for ``warn``, see `ShownRecording`.
 
     Raises
     ------
@@ -134,7 +139,7 @@ def open_recording(sources: Sequence[Path], options: ConvertOptions) -> Iterator
     """
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
-        yield ShownRecording(as_one(readers), options, stack)
+        yield ShownRecording(as_one(readers), options, stack, warn)
 
 
 def title_of(sources: Sequence[Path]) -> str:

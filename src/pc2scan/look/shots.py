@@ -167,7 +167,7 @@ def take_shots(
         why = f"no cloud can be shown; {failed[0]}" if failed else f"no clouds on {', '.join(topics)}"
         raise RecordingError(why, path=reader.path)
     number = counted(len(failed) + len(shots), "cloud")
-    warnings = [*prepared.warnings, *_doubts(samples, options.scan, prepared.firsts.transforms)]
+    warnings = [*prepared.firsts.warnings, *_doubts(samples, options.scan, prepared.firsts.transforms)]
     warnings += [f"Not shown: {len(failed)} of {number}; {failed[0]}."] if failed else []
     measured = next((each for topic in topics if (each := conversion.measurements.get(topic))), Measurements(0.0))
     params = measured.resolve(conversion.params)

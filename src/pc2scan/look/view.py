@@ -22,7 +22,7 @@ from .scans import findings, scan_connections, scans_page
 from .shots import take_shots
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.damage import Damage
@@ -113,6 +113,7 @@ def write_page(
     proposed: bool = False,
     overwrite: bool = False,
     also_read: Mapping[str, Path] | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Page:
     """Write a page; see `page_of`.
 
@@ -138,7 +139,7 @@ def write_page(
         [OutputPath(destination)],
     )
     with text_output(destination, beginning=BEGINNING, overwrite=overwrite) as deliver:
-        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, proposed=proposed)
+        page = page_of(sources, options, clouds=clouds, at=at, preset=preset, proposed=proposed, warn=warn)
         deliver(page.html)
     return replace(page, path=str(destination))
 
@@ -151,6 +152,7 @@ def page_of(
     at: Sequence[TimeBound] = (),
     preset: str = "",
     proposed: bool = False,
+    warn: Callable[[str], None] | None = None,
 ) -> Page:
     """Make a page of a recording: of its clouds and their projection, or of its scans if it has no clouds.
 
@@ -169,6 +171,8 @@ def page_of(
     proposed
         Whether a page of clouds opens with the frame and the heights that `pc2scan.info` proposes, unless heights are
         given.
+    warn
+        Called with each warning as soon as it is known, also if an error follows; the result has all of them.
 
     Raises
     ------
@@ -179,7 +183,7 @@ def page_of(
     """
     if not 1 <= clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {clouds:,}, it must be from 1 to {_MOST_CLOUDS:,}")
-    with open_recording(sources, options) as recording:
+    with open_recording(sources, options, warn) as recording:
         reader = recording.reader
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:

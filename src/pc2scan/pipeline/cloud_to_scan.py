@@ -15,7 +15,6 @@ from pc2scan.messages.laserscan import LASERSCAN, LaserScan, encode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 
 from .conversion import Conversion, ConvertedMessage, Measurements
-from .first_clouds import Candidate
 from .stages.placement import PlaceStage
 
 if TYPE_CHECKING:
@@ -172,7 +171,7 @@ class CloudToScan(Conversion):
             # Simulated time begins at 0, and ROS 1 cannot represent a time before it.
             stamp_ns = max(0, stamp_ns + first_beam_ns)
         message, empty = beams.message(points.sequence, stamp_ns, placed.place.frame_id, scan)
-        candidate = None if firsts is None or firsts.full else Candidate(firsts, placed.whole, placed.place)
+        candidate = None if firsts is None or firsts.full else partial(firsts.sample, placed.whole, placed.place)
         motion = None if placed.moving is None else placed.moving.motion
         level = None if placed.place.level is None else placed.place.level.at(stamp_ns)
         used = self._gather_used(placed, beams.projector, transform) if self._keeps_used else None

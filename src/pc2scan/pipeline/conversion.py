@@ -41,19 +41,18 @@ class ConvertedMessage:
 
     The stages make ``message`` and ``used`` of arrays; the consumer's last step may replace both by their serialised
     form, and says in ``size`` how many bytes they take. ``empty`` is whether the message has no return, or no point;
-    ``motion`` is how far the sensor moved, if it was deskewed. ``candidate`` is the cloud, while `FirstClouds` takes
-    samples and the message's log time is not known; ``sample`` is a sample of it, if it may be among the first.
-    ``level`` is the transform of its frame, if that is made level. ``rebinned`` counts how beams of scans became other
-    beams. ``used`` are the points that beams read, if they are written. ``removed`` is how many beams had ``returns``,
-    how many of these were too ``sparse`` for ``min_points`` or ``kth``, and how many each beam filter removed; None
-    without any of them.
+    ``motion`` is how far the sensor moved, if it was deskewed. While `FirstClouds` takes samples, ``candidate``
+    makes the ``sample`` of the cloud, if it is among the first by the message's log time. ``level`` is the transform of
+    its frame, if that is made level. ``rebinned`` counts how beams of scans became other beams. ``used`` are the points
+    that beams read, if they are written. ``removed`` is how many beams had ``returns``, how many of these were too
+    ``sparse`` for ``min_points`` or ``kth``, and how many each beam filter removed; None without any of them.
     """
 
     message: Any
     counts: PointCounts
     empty: bool
     motion: Motion | None = None
-    candidate: Any = None
+    candidate: Callable[[int], Any] | None = None
     sample: Any = None
     level: LevelTransform | None = None
     rebinned: Rebinning | None = None

@@ -169,7 +169,7 @@ def _work(routes: Mapping[int, OpenRoute], message: RawMessage, *, is_due: bool 
             made = value if isinstance(value, list) else (value,)
             for result in made:
                 if isinstance(result, ConvertedMessage) and result.candidate is not None:
-                    result.sample = result.candidate.sample(message.log_time_ns)
+                    result.sample = result.candidate(message.log_time_ns)
                     result.candidate = None
             results = [(output, made[output.index]) for output in route.outputs]
     except MessageError as err:

@@ -36,19 +36,6 @@ class SharedSample(NamedTuple):
     sample: CloudSample
 
 
-class Candidate(NamedTuple):
-    """A cloud that may be among the first ones, as long as its message is in memory."""
-
-    clouds: TopicClouds
-    points: Points
-    place: Placement
-
-    def sample(self, log_time_ns: int) -> SharedSample | None:
-        """Return a sample of the cloud's points; None if it is not among the first. On any thread."""
-        clouds = self.clouds
-        return clouds.sample(self.points, self.place) if clouds.times.may_have(log_time_ns) else None
-
-
 class FirstClouds:
     """The first clouds of every topic that is converted, and what they show.
 
@@ -57,14 +44,15 @@ class FirstClouds:
     source_frame, transforms
         See `KnownTransforms`.
     warn
-        Called with each warning immediately, so that a user can stop a conversion that makes empty scans.
+        Called with each warning immediately, so that a user can stop a conversion that makes empty scans, and knows why
+        one failed.
 
     Attributes
     ----------
     transforms
         The transforms that checks may use.
     warnings, notes
-        What was found so far.
+        What was found so far, the warnings also by the preparation of the conversion.
     advice
         Options with heights that suit the clouds, by their topic and the output.
     no_returns
@@ -92,13 +80,13 @@ class FirstClouds:
         """Return the first clouds of one topic for one output; the publishers of a topic share them."""
         return self._topics.setdefault((topic, spec), TopicClouds(topic, spec, self))
 
-    def warn(self, text: str) -> None:
+    def warn(self, *texts: str) -> None:
         """Warn immediately, but only once of what concerns several outputs."""
-        if text in self.warnings:
-            return
-        self.warnings.append(text)
-        if self._warn is not None:
-            self._warn(text)
+        for text in texts:
+            if text not in self.warnings:
+                self.warnings.append(text)
+                if self._warn is not None:
+                    self._warn(text)
 
     def finish(self) -> None:
         """Judge topics that have fewer clouds than usual, and what was seen where the robot moved most."""
@@ -129,8 +117,10 @@ class TopicClouds:
         self._counts: list[PointCounts] = []
         self.times = FirstTimes(JUDGED_CLOUDS)
 
-    def sample(self, points: Points, place: Placement) -> SharedSample:
-        """Return a sample of a cloud's points; on any thread."""
+    def sample(self, points: Points, place: Placement, log_time_ns: int | None = None) -> SharedSample | None:
+        """Return a sample of a cloud's points; None if its log time is not among the first. On any thread."""
+        if log_time_ns is not None and not self.times.may_have(log_time_ns):
+            return None
         return SharedSample(self, CloudSample.of(points).placed_in(place.frame_id, place.target_from_source))
 
     def add(self, sample: CloudSample, counts: PointCounts) -> None:

@@ -51,6 +51,8 @@ _SLOW_NS = 205_000_000
 _AHEAD, _SIDEWAYS = 0.1, 0.25
 _LEAST_WAY, _LEAST_TURN = 1.0, 1.0
 _STEP_NS = 200_000_000
+#: Poses that are farther apart than this many steps are not compared.
+_LONGEST_STEP = 3
 
 #: Roll and pitch that change by more than this within a cloud, radians, and by less than this share of it in the
 #: odometry.
@@ -91,11 +93,13 @@ _NOT_LESS = 0.97
 _COLUMN, _TALL = 0.3, 0.4
 
 
-class Direction(NamedTuple):
-    """Which way round odometry moves the robot.
+class Odometry(NamedTuple):
+    """What moves a robot in a fixed frame, and which way round.
 
     Attributes
     ----------
+    links
+        The transforms between the two frames that move, first the one that carries the robot; empty if nothing moves.
     parent, child
         The frames of the transforms that carry the robot.
     is_below
@@ -107,11 +111,12 @@ class Direction(NamedTuple):
         Whether the robot drives straight ahead by these transforms, and not by their inverses.
     """
 
-    parent: str
-    child: str
-    is_below: bool
-    way: str
-    is_sound: bool
+    links: Sequence[FrameHistory] = ()
+    parent: str = ""
+    child: str = ""
+    is_below: bool = False
+    way: str = ""
+    is_sound: bool = False
 
     @property
     def doubt(self) -> str:
@@ -147,11 +152,13 @@ class Direction(NamedTuple):
         return text if self.is_sound else f"{text}: if the poses are not inverted, too, the robot moves the wrong way"
 
 
-def direction_of(buffer: TransformBuffer, fixed: str, source: str) -> Direction | None:
-    """Return which way round the transforms to a fixed frame move the robot; None if nothing moves in it.
+def odometry_of(buffer: TransformBuffer, fixed: str, source: str) -> Odometry:
+    """Return what moves the robot in a fixed frame, and which way round.
 
     Parameters
     ----------
+    buffer
+        The transforms: all, or those of some times.
     source
         The robot's frame, or another one that is fixed to it.
 
@@ -160,26 +167,33 @@ def direction_of(buffer: TransformBuffer, fixed: str, source: str) -> Direction 
     The inverses of a robot's poses move it along no line of its own, unless it drives along one circle: then backwards,
     which tells something only if the frames are the other way round, too.
     """
-    links = buffer.moving_links(fixed, source)
+    links = sorted(
+        buffer.moving_links(fixed, source),
+        key=lambda link: float(np.ptp(link.poses, axis=0) @ (1, 1, 1, 10, 10, 10, 10)),
+        reverse=True,
+    )
     if not links:
-        return None
-    body = _fastest(links)
+        return Odometry()
+    body = links[0]
     parent, child = buffer.frames[body.parent_at(None)], buffer.frames[body.child]
     is_below = len(links) == 1 and child == fixed.removeprefix("/")
     intervals = np.diff(body.stamps_ns)
     apart_ns = max(1, int(median(intervals))) if intervals.size else _STEP_NS
-    x, y, _, a, b, c, d = body.poses[:: max(1, _STEP_NS // apart_ns)].T
+    every = max(1, _STEP_NS // apart_ns)
+    x, y, _, a, b, c, d = body.poses[::every].T
     yaw = np.arctan2(2 * (d * c + a * b), 1 - 2 * (b * b + c * c))
     turned = np.remainder(np.diff(yaw) + math.pi, math.tau) - math.pi
     turns = np.ptp(np.append(0.0, np.cumsum(turned))) >= _LEAST_TURN
+    # From one second with transforms to the next, nobody knows the way.
+    known = np.diff(body.stamps_ns[::every]) <= _LONGEST_STEP * max(_STEP_NS, apart_ns)
     # Of the poses, and of their inverses: the shares of the way that are ahead, less those that are back, and sideways.
     ahead, beside = [0.0, 0.0], [0.0, 0.0]
     for number, sign in enumerate((1, -1)):
         # A chord of a circle has the direction of its middle.
-        steps = (np.diff(x) + 1j * np.diff(y)) * np.exp(-1j * sign * (yaw[:-1] + turned / 2))
+        steps = ((np.diff(x) + 1j * np.diff(y)) * np.exp(-1j * sign * (yaw[:-1] + turned / 2)))[known]
         way = float((np.abs(steps.real) + np.abs(steps.imag)).sum())
         if way < _LEAST_WAY:
-            return Direction(parent, child, is_below, "", is_sound=False)
+            return Odometry(links, parent, child, is_below)
         ahead[number], beside[number] = float(steps.real.sum()) / way, float(np.abs(steps.imag).sum()) / way
         inverse = -(x + 1j * y) * np.exp(-1j * yaw)
         x, y = inverse.real, inverse.imag
@@ -192,25 +206,17 @@ def direction_of(buffer: TransformBuffer, fixed: str, source: str) -> Direction 
     elif is_below and -ahead[0] >= 1 - _AHEAD and ahead[1] >= 1 - _AHEAD:
         drives = "backwards"
     is_sound = ahead[0] >= 1 - _AHEAD or (turns and beside[0] <= _AHEAD and beside[1] >= _SIDEWAYS)
-    return Direction(parent, child, is_below, drives, is_sound=bool(is_sound))
+    return Odometry(links, parent, child, is_below, drives, is_sound=bool(is_sound))
 
 
-def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> Iterator[str]:
-    """Yield warnings about poses that are too noisy or too few to place points at their own times.
-
-    Parameters
-    ----------
-    source
-        The frame of the clouds.
-    """
-    direction = direction_of(buffer, spec.fixed_frame, source)
-    if direction is not None and (direction.way or direction.is_below) and (doubt := direction.doubt):
+def odometry_warnings(spec: ScanSpec, odometry: Odometry) -> Iterator[str]:
+    """Yield warnings about poses that are the wrong way round, too noisy, or too few to place points at their times."""
+    if doubt := odometry.doubt:
         yield doubt
-    links = buffer.moving_links(spec.fixed_frame, source)
-    if not links or not spec.deskew:
+    if not odometry.links or not spec.deskew:
         return
-    body = _fastest(links)
-    pair = f"from {spec.fixed_frame} to {buffer.frames[body.child]}"
+    body = odometry.links[0]
+    pair = f"from {spec.fixed_frame} to {odometry.child}"
     intervals = np.diff(body.stamps_ns)
     apart_ns = int(median(intervals)) if intervals.size else 0
     if apart_ns > _SLOW_NS:
@@ -219,7 +225,7 @@ def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> I
             f"{_CLOUD_NS / 1e9:g} s: points are placed as if the robot had moved evenly meanwhile; odometry of 10 Hz "
             "and more deskews better: another `fixed_frame`, or `tf_from` another recording"
         )
-    metres, radians = map(sum, zip(*(noise(link.stamps_ns, link.poses) for link in links), strict=True))
+    metres, radians = map(sum, zip(*(noise(link.stamps_ns, link.poses) for link in odometry.links), strict=True))
     off = math.hypot(metres, LEVER * radians)
     moved = _motion_of_cloud(body, apart_ns)
     if off > max(_LEAST_NOISE, moved / math.sqrt(12)):
@@ -231,22 +237,16 @@ def odometry_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer) -> I
         )
 
 
-def tilt_warnings(spec: ScanSpec, source: str, buffer: TransformBuffer, up: UpSource) -> Iterator[str]:
+def tilt_warnings(spec: ScanSpec, odometry: Odometry, up: UpSource) -> Iterator[str]:
     """Yield a warning if a robot tilts within a cloud by its IMU, and not by the odometry that deskews the cloud.
 
-    Parameters
-    ----------
-    source
-        The frame of the clouds.
-    up
-        What makes the scans level.
+    ``up`` makes the scans level.
     """
     from pc2scan.tf.up_sources import UpByImu  # noqa: PLC0415  # few scans are level
 
-    links = buffer.moving_links(spec.fixed_frame, source)
-    if not (spec.deskew and links and isinstance(up, UpByImu)):
+    if not (spec.deskew and odometry.links and isinstance(up, UpByImu)):
         return
-    body = _fastest(links)
+    body = odometry.links[0]
     x, y, z, w = body.poses[:, 3:].T
     level = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y], axis=1)
     by_imu = _tilts(up.stamps_ns, up.directions)
@@ -269,11 +269,6 @@ def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
     chords = np.linalg.norm(ups[between:] - ups[:-between], axis=1)
     (angle,) = percentiles(2 * np.arcsin(np.minimum(1.0, chords / 2)), 90)
     return angle
-
-
-def _fastest(links: Sequence[FrameHistory]) -> FrameHistory:
-    """Return the link that carries the robot: the one whose poses differ most."""
-    return max(links, key=lambda link: float(np.ptp(link.poses, axis=0) @ (1, 1, 1, 10, 10, 10, 10)))
 
 
 def _motion_of_cloud(link: FrameHistory, apart_ns: int) -> float:
@@ -358,8 +353,8 @@ class Surroundings:
         The request.
     buffer
         The recording's transforms.
-    source
-        The frame of the clouds.
+    odometry
+        What moves the robot in the fixed frame.
     source_frame
         Replaces the clouds' frames; empty if nothing does.
     span
@@ -372,7 +367,7 @@ class Surroundings:
         self,
         spec: ScanSpec,
         buffer: TransformBuffer,
-        source: str,
+        odometry: Odometry,
         source_frame: str,
         span: tuple[int, int],
         together: Sequence[str] = (),
@@ -382,9 +377,8 @@ class Surroundings:
         self._source_frame = source_frame
         self._together = together
         self._clouds: dict[str, list[_Cloud]] = {}
-        links = buffer.moving_links(spec.fixed_frame, source)
-        body = _fastest(links) if links else None
-        self._windows = [] if body is None else busiest(body.stamps_ns, body.poses, Window(*span), _WINDOW_NS, _WINDOWS)
+        body = odometry.links[0]
+        self._windows = busiest(body.stamps_ns, body.poses, Window(*span), _WINDOW_NS, _WINDOWS)
 
     def add(self, topic: str, points: Points, seconds: Times | None = None) -> None:
         """Add a sample of a cloud, if it is of one of the windows. On any thread.

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .combine.measurements import SourceFacts
     from .conversion import Conversion, Measurements
     from .items import OpenRoute
-    from .odometry import Surroundings
+    from .odometry import Odometry, Surroundings
     from .options import ConvertOptions, ScanSpec
     from .plan import Combination, Plan
     from .report import Report
@@ -47,11 +47,11 @@ class Preparation(NamedTuple):
     span
         The cut.
     firsts
-        The first clouds, which are judged while they are converted.
+        The warnings so far, and the first clouds, which are judged while they are converted.
     others
         The other recordings that transforms were read from.
-    notes, warnings
-        Texts for the user.
+    notes
+        Texts for the user; `firsts` has the warnings.
     found
         All transforms; None if they were not read.
     """
@@ -61,7 +61,6 @@ class Preparation(NamedTuple):
     firsts: FirstClouds
     others: Sequence[Reader] = ()
     notes: Sequence[str] = ()
-    warnings: Sequence[str] = ()
     found: FoundTransforms | None = None
 
     @property
@@ -71,7 +70,10 @@ class Preparation(NamedTuple):
 
     @contextmanager
     def counting(self, routes: Mapping[int, OpenRoute], on_error: str, report: Report) -> Generator[Tally]:
-        """Count the items of the conversion; the report then has what the first clouds show, also after an error."""
+        """Count the items of the conversion; the report then has what the first clouds show, also after an error.
+
+        Their warnings are those that the preparation was to be told.
+        """
         tally = Tally(routes, on_error, self.firsts.warn)
         report.skipped = tally.skipped
         try:
@@ -79,7 +81,7 @@ class Preparation(NamedTuple):
             tally.finish()
             self.firsts.finish()
         finally:
-            report.add(self.firsts.warnings, self.firsts.notes, self.firsts.advice, self.firsts.no_returns)
+            report.add((), self.firsts.notes, self.firsts.advice, self.firsts.no_returns)
 
 
 def span_of(reader: Reader, options: ConvertOptions) -> Span:
@@ -117,7 +119,7 @@ def prepare(
     stack
         Closes the other recordings.
     warn
-        Called immediately with warnings about the first clouds.
+        Called with each warning as soon as it is known, also of the first clouds, and if an error follows.
     transform_frames
         The frames that the caller needs transforms of, even if the conversion needs none; None: it needs no transforms.
     meter
@@ -155,7 +157,6 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Me
     """Ask the survey for what each output needs besides transforms, let it read, and make conversions of the facts."""
     asked, reader, span = survey.frames, survey.reader, survey.span
     notes: list[str] = []
-    warnings: list[str] = []
     gives_frames = bool(asked.static or asked.source_frame)
     given = [survey.facts([route.connection]) for route in plan.routes if gives_frames and route.tasks]
     for facts in given:
@@ -177,7 +178,7 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Me
     if survey.transforms is not None:
         found = survey.transforms.finish()
         transforms = found.buffer
-        warnings += found.warnings
+        firsts.warn(*found.warnings)
         notes += found.notes
     if asked.trajectory is not None:
         from .clocks import refuse_other_clock  # noqa: PLC0415  # few conversions add poses
@@ -192,7 +193,7 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Me
         from .frame_checks import check_given_frames  # noqa: PLC0415  # few conversions add frames
 
         robot = transforms if survey.robot is None else survey.robot.finish()
-        warnings += check_given_frames((facts.frame for facts in given), plan, asked, buffer, robot)
+        firsts.warn(*check_given_frames((facts.frame for facts in given), plan, asked, buffer, robot))
     ups = None
     if buffer is not None and any(spec.level for spec in plan.specs):
         from .levelling import UpSources  # noqa: PLC0415  # only where scans are level
@@ -206,17 +207,15 @@ def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Me
             if ups is not None and spec.level:
                 up, estimate = ups.of(spec)
                 notes += () if estimate is None else estimate.notes
-                warnings += () if estimate is None else estimate.warnings
+                firsts.warn(*(() if estimate is None else estimate.warnings))
             placer = Placer(spec.params.target_frame, asked.source_frame, buffer, spec.params.tolerance_ns, up)
         if spec.reverse:
             conversions[spec] = _to_clouds(spec, placer)
             continue
-        made, new_notes, doubts = outputs[spec].conversions(placer, firsts)
+        made, new_notes = outputs[spec].conversions(placer, firsts)
         conversions |= made
         notes += new_notes
-        # Several outputs of one topic have the same doubts about its clock.
-        warnings += (each for each in doubts if each not in warnings)
-    return Preparation(conversions, span, firsts, survey.others, notes, warnings, found)
+    return Preparation(conversions, span, firsts, survey.others, notes, found)
 
 
 class _OutputFacts:
@@ -264,8 +263,8 @@ class _OutputFacts:
 
     def conversions(
         self, placer: Placer, firsts: FirstClouds
-    ) -> tuple[dict[ScanSpec | Combination, Conversion], list[str], list[str]]:
-        """Return the conversions of the output and of its combinations, with notes and warnings.
+    ) -> tuple[dict[ScanSpec | Combination, Conversion], list[str]]:
+        """Return the conversions of the output and of its combinations, with notes; `firsts` is told the warnings.
 
         Raises
         ------
@@ -274,25 +273,26 @@ class _OutputFacts:
         """
         spec = self._spec
         conversions: dict[ScanSpec | Combination, Conversion] = {}
-        notes, warnings = list[str](), list[str]()
+        notes: list[str] = []
         if self._motion:
             from .clocks import clock_warnings  # noqa: PLC0415  # only where times of several topics are compared
 
-            warnings += clock_warnings(self._topics.values(), self._motion)
-        source = ""
+            firsts.warn(*clock_warnings(self._topics.values(), self._motion))
+        odometry = None
         if spec.fixed_frame and placer.buffer is not None:
             from .frame_checks import check_fixed_frame  # noqa: PLC0415  # few conversions have one
-            from .odometry import odometry_warnings, tilt_warnings  # noqa: PLC0415
+            from .odometry import odometry_of, odometry_warnings, tilt_warnings  # noqa: PLC0415
 
             # By log time.
             first = min((facts.headers[0] for facts in self._topics.values() if facts.headers), default=None)
             source = placer.source_frame or ("" if first is None else first.frame_id)
             with spec.naming_errors():
                 doubts = check_fixed_frame(source, spec, placer.buffer)
-            doubts += odometry_warnings(spec, source, placer.buffer)
+            odometry = odometry_of(placer.buffer, spec.fixed_frame, source)
+            doubts += odometry_warnings(spec, odometry)
             if placer.up is not None:
-                doubts += tilt_warnings(spec, source, placer.buffer, placer.up)
-            warnings += (spec.label + doubt for doubt in doubts)
+                doubts += tilt_warnings(spec, odometry, placer.up)
+            firsts.warn(*(spec.label + doubt for doubt in doubts))
         for sources in self._sources:
             from .combine.conversion import MessagesToScan  # noqa: PLC0415  # few scans are made of several messages
             from .combine.measurements import measure_sources  # noqa: PLC0415
@@ -300,12 +300,11 @@ class _OutputFacts:
             with spec.naming_errors():
                 timing, grouper, new_notes, doubts = measure_sources(self._reader, sources, placer)
             notes += (spec.label + note for note in new_notes)
-            warnings += (spec.label + doubt for doubt in doubts)
+            firsts.warn(*(spec.label + doubt for doubt in doubts))
             combination = sources.combination
-            seen = self._surroundings(placer, firsts, source, combination.sources)
-            deskew, new_notes, doubts = self._deskew(placer, sources.facts.values(), seen)
+            seen = self._surroundings(placer, firsts, odometry, combination.sources)
+            deskew, new_notes = self._deskew(placer, firsts, sources.facts.values(), seen)
             notes += new_notes
-            warnings += doubts
             conversions[combination] = MessagesToScan(
                 spec, combination.sources, placer, timing, grouper, deskew, partial(firsts.of, spec), seen
             )
@@ -317,43 +316,44 @@ class _OutputFacts:
                 with spec.naming_errors():
                     measurements, new_notes = measure(self._alone.values(), spec, placer)
                 notes += (spec.label + note for note in new_notes)
-            seen = self._surroundings(placer, firsts, source)
-            deskew, new_notes, doubts = self._deskew(placer, self._alone.values(), seen)
+            seen = self._surroundings(placer, firsts, odometry)
+            deskew, new_notes = self._deskew(placer, firsts, self._alone.values(), seen)
             notes += new_notes
-            warnings += doubts
             conversions[spec] = _to_scans(spec, placer, measurements, deskew, firsts)
-        return conversions, notes, warnings
+        return conversions, notes
 
     def _surroundings(
-        self, placer: Placer, firsts: FirstClouds, source: str, topics: Sequence[str] = ()
+        self, placer: Placer, firsts: FirstClouds, odometry: Odometry | None, topics: Sequence[str] = ()
     ) -> Surroundings | None:
         """Return what samples the clouds of some topics, to compare them with the odometry; None where nothing does."""
-        if not source or placer.buffer is None or not (self._spec.deskew or len(topics) > 1):
+        if placer.buffer is None or odometry is None or not odometry.links:
+            return None
+        if not (self._spec.deskew or len(topics) > 1):
             return None
         from .odometry import Surroundings  # noqa: PLC0415  # few conversions have a fixed frame
 
         first_ns, last_ns = self._span.first_ns, self._span.stop_ns or self._reader.summary.end_ns
         span = (first_ns, first_ns if last_ns is None else last_ns)
-        seen = Surroundings(self._spec, placer.buffer, source, placer.source_frame, span, topics)
+        seen = Surroundings(self._spec, placer.buffer, odometry, placer.source_frame, span, topics)
         firsts.surroundings.append((self._spec.label, seen))
         return seen
 
     def _deskew(
-        self, placer: Placer, topics: Collection[TopicFacts], surroundings: Surroundings | None
-    ) -> tuple[Deskew | None, list[str], list[str]]:
-        """Return what places points at their own times (None: nothing does), notes and warnings."""
+        self, placer: Placer, firsts: FirstClouds, topics: Collection[TopicFacts], surroundings: Surroundings | None
+    ) -> tuple[Deskew | None, list[str]]:
+        """Return what places points at their own times (None: nothing does), and notes."""
         spec, where = self._spec, self._where
         if where is None:
-            return None, [], []
+            return None, []
         from .point_times import measure_turns, time_warnings  # noqa: PLC0415  # only with deskewing
         from .stages.deskew import Deskew  # noqa: PLC0415
 
-        doubts = [spec.label + each for facts in topics for each in time_warnings(facts, where)]
+        firsts.warn(*(spec.label + each for facts in topics for each in time_warnings(facts, where)))
         with spec.naming_errors():
             turns, notes = measure_turns(topics, where)
         sample = None if surroundings is None else surroundings.add
         deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns, sample)
-        return deskew, [spec.label + note for note in notes], doubts
+        return deskew, [spec.label + note for note in notes]
 
 
 def _robot_transforms(reader: Reader, options: ConvertOptions, span: Span) -> TransformBuffer | None:

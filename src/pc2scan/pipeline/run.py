@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from pc2scan.bags.destinations import (
@@ -29,6 +30,7 @@ from pc2scan.files.places import output_folder
 from pc2scan.files.staging import check_destination, staged_output
 from pc2scan.files.urls import UrlPath, exists
 from pc2scan.model import MAX_ROSBAG2_NS
+from pc2scan.result import tell_early
 from pc2scan.tf.placing import FrameOptions
 from pc2scan.threads import Threads, cores
 
@@ -79,7 +81,7 @@ def run(
     progress
         Called regularly; see `pc2scan.progress.Progress`.
     warn
-        Called immediately with warnings about the first clouds; the report has them, too.
+        Called with each warning as soon as it is known, up to those about the first clouds; the report has all.
     """
     if not sources:
         raise UsageError("no source given")
@@ -87,9 +89,10 @@ def run(
     report = Report([str(source) for source in sources], str(destination or ""), options.scans)
     report.source_frame = options.frames.source_frame
     with ExitStack() as stack, files.reporting(report):
-        reader, plan, target = _open(files, options, output, stack, report)
+        tell = partial(tell_early, report.warnings, warn)
+        reader, plan, target = _open(files, options, output, stack, report, tell)
         if output.dry_run:
-            _estimate(files, reader, plan, target, options, output, stack, report)
+            _estimate(files, reader, plan, target, options, output, stack, report, tell)
             return report
         with _staging(files, target, output, stack, report) as unfinished:
             span = _span_with_messages(reader, plan, options)
@@ -99,14 +102,14 @@ def run(
                 from pc2scan.progress import Meter  # noqa: PLC0415  # only if somebody wants to know
 
                 meter = Meter(progress, _price_of(plan, target, jobs))
-            prepared = prepare(reader, plan, options, span, stack, warn, meter=meter)
-            report.add(prepared.warnings, prepared.notes)
+            prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
+            report.add((), prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
             with _writing(target, unfinished, cut) as writer:
                 threads = stack.enter_context(Threads(jobs)) if jobs > 1 else None
                 recording = open_output(reader, plan, prepared, target, options, cut, writer)
                 report.topics = recording.entries
-                report.add(recording.warnings)
+                tell(*recording.warnings)
                 if threads is not None:
                     writer.compress_ahead(threads)
                 items = items_of(
@@ -135,11 +138,16 @@ def run(
 
 
 def _open(
-    files: RunFiles, options: ConvertOptions, output: OutputOptions, stack: ExitStack, report: Report
+    files: RunFiles,
+    options: ConvertOptions,
+    output: OutputOptions,
+    stack: ExitStack,
+    report: Report,
+    tell: Callable[..., None],
 ) -> tuple[Reader, Plan, Destination]:
     """Open the sources, plan the conversion, and decide the destination; the report then has what they say.
 
-    Errors about missing topics mention damage. ``stack`` closes the sources.
+    Errors about missing topics mention damage. ``stack`` closes the sources, and ``tell`` is called with warnings.
     """
     at_urls = [path for path in files.read if isinstance(path, UrlPath)]
     if output.scratch is not None and not (at_urls or isinstance(files.destination or output.folder, UrlPath)):
@@ -177,8 +185,9 @@ def _open(
     if readers[1:]:
         from pc2scan.bags.folders import overlap_warnings  # noqa: PLC0415  # most recordings are one
 
-        report.add(overlap_warnings(readers))
-    report.add((*plan.warnings, *request_warnings(options, reader.summary)), plan.notes)
+        tell(*overlap_warnings(readers))
+    report.add((), plan.notes)
+    tell(*plan.warnings, *request_warnings(options, reader.summary))
     return reader, plan, target
 
 
@@ -246,6 +255,7 @@ def _estimate(
     output: OutputOptions,
     stack: ExitStack,
     report: Report,
+    tell: Callable[[str], None],
 ) -> None:
     """Add to the report of a dry run what the conversion would write."""
     from .forecast import forecast  # noqa: PLC0415  # dry runs only
@@ -258,8 +268,8 @@ def _estimate(
     else:
         check_destination(target.path, overwrite=output.overwrite, record_in=recorded_in, folder=output.folder)
     span = _span_with_messages(reader, plan, options)
-    prepared = prepare(reader, plan, options, span, stack)
-    report.add(prepared.warnings, prepared.notes)
+    prepared = prepare(reader, plan, options, span, stack, tell)
+    report.add((), prepared.notes)
     recording = open_output(reader, plan, prepared, target, options, None, None)
     report.topics = recording.entries
     size = forecast(reader, target, recording, options, prepared, report)

@@ -233,24 +233,22 @@ class Scans(Stream[Scan]):
         report = Report(sources, "", plan.specs)
         report.source_frame = options.frames.source_frame
         report.warnings += (*plan.warnings, *request_warnings(options, reader.summary))
-        early: list[str] = []
         prepared = prepare(
             reader,
             plan,
             options,
             span_of(reader, options),
             stack,
-            early.append,
+            report.warnings.append,
             transform_frames=self._transform_frames,
             meter=self._meter,
         )
         self.transforms = prepared.transforms
-        report.add(prepared.warnings, (*plan.notes, *prepared.notes))
-        early[:0] = report.warnings
+        report.add((), (*plan.notes, *prepared.notes))
         self.notes = tuple(report.notes)
         opened = open_routes(plan.routes, prepared.conversions, last=_as_in_message)
         report.topics += opened.entries
-        found = _ScanWarnings(report, prepared.firsts, early, reader)
+        found = _ScanWarnings(report, prepared.firsts, reader)
         topics = tuple(dict.fromkeys(target for route in plan.routes for target in route.targets))
         return StreamSource(
             stack,
@@ -363,24 +361,23 @@ def _as_in_message(serialization: str, result: ConvertedMessage) -> ConvertedMes
 class _ScanWarnings:
     """The warnings of a conversion to `Scan`; see `ConversionWarnings`."""
 
-    def __init__(self, report: Report, firsts: FirstClouds, early: list[str], reader: Reader) -> None:
+    def __init__(self, report: Report, firsts: FirstClouds, reader: Reader) -> None:
         self._report = report
         self._reader = reader
         self._firsts = firsts
-        self._early = early
+        self._told = 0
 
-    def early(self) -> Sequence[str]:
-        found = tuple(self._early)
-        self._early.clear()
-        return found
+    def new(self) -> Sequence[str]:
+        begin, self._told = self._told, len(self._report.warnings)
+        return self._report.warnings[begin:]
 
     def conclude(self) -> Sequence[str]:
         firsts, report = self._firsts, self._report
         firsts.finish()
-        report.add(firsts.warnings, firsts.notes, firsts.advice)
+        report.add((), firsts.notes, firsts.advice)
         report.add(self._reader.remarks)
         report.add(*result_findings(report))
-        return report.warnings
+        return self.new()
 
 
 def _hint_clouds(reader: Reader) -> str | None:

@@ -16,7 +16,15 @@ import numpy as np
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.core.rule import NO_POINTS
-from pc2scan.errors import NothingToConvertError, RecordingWarning, TopicError, UsageError, name_list, visible
+from pc2scan.errors import (
+    NothingToConvertError,
+    Pc2ScanError,
+    RecordingWarning,
+    TopicError,
+    UsageError,
+    name_list,
+    visible,
+)
 from pc2scan.messages.clouds import usual_topics
 from pc2scan.model import StoredChunk
 from pc2scan.pipeline.conversion import ConvertedMessage
@@ -202,12 +210,12 @@ class Selection:
 class ConversionWarnings(Protocol):
     """Collects the warnings of a conversion."""
 
-    def early(self) -> Sequence[str]:
+    def new(self) -> Sequence[str]:
         """Return those that are new since the last call."""
         ...
 
     def conclude(self) -> Sequence[str]:
-        """Return all of them, at the end."""
+        """Return the last ones, at the end."""
         ...
 
 
@@ -288,7 +296,8 @@ class Stream(ABC, Generic[Item]):
         self._live: WeakSet[Generator[Item]] = WeakSet()
         self.skipped: list[Skipped] = []
         self.skipped_count = 0
-        #: Receives the warnings of a conversion, instead of Python's warnings; its owner reports the rest.
+        #: Receives the warnings of a conversion as soon as they are known, instead of Python's warnings; its owner
+        #: reports the rest.
         self.listener: Callable[[str], None] | None = None
         source = self._open()
         self._prepared: StreamSource | None = source
@@ -361,9 +370,7 @@ class Stream(ABC, Generic[Item]):
         return items
 
     def results(self) -> Generator[StreamedResult]:
-        """Yield what each message became, for callers that report errors themselves: Python's warnings are not used.
-
-        At the end, `listener` receives the warnings of a conversion.
+        """Yield what each message became, for callers that report errors themselves.
 
         Raises
         ------
@@ -376,9 +383,6 @@ class Stream(ABC, Generic[Item]):
                 yield StreamedResult(item.route.connection.topic, self._objects(item), item.errors)
                 del item
             self.damage = source.damage
-            if source.warnings is not None and self.listener is not None:
-                for text in source.warnings.conclude():
-                    self.listener(text)
 
     def _read(self, source: StreamSource) -> Generator[EngineItem]:
         """Yield the engine's items, after they were counted."""
@@ -398,14 +402,31 @@ class Stream(ABC, Generic[Item]):
                 meter=meter,
             )
             stack.enter_context(closing(found))
-            for item in found:
-                # No rule allows whole chunks here.
-                assert not isinstance(item, StoredChunk)
-                tally.count(item)
-                self.skipped_count = tally.failures
-                yield item
-                del item
-        tally.finish()
+            try:
+                self._warn(source)
+                for item in found:
+                    # No rule allows whole chunks here.
+                    assert not isinstance(item, StoredChunk)
+                    tally.count(item)
+                    self.skipped_count = tally.failures
+                    self._warn(source)
+                    yield item
+                    del item
+                tally.finish()
+            except Pc2ScanError:
+                # Often the cause.
+                self._warn(source)
+                raise
+        self._warn(source, at_end=True)
+
+    def _warn(self, source: StreamSource, *, at_end: bool = False) -> None:
+        """Pass on new warnings of a conversion: to `listener`, or as Python's warnings about the line of the loop."""
+        if source.warnings is not None:
+            for text in source.warnings.conclude() if at_end else source.warnings.new():
+                if self.listener is not None:
+                    self.listener(text)
+                else:
+                    warnings.warn(text, RecordingWarning, stacklevel=4)
 
     def _objects(self, item: EngineItem) -> list[tuple[Item, LevelTransform | None]]:
         """Return the objects of a message, each with the transform of a level scan's frame."""
@@ -429,13 +450,8 @@ class Stream(ABC, Generic[Item]):
             yield None  # type: ignore[misc]
             self.damage = source.damage
             warned = 0 if self.listener else _warn_of_damage(self.damage, 0)
-            told: set[str] = set()
             with closing(self._read(source)) as items:
                 for item in items:
-                    if source.warnings is not None and not self.listener:
-                        for text in source.warnings.early():
-                            told.add(text)
-                            warnings.warn(text, RecordingWarning, stacklevel=2)
                     if self.skipped_count == 1 and not self.listener and item.errors:
                         error = item.errors[0]
                         hint = f" ({error.hint})" if error.hint else ""
@@ -450,11 +466,6 @@ class Stream(ABC, Generic[Item]):
             self.damage = source.damage
             if not self.listener:
                 _warn_of_damage(self.damage, warned)
-            for text in () if source.warnings is None else source.warnings.conclude():
-                if self.listener:
-                    self.listener(text)
-                elif text not in told:
-                    warnings.warn(text, RecordingWarning, stacklevel=2)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Return how to open the recording anew, for copies, and for processes that read it, too."""

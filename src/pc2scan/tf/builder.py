@@ -121,7 +121,10 @@ class TransformBuilder:
         rejected = len(records) - len(good)
         del reasons
         frames, parents, children = self._renumber(pairs[records["pair"][good], :2])
-        is_static = _first_of_each(children, records["static"][good], len(frames))
+        # A child is static if its first transform is.
+        numbers, first = np.unique(children, return_index=True)
+        is_static = np.zeros(len(frames), np.bool_)
+        is_static[numbers] = records["static"][good][first]
         order = _time_order(children, records["stamp_ns"][good], is_static)
         received = np.bincount(children, minlength=len(frames))
         kept, parents, children = good[order], parents[order], children[order]
@@ -165,14 +168,6 @@ class TransformBuilder:
                 RejectedTransforms(names[child], names[parent], stamp_ns, REASONS[reason], counts.item(group))
             )
         return tuple(rejections)
-
-
-def _first_of_each(children: NDArray[np.int32], flags: NDArray[np.bool_], count: int) -> NDArray[np.bool_]:
-    """Return the flag of each child's first transform; False for frames without one."""
-    result = np.zeros(count, dtype=np.bool_)
-    numbers, first = np.unique(children, return_index=True)
-    result[numbers] = flags[first]
-    return result
 
 
 def _time_order(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import takewhile
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from pc2scan.core.rigid import IDENTITY_POSE, Rigid, compose_poses, inverse_pose
@@ -49,7 +50,7 @@ class Side:
     @classmethod
     def of(cls, links: tuple[FrameHistory, ...]) -> Side:
         """Multiply the static links that come first."""
-        static = tuple(takewhile(lambda link: link.static, links))
+        static = tuple(takewhile(attrgetter("static"), links))
         return cls(links, _multiply_links(IDENTITY_POSE, static, None), links[len(static) :])
 
     def pose_at(self, time_ns: int | None) -> Pose:

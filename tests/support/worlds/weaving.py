@@ -39,6 +39,21 @@ class Weaving(Drive):
         return np.stack([0.8 * np.sin(0.8 * times), 0.5 * np.cos(0.5 * times), 0 * times], axis=1)
 
 
+class Winding(Drive):
+    """A robot on wheels, which drives ahead and turns to and fro by 1.2 rad."""
+
+    def angles(self, times: Floats) -> tuple[Floats, Floats, Floats]:
+        """Roll, pitch and yaw; see `Drive`."""
+        return 0 * times, 0 * times, 1.2 * np.sin(2 * math.pi * 0.4 * times)
+
+    def positions(self, times: Floats) -> Floats:
+        """Where base_link is in odom; see `Drive`."""
+        nodes = np.arange(-1.0, 5.0, 0.001)
+        yaw = self.angles(nodes)[2]
+        ways = (np.cumsum(self.speed * 0.001 * each) for each in (np.cos(yaw), np.sin(yaw)))
+        return np.stack([*(np.interp(times, nodes, way) for way in ways), 0 * times], axis=1)
+
+
 #: A lidar with sixteen rings, and one that looks to the rear.
 RINGS = Lidar(elevations=tuple(np.linspace(-15, 15, 16).tolist()), columns=600)
 REAR = replace(RINGS, topic="/rear", frame="rear", mount=Rigid.from_rpy(0.0, 0.0, math.pi, (-0.3, 0.0, 0.5)))
