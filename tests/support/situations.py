@@ -211,8 +211,30 @@ SITUATIONS = (
     Situation(
         "a target frame that the robot moves in",
         drive(),
-        ((f"{_HALL} {_ABOVE} --target-frame odom", "in which base_link moves"),),
-        (_IN_BASE,),
+        (
+            (f"{_HALL} {_ABOVE} --target-frame odom", "in which base_link moves"),
+            ("info {src} --target-frame odom", "in which base_link moves"),
+            ("info {src} --target-frame odom", "--preset slam_toolbox --target-frame base_link"),
+        ),
+        (_IN_BASE, "info {src} --target-frame base_link"),
+    ),
+    Situation(
+        "a source frame that the robot moves in",
+        drive(),
+        (
+            (f"{_IN_BASE} --source-frame odom", "leave out --source-frame"),
+            (
+                f"{_HALL} {_ABOVE} --overwrite --source-frame odom",
+                "in which lidar, the frame of the clouds, moves with",
+            ),
+            (f"{_DESKEW} --overwrite --source-frame odom", "leave out --source-frame"),
+            (
+                f"view {{src}} -o p.html --target-frame base_link {_ABOVE} --source-frame odom",
+                "leave out --source-frame",
+            ),
+            ("info {src} --source-frame odom", "leave out --source-frame"),
+        ),
+        (_IN_BASE, "info {src}"),
     ),
     Situation(
         "a static transform in the wrong order",
