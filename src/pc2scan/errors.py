@@ -13,6 +13,7 @@
     │   └── DamageError            bytes of it are missing or wrong; without ``strict``, the rest is recovered
     ├── ResultError                nothing was converted, or less than required; nothing is written
     ├── OutputError                the destination cannot be written
+    │   └── DiskFullError          exit status 5: a batch ended early, because its disk has no room
     └── MessageError               one message cannot be converted (skipped, or fatal with ``fail``)
         ├── DecodeError            its bytes contradict its type
         ├── TransformError         no transform for its frame and stamp
@@ -248,6 +249,12 @@ class ResultError(Pc2ScanError):
 
 class OutputError(Pc2ScanError):
     """The destination cannot be written (no space, no permission, gone)."""
+
+
+class DiskFullError(OutputError):
+    """A batch ended early, because the disk of its results has no room, or its quota is used up."""
+
+    exit_status = 5
 
 
 class MessageError(Pc2ScanError):

@@ -22,6 +22,7 @@ import pc2scan
 from pc2scan.bags.opening import open_recording
 from pc2scan.errors import Pc2ScanError, RecordingError
 from support import ROOT, sampled
+from support.batches import manifest_of
 from support.builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1
 from support.command import COMMAND, INTERRUPTED, Finished, run, run_process
 
@@ -162,6 +163,54 @@ def test_a_full_disk_under_an_export(small_disk: Path) -> None:
     assert f"error: {out}" in done.stderr
     assert "No space left" in done.stderr
     assert [path.name for path in small_disk.iterdir()] == ["others"]
+
+
+#: What makes each result of `hall.bag` some 300 to 700 kB.
+FULL_OF_RESULTS: dict[str, tuple[str, ...]] = {
+    "bag": ("--keep-clouds",),
+    "mcap": ("--keep-clouds", "--to", "mcap", "--compression", "none"),
+    "sqlite3": ("--keep-clouds", "--to", "rosbag2", "--storage", "sqlite3"),
+    "npz": ("--export", "npz", "--angle-increment", "0.0004"),
+}
+
+
+@pytest.mark.parametrize("kind", sampled(FULL_OF_RESULTS, 2))
+def test_a_full_disk_ends_a_batch(kind: str, small_disk: Path, tmp_path: Path) -> None:
+    """Without room, all that follow would fail one after the other. With room, the same command converts them."""
+    count = 4
+    (tmp_path / "in").mkdir()
+    for number in range(count):
+        shutil.copyfile(ROOT / "fixtures" / "hall.bag", tmp_path / "in" / f"{number}.bag")
+    out, others, report = small_disk / "out", small_disk / "others", tmp_path / "report.json"
+    others.write_bytes(bytes(3_300_000))
+    words: list[str | Path] = [
+        "batch",
+        tmp_path / "in",
+        "-o",
+        out,
+        "--jobs",
+        "2",
+        "--min-height=-1",
+        *FULL_OF_RESULTS[kind],
+    ]
+    done = run_process(*words, "--report", report)
+    assert (done.status, done.stdout) == (5, ""), done.stderr
+    assert "failed" not in done.stderr
+    said = " ".join(done.stderr.split())
+    assert re.search(f"error: {out}/.*(No space left|disk is full)", said), said
+    left = re.search(r"hint: make room on that disk.*: of 4 recordings, (\d) (is|are) left to convert", said)
+    assert left is not None, said
+    converted = manifest_of(out)
+    assert {line["outcome"] for line in converted.values()} <= {"converted"}
+    assert len(converted) >= count - int(left[1])
+    assert not report.exists()
+    assert [path for path in small_disk.rglob("*") if "partial" in path.name] == []
+    others.unlink()
+    done = run_process(*words, "--report", report)
+    assert done.status == 0, done.stderr
+    unchanged = f"; {len(converted)} unchanged since" if converted else "\n"
+    assert f"{count} recordings: {count} converted{unchanged}" in done.stdout
+    assert len(list(out.glob("?_scan*" if kind != "npz" else "?/scan.npz"))) == count
 
 
 def packed(folder: Path) -> Path:

@@ -108,6 +108,47 @@ def test_clouds_in_a_frame_that_does_not_move_with_the_robot(frame: str, moving:
     assert found[0].startswith("/points: the clouds are in '") is bool(cure)
 
 
+@pytest.mark.parametrize("target", ["", "base_link"])
+@pytest.mark.parametrize(
+    ("own", "source", "moves", "told"),
+    [
+        (
+            "lidar",
+            "odom",
+            True,
+            "/points: `source_frame` is odom, in which lidar, the frame of the clouds, moves with base",
+        ),
+        (
+            "/base_link",
+            "/odom",
+            True,
+            "/points: `source_frame` is odom, in which base_link, the frame of the clouds, moves:",
+        ),
+        # A robot that stands still, a frame that no transform has, as registered clouds may have, and one on the robot.
+        ("lidar", "odom", False, ""),
+        ("cloud", "odom", True, ""),
+        ("", "odom", True, ""),
+        ("cloud", "lidar", True, ""),
+        ("lidar", "base_link", True, ""),
+        ("lidar", "", True, ""),
+    ],
+)
+def test_a_source_frame_that_the_robot_moves_in(own: str, source: str, moves: bool, told: str, target: str) -> None:
+    builder = TransformBuilder()
+    builder.add([("base_link", "lidar", 0, 0.0, 0.0, 0.6, 0.0, 0.0, 0.0, 1.0)], static=True)
+    for stamp_ns, x in ((1, 0.0), (2, 3.5 * moves)):
+        builder.add([("odom", "base_link", stamp_ns, x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)], static=False)
+    buffer = builder.build()
+    known = KnownTransforms(source, lambda: buffer, buffer if target else None)
+    sample = CloudSample.of(Points(0, 0, own, dict.fromkeys("xyz", np.ones(3, np.float32))))
+    spec = ScanSpec(params=ProjectionParams(target_frame=target))
+    found = named(checks.EACH_CLOUD, CloudFacts("/points", spec, known, [sample], [PointCounts()]))
+    if not told and source == "odom" and not target:
+        told = "/points: the clouds are in 'odom', a frame that does not move with the robot"
+    texts = found.get("clouds_in_fixed_frame", [])
+    assert [text.startswith(told) for text in texts] == [True] * bool(told)
+
+
 def topic_report(**attributes: Any) -> TopicReport:
     known = {"messages_in": 4, "messages_out": 4, "points": PointCounts(100, 40, height=60)}
     return TopicReport("/points", "", "/scan", **{"action": "converted", **known, **attributes})

@@ -259,7 +259,9 @@ class BatchFolder:
     def close(self) -> None:
         """Complete the manifest."""
         if self._file is not None:
-            self._file.close()
+            # What `append` has written is on the disk; a line that had no room there is an error already.
+            with suppress(OSError):
+                self._file.close()
         self._push(at_once=True)
 
     def _open_manifest(self) -> BinaryIO:

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from pc2scan.bags.opening import open_recordings
 from pc2scan.core.params import ProjectionParams
-from pc2scan.errors import NothingToConvertError, Pc2ScanError, RecordingError, UsageError
+from pc2scan.errors import NothingToConvertError, OutputError, Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.records import Record
-from pc2scan.files.urls import absolute, path_or_url
+from pc2scan.files.system import is_full
+from pc2scan.files.urls import UrlPath, absolute, path_or_url
 from pc2scan.options.call import Options
 from pc2scan.options.running import Container
 from pc2scan.options.table import conversion_options, options_of
@@ -335,7 +336,9 @@ def convert_one(job: Job, progress: Callable[[int, int, int], None] | None = Non
             known |= {"outcome": NO_CLOUDS, "exit_status": 0}
         record = job.failure(err, **known)
     except Pc2ScanError as err:
-        record = job.failure(err, **known)
+        # What is uploaded stays on no disk of this machine; and the next recording may fit where this one did not.
+        full = isinstance(err, OutputError) and not isinstance(destination, UrlPath) and is_full(err)
+        record = job.failure(err, disk_is_full=full, **known)
     except Exception as err:  # noqa: BLE001  # one recording must not end the others; the manifest has the traceback
         import traceback  # noqa: PLC0415  # a bug, or memory that is not there
 

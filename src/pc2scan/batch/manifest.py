@@ -253,6 +253,8 @@ class ManifestRecord:
         The report of the conversion, as ``convert --report`` writes it; None if it failed.
     text
         The report as tables, if they are shown; not part of the line.
+    disk_is_full
+        Whether it failed because the disk of the results has no room; not part of the line.
     """
 
     key: str
@@ -272,6 +274,7 @@ class ManifestRecord:
     attempts: int = 1
     report: Mapping[str, Any] | None = None
     text: str = ""
+    disk_is_full: bool = False
 
     @property
     def is_written(self) -> bool:

@@ -12,13 +12,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pc2scan.errors import DestinationError, OutputError, UsageError
+from pc2scan.errors import DestinationError, DiskFullError, OutputError, UsageError
 from pc2scan.files.ownership import InputPath, Inputs, OutputPath, first_link, inputs_of
 from pc2scan.files.records import Record
 from pc2scan.files.recovery import completed_parts
 from pc2scan.files.staging import clean_up, note_written
+from pc2scan.files.system import is_full
 from pc2scan.files.text_output import check_text_output, text_output
 from pc2scan.files.urls import UrlPath, absolute, is_url
+from pc2scan.text import counted
 from pc2scan.threads import cores
 
 from .dataset_file import Choices, DatasetFile, load_dataset_file
@@ -32,6 +34,7 @@ from .summary import BEGINNINGS, BatchReport, Outcome, report_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+    from os import PathLike
 
     from pc2scan.options.call import Options
 
@@ -462,8 +465,22 @@ class _Batch:
         self.estimate_seconds = _estimate_seconds(self._jobs, records, self.workers)
 
     def convert(self) -> None:
-        """Convert the recordings, and write the manifest."""
+        """Convert the recordings, and write the manifest.
+
+        Raises
+        ------
+        DiskFullError
+            If there is no room for a result or for the manifest. All other recordings would fail, too.
+        """
         self._clean_up()
+        try:
+            self._convert()
+        except OutputError as err:
+            if is_full(err):
+                raise self._disk_is_full(err.message, err.path) from err
+            raise
+
+    def _convert(self) -> None:
         refusals = self._refusals()
         jobs = [] if self._options.fail_fast and refusals else self._jobs
         with self._folder.writing({job.output for job in jobs}):
@@ -540,6 +557,8 @@ class _Batch:
                     case "workers":
                         self.workers = progress.workers = min(max(1, value), len(jobs))
                     case "done":
+                        if value.disk_is_full:
+                            raise self._disk_is_full(value.error["message"], value.error["path"])
                         self._end(value)
                         progress.end(key)
                         if self._options.fail_fast and value.exit_status in (1, 2):
@@ -547,6 +566,17 @@ class _Batch:
         finally:
             # Also if the manifest cannot be written: the workers must end.
             events.close()
+
+    def _disk_is_full(self, message: str, path: str | PathLike[str] | None) -> DiskFullError:
+        """Return the error that ends the batch, given that of a result or of the manifest."""
+        planned = self._plan.of("convert")
+        left = sum(step.found.key not in self.outcomes for step in planned)
+        return DiskFullError(
+            message,
+            path=path,
+            hint="make room on that disk, and run the same command again: "
+            f"of {counted(len(planned), 'recording')}, {left:,} {'are' if left > 1 else 'is'} left to convert",
+        )
 
     def _end(self, record: ManifestRecord) -> None:
         """Record and show the result of a recording."""

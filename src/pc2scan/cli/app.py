@@ -32,7 +32,8 @@ EPILOG = (
     "Exit status: 0 done, 1 failed and nothing written, 2 wrong usage or a missing file, "
     "3 written but with messages skipped, from a damaged source, or without the report, "
     "4 written but no scan has a return. "
-    "batch: 0 all converted, 3 some with messages skipped, damage or empty scans, 1 any failed. "
+    "batch: 0 all converted, 3 some with messages skipped, damage or empty scans, 1 any failed, "
+    "5 ended early because the disk is full. "
     "check, diff and golden: 0 accepted or the same, 1 not, 2 could not be judged."
 )
 

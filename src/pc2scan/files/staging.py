@@ -6,6 +6,7 @@ import os
 import stat
 from collections import deque
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pc2scan.errors import DestinationError, OutputError
@@ -17,7 +18,6 @@ from .urls import UrlPath
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     from .ownership import FileId
     from .records import FolderRecord, Record
@@ -152,6 +152,11 @@ def temporary_path(dst: Path) -> Iterator[Path]:
         recover_output(dst)
         try:
             yield partial
+        except OutputError as err:
+            # The error names the final path: the user knows it, and the temporary one is gone.
+            if err.path is not None and Path(err.path).is_relative_to(partial):
+                err.path = dst / Path(err.path).relative_to(partial)
+            raise
         finally:
             with suppress(OSError):
                 remove(partial)

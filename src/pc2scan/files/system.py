@@ -1,4 +1,4 @@
-"""Hides differences between operating systems: reading at an offset, locks, names, removing, waiting for the disk."""
+"""Hides differences between operating systems: reading at an offset, locks, names, removing, the disk."""
 
 from __future__ import annotations
 
@@ -25,6 +25,10 @@ _MOST_AT_ONCE = 1 << 30
 #: Names that are devices on Windows, with any suffix.
 #: Source: https://learn.microsoft.com/windows/win32/fileio/naming-a-file
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(1, 10))}
+
+#: The error numbers of a disk, or a quota, that has no room; and SQLite's text, the same in all of its versions.
+_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+_FULL_IN_SQLITE = "database or disk is full"
 
 #: The folder for temporary copies; None: the system's.
 scratch: ContextVar[Path | None] = ContextVar("scratch", default=None)
@@ -112,6 +116,15 @@ def sync_directory(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def is_full(err: BaseException | None) -> bool:
+    """Whether an error, or what caused it, is that a disk or a quota has no room."""
+    while err is not None:
+        if (isinstance(err, OSError) and err.errno in _FULL) or str(err) == _FULL_IN_SQLITE:
+            return True
+        err = err.__cause__
+    return False
 
 
 def remove(path: Path) -> None:

@@ -21,12 +21,15 @@ from pc2scan.messages.imu import IMU
 from pc2scan.model import copied_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.items import Span
+from pc2scan.pipeline.point_times import duration_warning
+from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
 from pc2scan.text import count, counted, size, stamp
 from pc2scan.tf.placing import FrameOptions, Placer
 from pc2scan.tf.summary import BODIES
+from pc2scan.tf.world_frames import find_body_motion
 
 from .cloud_info import CloudInfo, CloudLook
 from .edges import EDGE_NS
@@ -323,12 +326,14 @@ def info(
                 warnings.append(f"the recording has no clouds, but {instead[0]}; {instead[1]}")
         warnings += (each.mounting.warning for each in clouds if each.mounting and each.mounting.warning)
         seconds = {each.topic: (each.messages - 1) / each.rate_hz if each.rate_hz else 0.0 for each in shown}
+        on_robot = {each.topic: found.on_robot(each.mounting) for each in clouds if each.mounting is not None}
         lidars = [
             Lidar(
                 found.facts[each.topic],
-                each.mounting,
+                on_robot[each.topic],
                 found.buffer,
-                of_clouds[each.topic].parts,
+                # Where the robot moves in the frame of these points, its own body is not at one place.
+                of_clouds[each.topic].parts if on_robot[each.topic] is each.mounting else (),
                 bool(each.zero_share),
                 seconds[each.topic],
                 (start_ns or 0, end_ns if found.knows_end else None),
@@ -336,6 +341,8 @@ def info(
             for each in clouds
             if each.mounting is not None
         ]
+        warnings += dict.fromkeys(text for each in clouds for text in found.moving_frames(found.facts[each.topic]))
+        warnings += filter(None, (duration_warning(each.facts, PointTime()) for each in lidars))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars))
         summaries = [each.summary for each in readers]
         calls = proposals(
@@ -397,6 +404,25 @@ class _Surveyed(NamedTuple):
         moved = bool(self.places.target_frame)
         found = {topic: each.mounting(self.places, self.buffer, moved=moved) for topic, each in self.facts.items()}
         return found if moved else {topic: self._in_body(topic, each) for topic, each in found.items()}
+
+    def moving_frames(self, facts: TopicFacts) -> Iterator[str]:
+        """Yield a warning for each frame that is given for clouds of a topic, and in which the robot moves."""
+        target, source, own = self.places.target_frame, self.places.source_frame.removeprefix("/"), facts.frame
+        if self.buffer is None or not own:
+            return
+        if target and (moving := find_body_motion(self.buffer, target, source or own)) is not None:
+            yield moving.of_target(target)
+        if source and (moving := find_body_motion(self.buffer, source, own)) is not None:
+            yield f"{facts.topic}: {moving.of_source(source, own.removeprefix('/'))}"
+
+    def on_robot(self, own: Mounting) -> Mounting:
+        """Return how clouds are mounted on the robot, also if it moves in the frame that they are described in."""
+        target = self.places.target_frame
+        moving = find_body_motion(self.buffer, target, own.frame) if target and self.buffer is not None else None
+        if moving is None:
+            return own
+        body = self.places._replace(target_frame=moving.body)
+        return self.facts[own.topic].mounting(body, self.buffer, moved=True) or own
 
     def _in_body(self, topic: str, own: Mounting | None) -> Mounting | None:
         """Return how clouds that are level are mounted on the robot, if its transform tilts them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,6 +26,22 @@ class BodyMotion(NamedTuple):
 
     body: str
     metres: float
+
+    def of_target(self, target: str) -> str:
+        """Return the warning about scans in this frame."""
+        return (
+            f"`target_frame` is {target}, in which {self.body} moves (by {self.metres:.2f} m): the scans are "
+            f"measured from the origin of {target} instead of from the robot, as SLAM and navigation expect; "
+            f"`target_frame={shlex.quote(self.body)}`"
+        )
+
+    def of_source(self, source: str, own: str) -> str:
+        """Return the warning about clouds that are said to be in this frame, given their own frame."""
+        with_body = f" with {self.body}" if self.body != own else ""
+        return (
+            f"`source_frame` is {source}, in which {own}, the frame of the clouds, moves{with_body}: "
+            f"their points are placed as if the sensor stayed at the origin of {source}; leave out `source_frame`"
+        )
 
 
 def find_body_motion(buffer: TransformBuffer, world: str, source: str) -> BodyMotion | None:

@@ -262,20 +262,21 @@ def target_that_moves(clouds: CloudFacts) -> Iterator[str]:
 
     moving = find_body_motion(buffer, target, clouds.source)
     if moving is not None:
-        yield (
-            f"`target_frame` is {target}, in which {moving.body} moves (by {moving.metres:.2f} m): the scans are "
-            f"measured from the origin of {target} instead of from the robot, as SLAM and navigation expect; "
-            f"`target_frame={shlex.quote(moving.body)}`"
-        )
+        yield moving.of_target(target)
 
 
 def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
-    """Yield a warning if clouds are in a frame that the robot moves in, and stay in it.
+    """Yield a warning if clouds are in a frame that the robot moves in and stay in it, or are only said to be in it.
 
     There is none if the recording's transforms say that nothing moves in it.
     """
+    if len(clouds.samples) > 1:
+        return
+    if clouds.transforms.source_frame and (said := _said_to_be_fixed(clouds)):
+        yield said
+        return
     frame = clouds.source.removeprefix("/")
-    if clouds.spec.params.target_frame or frame not in _FIXED or len(clouds.samples) > 1:
+    if clouds.spec.params.target_frame or frame not in _FIXED:
         return
     from pc2scan.tf.summary import BODIES  # noqa: PLC0415  # few clouds are in such a frame
 
@@ -292,6 +293,22 @@ def clouds_in_fixed_frame(clouds: CloudFacts) -> Iterator[str]:
         f"{clouds.topic}: the clouds are in {frame!r}, a frame that does not move with the robot: the scans are "
         f"measured from its origin instead of from the robot, as SLAM and navigation expect; {cure}"
     )
+
+
+def _said_to_be_fixed(clouds: CloudFacts) -> str:
+    """Return the warning about a frame that is given for clouds, if their own frame moves in it with the robot.
+
+    Empty if the transforms do not have the clouds' own frame: then it had to be given.
+    """
+    known = clouds.transforms
+    source, own = known.source_frame.removeprefix("/"), clouds.samples[0].frame_id.removeprefix("/")
+    buffer = known.buffer or known.read()
+    if buffer is None or not own:
+        return ""
+    from pc2scan.tf.world_frames import find_body_motion  # noqa: PLC0415  # few conversions give a frame
+
+    moving = find_body_motion(buffer, source, own)
+    return "" if moving is None else f"{clouds.topic}: {moving.of_source(source, own)}"
 
 
 def returns_at_sensor(clouds: CloudFacts) -> Iterator[str]:
