@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import shlex
 import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -134,7 +135,9 @@ def plot(
     if kind not in FORMATS:
         shown = f"'.{kind}'" if kind else "no suffix"
         raise UsageError(
-            f"has {shown}, a figure is one of {', '.join(f'.{name}' for name in FORMATS)}", path=destination
+            f"has {shown}, a figure is one of {', '.join(f'.{name}' for name in FORMATS)}",
+            path=destination,
+            hint=f"such as `destination={shlex.quote(f'{destination.stem}.png')}`",
         )
     if not 1 <= clouds <= _MOST_CLOUDS:
         raise UsageError(f"`clouds` is {clouds}, it must be from 1 to {_MOST_CLOUDS}")
