@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
@@ -49,7 +51,11 @@ def test_the_time_left_of_a_batch(works: list[int], totals: list[int | None], kn
 
     with patch("pc2scan.batch.run.run_jobs", execute):
         pc2scan.batch(
-            drives, tmp_path / "out", progress=lambda step: seen.append((len(begun) - 1, now, step)), **KEYWORDS
+            drives,
+            tmp_path / "out",
+            jobs=1,
+            progress=lambda step: seen.append((len(begun) - 1, now, step)),
+            **KEYWORDS,
         )
     assert [step.recordings_done for _, _, step in seen][-1] == 4
     left = TimeLeft()
@@ -61,6 +67,54 @@ def test_the_time_left_of_a_batch(works: list[int], totals: list[int | None], kn
             if told is not None and running > known_from and moment > now / 10:
                 assert moment + told == pytest.approx(now, rel=0.1)
     assert seen[-1][2].work_done == seen[-1][2].work_total
+
+
+@pytest.mark.parametrize(
+    ("lengths", "workers"),
+    [
+        ([1, 1, 1], 2),
+        ([6, 1, 1, 1], 2),
+        ([4, 3, 2, 1], 3),
+        ([1] * 9, 4),
+        ([8, *[1] * 20], 4),
+    ],
+)
+def test_the_time_left_counts_workers_that_become_idle(lengths: list[int], workers: int, tmp_path: Path) -> None:
+    drives = place(tmp_path / "drives", *(f"{number:02}.bag" for number in range(len(lengths))))
+    size = 2 * (drives / "00.bag").stat().st_size
+    for path, length in zip(sorted(drives.iterdir()), lengths, strict=True):
+        os.truncate(path, size * length)
+    now = 0
+    seen: list[Any] = []
+
+    def execute(jobs: Any, **_: object) -> Iterator[Event]:
+        """Convert so many at a time, each at the same speed, in steps of a tenth of the shortest."""
+        nonlocal now
+        waiting, running = list(jobs), list[Any]()
+        done: Counter[str] = Counter()
+        while waiting or running:
+            while waiting and len(running) < workers:
+                running.append(waiting.pop(0))
+                yield Event("begun", running[-1].key)
+            now += 1
+            for job in running:
+                done[job.key] += 1
+                yield Event("progress", job.key, (done[job.key], job.size_bytes // size * 10))
+            for job in [job for job in running if done[job.key] == job.size_bytes // size * 10]:
+                running.remove(job)
+                yield Event("done", job.key, convert_one(job))
+
+    with patch("pc2scan.batch.run.run_jobs", execute):
+        pc2scan.batch(
+            drives, tmp_path / "out", jobs=workers, progress=lambda step: seen.append((now, step)), **KEYWORDS
+        )
+    left = TimeLeft()
+    last = dict(seen)
+    for moment, step in last.items():
+        told = left.seconds(step.work_done, step.work_total, moment)
+        if told is not None and moment > now / 10:
+            assert moment + told == pytest.approx(now, rel=0.03)
+    assert last[now].work_done == last[now].work_total == now * workers
 
 
 def test_a_recording_that_is_tried_again_begins_again(tmp_path: Path) -> None:
@@ -78,7 +132,7 @@ def test_a_recording_that_is_tried_again_begins_again(tmp_path: Path) -> None:
             yield Event("done", job.key, convert_one(job))
 
     with patch("pc2scan.batch.run.run_jobs", execute):
-        pc2scan.batch(drives, tmp_path / "out", progress=seen.append, **KEYWORDS)
+        pc2scan.batch(drives, tmp_path / "out", jobs=1, progress=seen.append, **KEYWORDS)
     assert [(step.work_done, step.work_total) for step in seen[1:]] == [
         (60, 200),
         (0, seen[0].work_total),

@@ -98,6 +98,10 @@ def test_times_that_are_right_draw_none(case: dict[str, Any]) -> None:
         ),
         ({"asked": "t:ms", "stored": lambda seconds: seconds}, "are taken for ms"),
         (
+            {"stored": lambda seconds: np.round(seconds * 1e5), "kind": "<u4"},
+            "are in no unit that fits, as ns a cloud takes 1e-05 s, but clouds come every 0.1 s",
+        ),
+        (
             {"stored": lambda seconds: seconds + T0 / 1e9 + 0.3},
             "measured 0.3 to 0.4 s after the stamp of their cloud, by field t, but clouds come every 0.1 s",
         ),

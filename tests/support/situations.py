@@ -18,7 +18,7 @@ from pc2scan.core.rigid import Rigid
 from support import ROOT
 from support.command import run
 from support.worlds.mounted import PLACES, cloud, mounted, write_clouds
-from support.worlds.moving import BEGIN_NS, Drive, write_imu
+from support.worlds.moving import BEGIN_NS, Drive, Lidar, write_imu
 from support.worlds.weaving import REAR, RINGS, Fault, Weaving, Winding, write_weaving
 
 if TYPE_CHECKING:
@@ -83,12 +83,13 @@ def drive(
     hertz: float = 100.0,
     clock: float | None = None,
     ahead: float = 0.0,
+    lidar: Lidar = RINGS,
     names: Callable[[str], str] = str,
 ) -> Callable[[Path], Path]:
     """Three seconds of a robot that weaves; its lidar's clock is ahead, a second lidar's by ``clock`` seconds."""
 
     def build(folder: Path) -> Path:
-        lidars = [replace(RINGS, clock=ahead), *([] if clock is None else [replace(REAR, clock=clock)])]
+        lidars = [replace(lidar, clock=ahead), *([] if clock is None else [replace(REAR, clock=clock)])]
         return write_weaving(folder / "drive.mcap", lidars, fault, moving or Weaving(), odometry_hz=hertz, frames=names)
 
     return build
@@ -130,6 +131,8 @@ _ABOVE = "--min-height 0.1 --max-height 1.5"
 _IN_BASE = f"convert {{src}} -o {{out}} --target-frame base_link {_ABOVE}"
 _DESKEW = f"{_IN_BASE} --deskew --fixed-frame odom"
 _HALL = "convert {src} -o {out}"
+_FLAT = Lidar(kind="flat", topic="/scan", columns=720)
+_REBIN = "convert {src} -o {out} --rebin --beams 720 --deskew --fixed-frame odom"
 _SWAPPED = ("base_link", "odom")
 _LEVEL = (
     f"convert {{src}} imu.mcap -o {{out}} --target-frame base_link {_ABOVE} --level --imu /imu "
@@ -313,6 +316,48 @@ SITUATIONS = (
         drive(),
         ((f"{_IN_BASE} --transform-tolerance 50", "--transform-tolerance 50ms"),),
         (f"{_IN_BASE} --transform-tolerance 50ms",),
+    ),
+    Situation(
+        "a scan_time in milliseconds twice",
+        hall(),
+        ((f"{_HALL} {_HEIGHTS} --scan-time 0.1ms", "no lidar is so fast: it is in seconds"),),
+        (f"{_HALL} {_HEIGHTS} --scan-time 100ms",),
+    ),
+    Situation(
+        "a time_increment in another unit",
+        hall(),
+        ((f"{_HALL} {_HEIGHTS} --time-increment 5e-8", "a whole turn takes"),),
+        (f"{_HALL} {_HEIGHTS} --time-increment 5e-5", f"{_HALL} {_HEIGHTS} --time-increment -0.00005 --overwrite"),
+    ),
+    Situation(
+        "times of points in microseconds",
+        drive(lidar=replace(RINGS, time_scale=1e-3)),
+        (
+            (_DESKEW, "are taken for ns: a cloud takes 9.98e-05 s, but clouds come every 0.1 s; --point-time t:us"),
+            ("info {src}", "--point-time t:us"),
+            (
+                f"{_IN_BASE} --overwrite --time-increment auto",
+                "time_increment is 0, because by the times of points (t) a",
+            ),
+        ),
+        (f"{_DESKEW} --point-time t:us",),
+    ),
+    Situation(
+        "times of points in no known unit",
+        drive(lidar=replace(RINGS, time_scale=1e-4)),
+        ((_DESKEW, "are in no unit that fits"), ("info {src}", "are in no unit that fits")),
+        (_DESKEW, "info {src}", f"{_IN_BASE} --overwrite --time-increment auto"),
+        drive(),
+    ),
+    Situation(
+        "2D scans whose time_increment is in milliseconds",
+        drive(lidar=replace(_FLAT, time_scale=1e-3)),
+        (
+            (_REBIN, "by its time_increment a scan takes 0.0001 s, but scans come every 0.1 s"),
+            ("check {src}", "time_increment is in seconds"),
+        ),
+        (_REBIN,),
+        drive(lidar=_FLAT),
     ),
     Situation(
         "a range that ends before the first wall",

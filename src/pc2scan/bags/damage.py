@@ -8,9 +8,10 @@ from pc2scan.errors import DamageError, stamp_text
 from pc2scan.text import counted, size
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
+    from pc2scan.errors import TopicError
     from pc2scan.files.source import SourceFile
 
 #: The hint for damage that ended a run.
@@ -88,6 +89,14 @@ def count_details(counts: Iterable[tuple[str, int, int]]) -> str:
     wrong = [f"{topic}: {declared} declared, {found} found" for topic, declared, found in counts if declared != found]
     more = len(wrong) - MAX_TOPICS
     return f" ({'; '.join(wrong[:MAX_TOPICS])}{f'; and {more} more topics' if more > 0 else ''})" if wrong else ""
+
+
+def mention(damage: Sequence[Damage], err: TopicError) -> None:
+    """Let an error about a missing topic say that the recording is damaged, if it is: the topic may be lost."""
+    note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}" if damage else ""
+    # One command may open the recording for another, and both say it.
+    if note not in (err.hint or ""):
+        err.hint = f"{err.hint}; {note}" if err.hint else note
 
 
 class DamageLog:

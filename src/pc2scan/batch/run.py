@@ -7,6 +7,7 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from heapq import heapify, heapreplace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -105,7 +106,8 @@ class BatchOptions:
 class BatchProgress(NamedTuple):
     """The progress of a batch: work (see `pc2scan.progress.Price`) and recordings, done and in total.
 
-    The work of recordings that have not begun is estimated by their bytes; so the total changes.
+    The work of recordings that have not begun is estimated by their bytes; so the total changes. Workers for which no
+    recording is left count as if they worked.
     """
 
     work_done: int
@@ -310,32 +312,69 @@ def _source_checksum(found: Recording) -> str:
 #: Of a recording that has not said how much work it is.
 _NOTHING_SAID = (0, 0, 0)
 
+#: The rest of a batch is planned again after so much of its work; it may have very many recordings.
+_PLANNED_AGAIN = 1 / 1000
+
+
+def _busiest(running: Iterable[float], waiting: Iterable[float], workers: int) -> float:
+    """Return how much work the worker has that ends last, if each that is idle takes the next recording.
+
+    Parameters
+    ----------
+    running
+        The work that is left of the recordings that have begun.
+    waiting
+        The work of the others, in their order.
+    workers
+        How many recordings are converted at a time.
+    """
+    ends = [*running]
+    ends += [0.0] * (workers - len(ends))
+    heapify(ends)
+    for work in waiting:
+        heapreplace(ends, ends[0] + work)
+    return max(ends)
+
 
 class _Progress:
     """Adds up the progress of all conversions: the work that is done of each, and which have ended.
 
     A recording says how much work it is when it has begun; the others are as much for their bytes as those together.
+    Workers for which no recording is left count as if they worked: so the same work always takes the same time.
 
     Parameters
     ----------
     sizes
-        The bytes of each recording.
+        The bytes of each recording, in the order in which they are begun.
+    workers
+        How many are converted at a time.
     watch
         Gets the reports.
     """
 
-    def __init__(self, sizes: Mapping[str, int], watch: BatchCallbacks) -> None:
+    def __init__(self, sizes: Mapping[str, int], workers: int, watch: BatchCallbacks) -> None:
+        self.workers = workers
         self._sizes = sizes
         self._bytes = sum(sizes.values())
         self._watch = watch
+        self._waiting = dict(sizes)
+        self._running: set[str] = set()
         self._ended: set[str] = set()
         #: Of each recording that has said how much work it is: the work that is done, the work in all, and its bytes.
         self._said: dict[str, tuple[int, int, int]] = {}
         #: The sums of these, which are kept because a batch may have very many recordings.
         self._sums = _NOTHING_SAID
+        #: The work that idle workers would have done so far.
+        self._idle = 0.0
+        #: The work that was done when the rest was planned, and the work of all recordings.
+        self._planned = (0, 0)
+        #: All work, with what idle workers would have done at the end.
+        self._total = 0
 
     def begin(self, key: str) -> None:
         """Report that a recording begins, for the first time or again."""
+        self._waiting.pop(key, None)
+        self._running.add(key)
         self._say(key, _NOTHING_SAID)
 
     def at(self, key: str, done: int, work: int) -> None:
@@ -344,6 +383,8 @@ class _Progress:
 
     def end(self, key: str) -> None:
         """Report that a recording has ended."""
+        self._waiting.pop(key, None)
+        self._running.discard(key)
         self._ended.add(key)
         _, work, _ = self._said.get(key, _NOTHING_SAID)
         work = work or round(self._sizes[key] * self._work_per_byte())
@@ -357,8 +398,25 @@ class _Progress:
         before, self._said[key] = self._said.get(key, _NOTHING_SAID), said
         done, work, known = (each + now - old for each, now, old in zip(self._sums, said, before, strict=True))
         self._sums = done, work, known
-        total = work + round((self._bytes - known) * self._work_per_byte())
-        self._watch.progress(BatchProgress(done, total, len(self._ended), len(self._sizes)))
+        if self._running and said[0] > before[0]:
+            self._idle += (said[0] - before[0]) * max(0.0, self.workers / len(self._running) - 1)
+        done += round(self._idle)
+        work += round((self._bytes - known) * self._work_per_byte())
+        changed = max(abs(now - then) for now, then in zip((done, work), self._planned, strict=True))
+        if changed >= work * _PLANNED_AGAIN or len(self._ended) == len(self._sizes):
+            self._planned = done, work
+            self._total = done + round(self.workers * self._rest())
+        done = min(done, self._total)
+        self._watch.progress(BatchProgress(done, self._total, len(self._ended), len(self._sizes)))
+
+    def _rest(self) -> float:
+        """Return how much work is left for the worker that ends last."""
+        per_byte = self._work_per_byte()
+        running = []
+        for key in self._running:
+            done, work, _ = self._said.get(key, _NOTHING_SAID)
+            running.append(work - done if work else self._sizes[key] * per_byte)
+        return _busiest(running, (size * per_byte for size in self._waiting.values()), self.workers)
 
 
 class _Batch:
@@ -479,7 +537,7 @@ class _Batch:
 
     def _run(self, jobs: Sequence[Job]) -> None:
         """Run jobs, and handle their events in the order in which they come."""
-        progress = _Progress({job.key: job.size_bytes for job in jobs}, self.watch)
+        progress = _Progress({job.key: job.size_bytes for job in jobs}, self.workers, self.watch)
         events = self._executor(
             jobs, workers=self.workers, cores=cores(), retries=self._options.retries, lock=self._folder.lock
         )
@@ -497,7 +555,7 @@ class _Batch:
                     case "told":
                         self.watch.inform(value)
                     case "workers":
-                        self.workers = min(max(1, value), len(jobs))
+                        self.workers = progress.workers = min(max(1, value), len(jobs))
                     case "done":
                         if value.disk_is_full:
                             raise self._disk_is_full(value.error["message"], value.error["path"])
@@ -558,7 +616,7 @@ def _estimate_seconds(jobs: Sequence[Job], records: Sequence[ManifestRecord], wo
     pace = sum(record.identity.size_bytes for record in done) / max(sum(record.seconds for record in done), 1e-9)
     if not done:
         pace = _sample_pace(jobs)
-    return size / pace / max(1, min(workers, len(jobs))) if pace else None
+    return _busiest((), (job.size_bytes for job in jobs), workers) / pace if pace else None
 
 
 def _sample_pace(jobs: Sequence[Job]) -> float:

@@ -28,6 +28,9 @@ VERDICTS = frozenset({"check", "diff", "golden"})
 #: Commands that have written their output when they begin to print.
 _WRITING = frozenset({"batch", "convert", "export", "map", "repair", "view"})
 
+#: How many words a command has at least that names a source and a destination.
+_SRC_DST = 3
+
 #: Typer's names of types, and ours.
 _KINDS = {
     "a valid int": "a whole number",
@@ -110,7 +113,7 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     if isinstance(err, MissingParameter) and err.param is not None:
         is_option = err.param.param_type_name == "option"
         name = "/".join(err.param.opts) if is_option else err.param.human_readable_name
-        return UsageError(f"{name} is missing", hint=hint)
+        return UsageError(f"{name} is missing", hint=(is_option and _meant_as_output(typed)) or hint)
     text = err.message.rstrip(".")
     if unreadable := re.search(r"(?:Path|File|Directory) '(.*)' is not readable$", text):
         return UsageError("permission denied", path=unreadable[1], hint="ls -l shows who owns it and who may read it")
@@ -122,6 +125,8 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
         return UsageError(f"{_spelling(spellings, typed)}: {value}{is_not}{_KINDS.get(kind, kind)}", hint=near or hint)
     if isinstance(err, BadOptionUsage):
         return UsageError(f"{err.option_name} {text.removeprefix(f'Option {err.option_name!r} ')}", hint=hint)
+    if text.startswith("Got unexpected extra argument"):
+        hint = _meant_as_output(typed) or hint
     text, _, near = text.partition(". Did you mean ")
     if typed and f"No such command {typed[0]!r}" == text:
         if os.path.lexists(typed[0]):
@@ -140,12 +145,29 @@ def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
             return f"an option such as {before} takes no value: {before.replace('--', '--no-', 1) if off else before}"
         if any(sign in name for sign in "*?[") and len(words) > 1:
             return "the shell replaces * only without quotes; pc2scan batch converts each of several recordings"
+        if name == words[-1] and (hint := _meant_as_output(words)):
+            return hint
     if "--static-tf" in words and isinstance(err, UsageError):
         begin = words.index("--static-tf") + 1
         count = next((n for n in (9, 8) if _is_transform(words[begin : begin + n])), 0)
         if count:
             return f"it is one argument, in quotes: --static-tf '{' '.join(words[begin : begin + count])}'"
     return ""
+
+
+def _meant_as_output(words: Sequence[str]) -> str:
+    """Return what to type, if the last word is probably the destination, as with ``cp``; else nothing."""
+    command, last = words[0], words[-1]
+    if (
+        command not in {*_WRITING, "plot"}
+        or len(words) < _SRC_DST
+        or {"-o", "--output"} & set(words)
+        or os.path.lexists(last)
+    ):
+        return ""
+    # The word before is a source, no option that has a value.
+    is_new = os.path.lexists(words[-2]) and not os.path.lexists(last)
+    return f"did you mean -o {shlex.quote(last)}?" if is_new else ""
 
 
 def _is_transform(words: Sequence[str]) -> bool:

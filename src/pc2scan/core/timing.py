@@ -35,6 +35,9 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: The least and the largest duration of a cloud, seconds.
 _SHORTEST, _LONGEST = 1e-9, 60.0
 
+#: A lidar takes longer for a cloud or a scan, seconds, and for a larger share of the time from one to the next.
+_BRIEF, _BRIEF_SHARE = 1e-3, 0.02
+
 #: Times of this many seconds and more do not count from the cloud's beginning, but from 1970, or from the sensor's
 #: start.
 _ABSOLUTE = 1000.0
@@ -67,6 +70,14 @@ def median_interval_ns(stamps_ns: Iterable[int]) -> int | None:
     ordered = sorted(set(stamps_ns))
     intervals = sorted(later - earlier for earlier, later in pairwise(ordered))
     return intervals[(len(intervals) - 1) // 2] if intervals else None
+
+
+def is_brief(seconds: float, period: float) -> bool:
+    """Whether a lidar takes an implausibly short time for what it measures once in a period, both in seconds.
+
+    Packets are brief, too, but follow each other; and points of a flash lidar have one time.
+    """
+    return 0 < seconds < _BRIEF and seconds < _BRIEF_SHARE * period
 
 
 def time_field(fields: Iterable[str]) -> str:

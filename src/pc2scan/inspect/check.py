@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from os import PathLike
 from typing import TYPE_CHECKING, ClassVar
 
+from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics
 from pc2scan.core.consumers import CONSUMERS
@@ -308,7 +309,11 @@ def check(
     with ExitStack() as stack:
         readers = open_recordings(map(path_or_url, paths), stack)
         reader = as_one(readers)
-        chosen = _scan_connections(reader, tuple(topics))
+        try:
+            chosen = _scan_connections(reader, tuple(topics))
+        except TopicError as err:
+            mention(reader.damage, err)
+            raise
         others = open_recordings(options.tf_from, stack)
         # Consumers know no transforms but those of the recording, and what the user adds.
         known = options if options.model else replace(options, model=NO_MODEL)

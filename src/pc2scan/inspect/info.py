@@ -21,6 +21,8 @@ from pc2scan.messages.imu import IMU
 from pc2scan.model import copied_message
 from pc2scan.pipeline.clocks import Clocks
 from pc2scan.pipeline.items import Span
+from pc2scan.pipeline.point_times import duration_warning
+from pc2scan.pipeline.stages.point_time import PointTime
 from pc2scan.pipeline.survey import Survey
 from pc2scan.result import Call, Part, Result
 from pc2scan.tables import Table
@@ -340,6 +342,7 @@ def info(
             if each.mounting is not None
         ]
         warnings += dict.fromkeys(text for each in clouds for text in found.moving_frames(found.facts[each.topic]))
+        warnings += filter(None, (duration_warning(each.facts, PointTime()) for each in lidars))
         warnings += (*missing_mounts(lidars), *odometry_doubts(lidars))
         summaries = [each.summary for each in readers]
         calls = proposals(

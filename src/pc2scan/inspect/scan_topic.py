@@ -11,6 +11,7 @@ import numpy as np
 
 from pc2scan.core.consumers import CONSUMERS, has_angles, judge
 from pc2scan.core.layout import TURN
+from pc2scan.core.timing import is_brief
 from pc2scan.core.verdicts import OUTCOMES, ConsumerScan, Outcome, ScanTransforms, Verdict
 from pc2scan.messages.laserscan import scan_for_consumers
 from pc2scan.text import agreeing, counted
@@ -268,6 +269,20 @@ class ScanTopic:
                     self._slow,
                 )
             )
+        swept = 0.0 if self.first is None else abs(self.first.time_increment) * (self.first.beams - 1)
+        if self.first is not None and self.interval_ns is not None and has_angles(self.first):
+            # A whole turn takes as long as it is from one scan to the next, a sector its share of it.
+            period = self.interval_ns / 1e9 * min(1.0, _turn(self.first) / TURN)
+            if is_brief(swept, period):
+                found.append(
+                    Finding(
+                        "time-increment",
+                        "notice",
+                        f"by its time_increment of {self.first.time_increment:.3g} s the first scan takes "
+                        f"{swept:.3g} s, but scans come every {self.interval_ns / 1e9:.3g} s",
+                        "time_increment is in seconds: milli- or microseconds?",
+                    )
+                )
         if self._times.count:
             found.append(
                 finding(

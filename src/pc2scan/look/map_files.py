@@ -49,6 +49,10 @@ _MARGIN, _FOOT = 24, 58
 _MOST_POINTS = 4_000
 
 
+#: Suffixes that are not a part of a map's name.
+_OTHER_SUFFIXES = (".yml", ".pgm", ".png", ".jpg", ".svg", ".pdf", ".html", ".txt", ".csv", ".bag", ".mcap")
+
+
 def map_paths(path: Path) -> list[Path]:
     """Return the files of a map: image, picture, and the YAML file.
 
@@ -58,7 +62,7 @@ def map_paths(path: Path) -> list[Path]:
         If the last one has another suffix.
     """
     if path.suffix != ".yaml":
-        stem = path.stem if path.suffix in (".yml", ".pgm", ".png") else path.name
+        stem = path.stem if path.suffix in _OTHER_SUFFIXES else path.name
         raise UsageError("is not the name of a map", path=path, hint=f"maps are NAME.yaml: `destination={stem}.yaml`")
     try:
         path.name.encode("utf-8")

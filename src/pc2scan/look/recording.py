@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
-from pc2scan.errors import UsageError, stamp_text
+from pc2scan.errors import TopicError, UsageError, stamp_text
 from pc2scan.inspect.sampling import sampled
 from pc2scan.pipeline.preparation import prepare, span_of
 from pc2scan.pipeline.refusals import refuse_outside
@@ -139,7 +140,12 @@ def open_recording(
     """
     with ExitStack() as stack:
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
-        yield ShownRecording(as_one(readers), options, stack, warn)
+        reader = as_one(readers)
+        try:
+            yield ShownRecording(reader, options, stack, warn)
+        except TopicError as err:
+            mention(reader.damage, err)
+            raise
 
 
 def title_of(sources: Sequence[Path]) -> str:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from pc2scan.core.layout import TURN
-from pc2scan.core.percentiles import median_low
+from pc2scan.core.percentiles import median, median_low
 from pc2scan.core.points import Points
 from pc2scan.core.resolution import RING_FIELDS, azimuth_step
-from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, median_interval_ns, time_field
+from pc2scan.core.timing import TIME_FIELDS, beam_times, fit_sweep, is_brief, median_interval_ns, time_field
 from pc2scan.errors import MessageError, ParameterError, stamp_text
 from pc2scan.text import did_you_mean
 from pc2scan.tf.placing import Placer
@@ -293,7 +293,7 @@ def _timing(facts: TopicFacts, spec: ScanSpec, placer: Placer, notes: list[str])
             f"{'its' if len(stamps) < STAMPS else 'the first'} {len(stamps)} stamps"
         )
     if time_increment == "auto":
-        time_increment, first_beam_ns, found = _beams(shapes, layout)
+        time_increment, first_beam_ns, found = _beams(shapes, layout, [each.stamp_ns for each in facts.headers])
         notes.append(f"{topic}: {found}")
     return Measurements(scan_time, time_increment, first_beam_ns, step)
 
@@ -321,7 +321,7 @@ def _resolution(topic: str, shapes: Sequence[CloudShape], params: ProjectionPara
     return step
 
 
-def _beams(shapes: Sequence[CloudShape], layout: BeamLayout) -> tuple[float, int, str]:
+def _beams(shapes: Sequence[CloudShape], layout: BeamLayout, stamps_ns: Sequence[int]) -> tuple[float, int, str]:
     """Return the time between beams in seconds, from the stamp to the first beam in nanoseconds, and a note."""
     timed = dict.fromkeys(each.time_field for each in shapes if each.time_field is not None)
     if not timed:
@@ -330,6 +330,10 @@ def _beams(shapes: Sequence[CloudShape], layout: BeamLayout) -> tuple[float, int
     sweeps = [each.sweep for each in shapes if each.sweep is not None]
     if not sweeps:
         return 0.0, 0, f"time_increment is 0, because the times of points ({field}) are not of a turning lidar"
+    period, takes = (median_interval_ns(stamps_ns) or 0) / 1e9, median([sweep.end - sweep.begin for sweep in sweeps])
+    if is_brief(takes, period):
+        wrong = f"by the times of points ({field}) a cloud takes {takes:.3g} s, but clouds come every {period:.3g} s"
+        return 0.0, 0, f"time_increment is 0, because {wrong}: their unit is probably another one"
     found = [times for sweep in sweeps if (times := beam_times(sweep, layout)) is not None]
     if len(found) < len(sweeps):
         lowest = median_low(sweep.lowest for sweep in sweeps)

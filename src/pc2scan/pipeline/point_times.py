@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from pc2scan.core.percentiles import median
-from pc2scan.core.timing import TIME_UNITS, fit_sweep, median_interval_ns
+from pc2scan.core.points import TIME
+from pc2scan.core.timing import TIME_UNITS, fit_sweep, is_brief, median_interval_ns
 
 from .stages.turn import TURN_CLOUDS, measure_turn, turn_sample
 from .survey import Fact
@@ -73,6 +74,7 @@ class PointTimes(NamedTuple):
 
 def ask_times(facts: TopicFacts, point_time: PointTime) -> None:
     """Ask for the times of points: those of a field, or the turns of a lidar whose period is to be measured."""
+    facts.ask_headers(_CLOUDS)
     if point_time.turn is None:
         facts.ask(times_of(point_time))
     elif not point_time.turn.period:
@@ -84,8 +86,37 @@ def time_warnings(facts: TopicFacts, point_time: PointTime) -> Iterator[str]:
 
     Times that are impossible are not among them: those are errors when their cloud is converted.
     """
-    if point_time.turn is None:
-        yield from _doubts(facts.topic, facts.found(times_of(point_time)))
+    topic, clouds = facts.topic, [] if point_time.turn is not None else facts.found(times_of(point_time))
+    name = clouds[0].field if clouds else ""
+    if clouds and not any(each.ordered for each in clouds):
+        yield (
+            f"{topic}: the times of the points, field {name}, follow neither the order of the points nor their "
+            "directions: if they are wrong, deskewing scatters the points; `point_time=FIELD` names another field"
+        )
+    if doubt := duration_warning(facts, point_time):
+        yield doubt
+        return
+    period = (median_interval_ns(each.stamp_ns for each in clouds) or 0) / 1e9
+    if len(clouds) < _FEWEST or not period:
+        return
+    low, high = median([each.low for each in clouds]), median([each.high for each in clouds])
+    every = f"clouds come every {period:.3g} s"
+    if max(low, -high) > max(_PERIODS * period, _SECONDS):
+        where = "after" if low > 0 else "before"
+        first, last = sorted((abs(low), abs(high)))
+        yield (
+            f"{topic}: the points are measured {first:.3g} to {last:.3g} s {where} the stamp of their cloud, by field "
+            f"{name}, but {every}: if their clocks differ, deskewing moves the points wrongly"
+        )
+
+
+def duration_warning(facts: TopicFacts, point_time: PointTime) -> str:
+    """Return the warning that clouds or scans take far too long or too short by their own times; empty if not."""
+    turn = median([each.turn for each in facts.headers]) if facts.headers else 0.0
+    if turn:
+        period = (median_interval_ns(each.stamp_ns for each in facts.headers) or 0) / 1e9
+        return _increment_doubt(facts.topic, turn, period)
+    return "" if point_time.turn is not None else _duration_doubt(facts.topic, facts.found(times_of(point_time)))
 
 
 def times_of(point_time: PointTime) -> Fact[PointTimes]:
@@ -133,37 +164,38 @@ def _are_ordered(angles: NDArray[np.float64], seconds: NDArray[np.float64], whol
     return bool((off < _NEAR).mean() >= _FOLLOWS)
 
 
-def _doubts(topic: str, clouds: Sequence[PointTimes]) -> Iterator[str]:
-    if not clouds:
-        return
-    name, unit = clouds[0].field, clouds[0].unit
-    if not any(each.ordered for each in clouds):
-        yield (
-            f"{topic}: the times of the points, field {name}, follow neither the order of the points nor their "
-            "directions: if they are wrong, deskewing scatters the points; `point_time=FIELD` names another field"
-        )
+def _increment_doubt(topic: str, seconds: float, period: float) -> str:
+    if not is_brief(seconds, period):
+        return ""
+    return (
+        f"{topic}: by its time_increment a scan takes {seconds:.3g} s, but scans come every {period:.3g} s: deskewing "
+        "hardly moves a beam; time_increment is in seconds, and this one is probably in another unit"
+    )
+
+
+def _duration_doubt(topic: str, clouds: Sequence[PointTimes]) -> str:
     period = (median_interval_ns(each.stamp_ns for each in clouds) or 0) / 1e9
-    if len(clouds) < _FEWEST or not period:
-        return
-    low, high = median([each.low for each in clouds]), median([each.high for each in clouds])
-    whole = high - low
-    every = f"clouds come every {period:.3g} s"
-    if not 1 / _OFF < whole / period < _OFF:
-        likely = [other for other, size in TIME_UNITS.items() if _ABOUT[0] < whole / unit * size / period < _ABOUT[1]]
-        used = next(other for other, size in TIME_UNITS.items() if size == unit)
-        if likely and whole > 0:
-            yield (
-                f"{topic}: the times of the points, field {name}, are taken for {used}: a cloud takes {whole:.3g} s, "
-                f"but {every}; `point_time={name}:{likely[0]}`, if they are {likely[0]}"
-            )
-            return
-    if max(low, -high) > max(_PERIODS * period, _SECONDS):
-        where = "after" if low > 0 else "before"
-        first, last = sorted((abs(low), abs(high)))
-        yield (
-            f"{topic}: the points are measured {first:.3g} to {last:.3g} s {where} the stamp of their cloud, by field "
-            f"{name}, but {every}: if their clocks differ, deskewing moves the points wrongly"
+    whole = median([each.high - each.low for each in clouds]) if len(clouds) >= _FEWEST else 0.0
+    if not (period and whole > 0) or 1 / _OFF < whole / period < _OFF:
+        return ""
+    name, unit = clouds[0].field, clouds[0].unit
+    if name == TIME:
+        return _increment_doubt(topic, whole, period)
+    takes = f"a cloud takes {whole:.3g} s, but clouds come every {period:.3g} s"
+    likely = [other for other, size in TIME_UNITS.items() if _ABOUT[0] < whole / unit * size / period < _ABOUT[1]]
+    used = next(other for other, size in TIME_UNITS.items() if size == unit)
+    if likely:
+        return (
+            f"{topic}: the times of the points, field {name}, are taken for {used}: {takes}; "
+            f"`point_time={name}:{likely[0]}`, if they are {likely[0]}"
         )
+    if is_brief(whole, period):
+        return (
+            f"{topic}: the times of the points, field {name}, are in no unit that fits, as {used} {takes}: deskewing "
+            "hardly moves a point; `point_time=FIELD` names another field, and `point_time=azimuth` computes the times "
+            "of a lidar that turns"
+        )
+    return ""
 
 
 def measure_turns(topics: Iterable[TopicFacts], point_time: PointTime) -> tuple[dict[str, Turn], list[str]]:

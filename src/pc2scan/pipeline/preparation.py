@@ -345,13 +345,17 @@ class _OutputFacts:
         spec, where = self._spec, self._where
         if where is None:
             return None, []
-        from .point_times import measure_turns, time_warnings  # noqa: PLC0415  # only with deskewing
+        from .point_times import duration_warning, measure_turns, time_warnings  # noqa: PLC0415  # only with deskewing
         from .stages.deskew import Deskew  # noqa: PLC0415
 
         firsts.warn(*(spec.label + each for facts in topics for each in time_warnings(facts, where)))
         with spec.naming_errors():
             turns, notes = measure_turns(topics, where)
         sample = None if surroundings is None else surroundings.add
+        for facts in topics:
+            if duration_warning(facts, where):
+                # Points at wrong times are where odometry that lags would put them.
+                sample = None
         deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns, sample)
         return deskew, [spec.label + note for note in notes]
 

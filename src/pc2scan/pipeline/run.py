@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from pc2scan.bags.damage import mention
 from pc2scan.bags.destinations import (
     check_to,
     default_destination,
@@ -169,9 +170,7 @@ def _open(
     try:
         plan = make_plan(reader.connections, options, reader)
     except TopicError as err:
-        if damage:
-            note = f"the recording is damaged, and topics may be missing: {damage[0].path}: {damage[0].what}"
-            err.hint = f"{err.hint}; {note}" if err.hint else note
+        mention(damage, err)
         raise
     if options.clock:
         from .stamps import corrected_for  # noqa: PLC0415  # most clocks are the recording's

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.floor import CloudSample, are_enough
+from pc2scan.core.layout import TURN
 from pc2scan.errors import TransformError
 from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.tf.reading import RobotTransforms, TransformReading
@@ -80,6 +81,8 @@ class Header(NamedTuple):
         The names of the cloud's fields; empty for a LaserScan.
     increment
         The size of the angle increment of a LaserScan, radians; None for a cloud.
+    turn
+        The time that a whole turn takes by a LaserScan's ``time_increment``, seconds; 0 for a cloud.
     """
 
     log_time_ns: int
@@ -88,6 +91,7 @@ class Header(NamedTuple):
     frame_id: str
     fields: tuple[str, ...] = ()
     increment: float | None = None
+    turn: float = 0.0
 
 
 def _samples(*, moved: bool) -> Fact[CloudSample]:
@@ -246,7 +250,8 @@ class TopicFacts:
             return Header(time_ns, stamp_ns, time_ns - stamp_ns, points.frame_id, tuple(points.fields))
         scan = SCANS[connection.ros_type](connection.serialization, "first")(message.data)
         increment = abs(scan.angle_increment)
-        return Header(time_ns, scan.stamp_ns, time_ns - scan.stamp_ns, scan.frame_id, increment=increment)
+        turn = abs(scan.time_increment) * TURN / increment if increment else 0.0
+        return Header(time_ns, scan.stamp_ns, time_ns - scan.stamp_ns, scan.frame_id, increment=increment, turn=turn)
 
 
 class Survey:

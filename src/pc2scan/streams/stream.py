@@ -13,6 +13,7 @@ from weakref import WeakSet, finalize
 
 import numpy as np
 
+from pc2scan.bags.damage import mention
 from pc2scan.bags.opening import as_one, open_recordings
 from pc2scan.bags.topics import find_topics, short_types
 from pc2scan.core.rule import NO_POINTS
@@ -350,7 +351,12 @@ class Stream(ABC, Generic[Item]):
         selection = self._selection
         with ExitStack() as stack:
             readers = open_recordings(selection.paths, stack, verify=selection.verify, strict=selection.strict)
-            source = self._source(stack, as_one(readers))
+            reader = as_one(readers)
+            try:
+                source = self._source(stack, reader)
+            except TopicError as err:
+                mention(reader.damage, err)
+                raise
             # A topic without messages gives an empty loop, but a cut outside of the recording is an error.
             start_ns, stop_ns, _ = source.span
             connections = [route.connection for route in source.routes.values()]

@@ -128,6 +128,8 @@ class Lidar:
         Seconds from the end of a measurement to its log time.
     jitter
         Seconds that log times are off at most.
+    time_scale
+        Of the times that are written, for those in another unit.
     """
 
     topic: str = "/points"
@@ -141,6 +143,7 @@ class Lidar:
     elevations: tuple[float, ...] = (-15.0, -5.0, 0.0, 1.0, 5.0)
     latency: float = 0.002
     jitter: float = 0.0
+    time_scale: float = 1.0
 
     def sweeps(self, seconds: float) -> Iterator[tuple[float, Floats, Floats]]:
         """When each message begins, the times of its rays after that, and their directions (N, 3)."""
@@ -217,8 +220,8 @@ def _scan(lidar: Lidar, stamp_ns: int, distances: Floats) -> bytes:
     lit = (np.arange(count) * 4 // count * 10 + 10).astype(np.float32)
     last = -math.pi + (count - 1) * step
     scan = LaserScan(
-        0, stamp_ns, lidar.frame, -math.pi, last, step, lidar.period / count, lidar.period, 0.05, 40.0,
-        distances.astype(np.float32), lit,
+        0, stamp_ns, lidar.frame, -math.pi, last, step, lidar.time_scale * lidar.period / count, lidar.period,
+        0.05, 40.0, distances.astype(np.float32), lit,
     )  # fmt: skip
     return encode_laserscan(scan, "cdr")
 
@@ -229,7 +232,7 @@ def _cloud(lidar: Lidar, stamp_ns: int, times: Floats, directions: Floats, dista
         for axis, values in zip("xyz", (directions * distances[:, np.newaxis]).T, strict=True):
             points[axis] = np.where(np.isfinite(distances), values, np.nan)
     points["intensity"] = np.where(np.isfinite(distances), 50, 0)
-    points["t"] = np.round(times * 1e9)
+    points["t"] = np.round(times * 1e9 * lidar.time_scale)
     fields = [PointField(name, 4 * place, 7) for place, name in enumerate(("x", "y", "z", "intensity"))]
     return encode_pointcloud2(
         serialization="cdr",

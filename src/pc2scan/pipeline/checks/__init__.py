@@ -33,7 +33,7 @@ REQUEST: Checks[OutputRequest] = (
     request.zeros_as_obstacles,
     request.unused_no_return,
     request.returns_without_object,
-    request.milliseconds_as_seconds,
+    request.times_in_another_unit,
     request.range_in_millimetres,
     request.increment_in_degrees,
     request.sector_in_degrees,

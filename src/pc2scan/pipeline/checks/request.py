@@ -31,6 +31,9 @@ _FARTHEST = 1500.0
 #: A tolerance of this many seconds or more, or a scan that takes so long, is nearly always meant in milliseconds.
 _LONG = 5.0
 
+#: A scan that takes less, seconds, is nearly always in another unit.
+_BRIEF = 1e-3
+
 
 class OutputRequest(NamedTuple):
     """The request of one output: all options, and its own."""
@@ -141,8 +144,8 @@ def returns_without_object(request: OutputRequest) -> Iterator[str]:
         )
 
 
-def milliseconds_as_seconds(request: OutputRequest) -> Iterator[str]:
-    """Yield a warning for each time that is so long that milliseconds were probably meant."""
+def times_in_another_unit(request: OutputRequest) -> Iterator[str]:
+    """Yield a warning for each time that is so long or so short that another unit was probably meant."""
     spec, params = request.spec, request.spec.params
     turn = params.time_increment * params.length if isinstance(params.time_increment, float) else 0.0
     times = (
@@ -155,6 +158,12 @@ def milliseconds_as_seconds(request: OutputRequest) -> Iterator[str]:
             continue
         if abs(turn if name == "time_increment" else value) >= _LONG:
             yield f"{name} is {value:g} s, and {why}; milliseconds are written `{name}={value:g}ms`"
+        elif name != "transform_tolerance" and not isinstance(params.beams, str):
+            # Of a sector, however narrow it is.
+            circle = abs(value) * (FULL_TURN / params.layout.angle_increment if name == "time_increment" else 1)
+            if 0 < circle < _BRIEF:
+                took = f"a whole turn takes {circle:.3g} s" if name == "time_increment" else "no lidar is so fast"
+                yield f"{name} is {value:g} s, and {took}: it is in seconds; `{name}=auto` measures it"
 
 
 def range_in_millimetres(request: OutputRequest) -> Iterator[str]:
