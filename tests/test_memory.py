@@ -16,7 +16,10 @@ import pytest
 from benchmarks.clouds import CLOUD_BYTES, FORMS, write_recording, write_two
 from benchmarks.long import Long, measured
 from pc2scan import threads
+from pc2scan.bags.mcap.write import McapWriter
+from pc2scan.bags.rosbag1.write import Rosbag1Writer
 from pc2scan.cli import main
+from pc2scan.model import Connection, Definition
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,9 +58,21 @@ def test_a_hosts_allocator_stays_as_it_is(tmp_path: Path) -> None:
     assert faults(CONVERTS, source, tmp_path / "scans.mcap") > 0.9 * faults("")
 
 
+@pytest.fixture(scope="module", params=["ROS 1, lz4", "MCAP, none", "MCAP, zstd", "sqlite3", "two lidars"])
+def sixty_clouds(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Sixty clouds of 131,072 points of each lidar.
+
+    Six times as many as are sampled and shown, far more than are read ahead; and six seconds, from which on the robot's
+    own body is looked for.
+    """
+    folder = tmp_path_factory.mktemp("clouds")
+    if request.param == "two lidars":
+        return write_two(folder / "two.mcap", 60)
+    return write_recording(folder, FORMS[request.param], 60 * CLOUD_BYTES)
+
+
 @on_glibc
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["ROS 1, lz4", "MCAP, none", "MCAP, zstd", "sqlite3", "two lidars"])
 @pytest.mark.parametrize(
     "words",
     [
@@ -68,14 +83,10 @@ def test_a_hosts_allocator_stays_as_it_is(tmp_path: Path) -> None:
     ids=lambda words: words[0],
 )
 def test_peak_memory_at_any_length(
-    words: tuple[str, ...], form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str, ...], sixty_clouds: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Sixty clouds of 131,072 points of each lidar: six times as many as are sampled and shown, far more than are read
-    # ahead; and six seconds, from which on the robot's own body is looked for.
-    two = form == "two lidars"
-    source = write_two(tmp_path / "two.mcap", 60) if two else write_recording(tmp_path, FORMS[form], 60 * CLOUD_BYTES)
     monkeypatch.chdir(tmp_path)
-    assert measured([source if word == "SOURCE" else word for word in words])[0] * 1024 < 100_000_000
+    assert measured([sixty_clouds if word == "SOURCE" else word for word in words])[0] * 1024 < 100_000_000
 
 
 @on_glibc
@@ -91,6 +102,25 @@ def test_a_long_recording_takes_little_more_memory(name: str, tmp_path: Path) ->
         peaks.append(measured(words)[0])
         source.unlink()
     assert peaks[1] - peaks[0] < 8 * 1024
+
+
+@on_glibc
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [McapWriter, Rosbag1Writer])
+def test_the_index_of_a_recording_takes_little_memory(kind: type[McapWriter | Rosbag1Writer], tmp_path: Path) -> None:
+    # As many chunks as 8 and 50 minutes of clouds of 1 MB have.
+    peaks = []
+    for chunks in (10_000, 60_000):
+        source = tmp_path / ("many.mcap" if kind is McapWriter else "many.bag")
+        writer = kind(source, "none", chunk_size=1)
+        text = Definition("ros1msg", b"string data\n")
+        handle = writer.add_connection(Connection(0, "/said", "std_msgs/msg/String", "ros1", text))
+        for number in range(chunks):
+            writer.write(handle, 10**18 + number * 10**8, b"\1\0\0\0x", 10**18, number)
+        writer.finish()
+        peaks.append(measured(("info", source))[0] * 1024)
+        source.unlink()
+    assert peaks[1] - peaks[0] < 50_000 * 200
 
 
 def test_the_command_keeps_freed_memory(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pc2scan.bags import damage
-from pc2scan.bags.chunks import Segment, times_around
+from pc2scan.bags.chunks import Segment, Segments, times_around
 from pc2scan.bags.damage import DamageLog
 from pc2scan.errors import DamageError, RecordingError
 from pc2scan.result import json_value
@@ -63,12 +63,12 @@ def test_damage_is_json() -> None:
 
 def test_times_around_a_place() -> None:
     around = times_around(
-        [
-            Segment(offset, 10, "none", 10, 0, start_ns, end_ns)
-            for offset, start_ns, end_ns in ((20, 5, 9), (0, 1, 12), (40, 30, 35), (60, 25, 40), (80, 0, 0))
-        ]
+        Segments(
+            Segment(offset, 10, 10, start_ns, end_ns)
+            for offset, start_ns, end_ns in ((0, 1, 12), (20, 5, 9), (40, 30, 35), (60, 25, 40), (80, 0, 0))
+        )
     )
     assert around(30, 40) == {"first_ns": 12, "last_ns": 25}
     assert around(0, 0) == {"first_ns": None, "last_ns": 1}
     assert around(70, 100) == {"first_ns": 40, "last_ns": None}
-    assert times_around([])(0, 9) == {"first_ns": None, "last_ns": None}
+    assert times_around(Segments())(0, 9) == {"first_ns": None, "last_ns": None}

@@ -12,7 +12,7 @@ from pc2scan.bags.salvage import SalvagedMessages, clamp_times, note_salvaged
 from pc2scan.errors import DamageError
 from pc2scan.model import Connection, RawMessage
 
-SEGMENT = Segment(40, 100, "lz4", uncompressed_size=1_000, crc=0, start_ns=5, end_ns=9)
+SEGMENT = Segment(40, 100, 1_000, start_ns=5, end_ns=9, compression="lz4")
 MESSAGE = RawMessage(Connection(1, "/a", "std_msgs/msg/String", "cdr"), 7, b"", 7)
 
 

@@ -3,11 +3,12 @@ from __future__ import annotations
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, segment_units, whole_chunks
+from pc2scan.bags.chunks import MIN_WHOLE_BYTES, Segment, Segments, segment_units, whole_chunks
 from pc2scan.bags.units import Extent, Unit, merge_by_time
 from pc2scan.errors import RecordingError
 from pc2scan.model import ChunkRule, Connection, RawMessage, StoredChunk
@@ -68,21 +69,21 @@ def test_an_index_finds_the_order_of_the_source_in_whole_chunks(
     chunks: list[list[int]], may: list[bool], room: int
 ) -> None:
     """A stable sort of what is written is one of what is read; outside of chunks it is written sorted."""
-    segments = [
-        Segment(number, 1, "none", MIN_WHOLE_BYTES, 0, min(times), max(times), frozenset({int(copied)}))
+    segments = Segments(
+        Segment(number, 1, MIN_WHOLE_BYTES, min(times), max(times), connection_ids=frozenset({int(copied)}))
         for number, (times, copied) in enumerate(zip(chunks, may, strict=False))
-    ]
-    whole = whole_chunks(segments, ChunkRule("mcap", frozenset(), frozenset({1})), None, None)
+    )
+    whole, due = whole_chunks(segments, ChunkRule("mcap", frozenset(), frozenset({1})), None, None)
     file: Any = None
 
     def load(segment: Segment, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any] | StoredChunk:
         return Load(segment.offset, chunks[segment.offset])(callback, whole=whole)
 
-    units = [made._replace(extent=None, size=1) for made in segment_units(segments, load, whole, file)]
+    units = [made._replace(extent=None, size=1) for made in segment_units(segments, load, file, whole, due)]
     written = found(merge_by_time(units, max_open_bytes=room))
     read = [(time, number) for number, times in enumerate(chunks) for time in times]
     assert sorted(written, key=itemgetter(0)) == sorted(read, key=itemgetter(0))
-    copied = {segment.offset for segment in whole}
+    copied = set(np.flatnonzero(whole).tolist())
     single = [time for time, number in written if number not in copied]
     assert single == sorted(single)
 

@@ -56,7 +56,11 @@ class Chunks(MemoryReader):
         listed = [number for number, chunk in enumerate(self.chunks) if any(map(held, chunk))]
         listed.sort(key=lambda number: min(time for _, time, _ in self.chunks[number]))
         for number in listed:
-            yield Unit(min(time for _, time, _ in self.chunks[number]), (number,), 100, load(number))
+            times, ids = (
+                [time for _, time, _ in self.chunks[number]],
+                frozenset(own for own, _, _ in self.chunks[number]),
+            )
+            yield Unit(min(times), (number,), 100, load(number), end_ns=max(times), connection_ids=ids)
 
 
 def one_by_one(rows: list[tuple[int, int, bytes]], samples: int, stop_ns: int) -> list[tuple[int, bytes]]:

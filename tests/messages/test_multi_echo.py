@@ -103,6 +103,17 @@ def test_each_command_reads_the_chosen_echo(echo: str, tmp_path: Path) -> None:
     assert scan.topic == "/echoes"
 
 
+def test_commands_that_read_laser_scans_say_what_makes_them(tmp_path: Path) -> None:
+    source, made = recording(tmp_path / "echoes.mcap"), tmp_path / "scans.mcap"
+    for read in (pc2scan.view, pc2scan.scans):
+        with pytest.raises(UsageError, match="LaserScan topic, but scans with several echoes: /echoes") as caught:
+            read(source)
+        assert caught.value.hint == "pc2scan convert `rebin=True` makes LaserScans of them"
+    pc2scan.convert(source, made, rebin=True)
+    pc2scan.view(made)
+    assert len(list(pc2scan.scans(made))) == 3
+
+
 def test_an_echo_of_clouds_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="`echo` chooses among the echoes of 2D scans"):
         pc2scan.convert(recording(tmp_path / "a.mcap"), echo="last")

@@ -72,7 +72,8 @@ class MemoryReader(Reader):
                 if is_wanted(row):
                     number, time_ns, data = row
                     message = RawMessage(known[number], time_ns, data, time_ns, 7)
-                    yield Unit(time_ns, (place,), len(data), partial(_load, message))
+                    load, ids = partial(_load, message), frozenset([number])
+                    yield Unit(time_ns, (place,), len(data), load, end_ns=time_ns, connection_ids=ids)
         finally:
             self.log.append(f"close {self.path.name}")
 

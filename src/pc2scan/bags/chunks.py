@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import struct
 from abc import abstractmethod
-from bisect import bisect_left
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from itertools import accumulate, pairwise
-from operator import attrgetter
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+import numpy as np
 
 from pc2scan.errors import stamp_text
 from pc2scan.model import declared_counts
@@ -17,7 +17,9 @@ from .reader import Reader
 from .units import Extent, Unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator
+
+    from numpy.typing import NDArray
 
     from pc2scan.files.source import SourceFile
     from pc2scan.model import ChunkRule, Connection, RawMessage
@@ -25,7 +27,8 @@ if TYPE_CHECKING:
     from .units import Item, Loaded
 
     Span = tuple[int, int]
-    Shared = TypeVar("Shared", bound=Hashable)
+    Bools = NDArray[np.bool_]
+    Numbers = NDArray[np.uint64]
 
 #: Reading fewer uncompressed bytes takes less time than handing them to another thread.
 _WORTH_A_THREAD = 1 << 20
@@ -36,11 +39,8 @@ _ENTRY_BYTES = 12
 #: Chunks smaller than this, uncompressed, are not copied: their messages are collected in larger ones.
 MIN_WHOLE_BYTES = 256 << 10
 
-
-@lru_cache(1024)
-def shared(value: Shared) -> Shared:
-    """Return the first value that was equal: a long recording has 100,000 chunks, which have few different ones."""
-    return value
+#: The latest log time that containers can store.
+_LATEST_NS = (1 << 64) - 1
 
 
 @dataclass(slots=True, eq=False)
@@ -51,14 +51,20 @@ class Segment:
     ----------
     offset, length
         The stored payload's place in the file, bytes.
-    compression
-        ``none``, ``bz2``, ``lz4`` or ``zstd``.
     uncompressed_size
         Bytes after decompression.
-    crc
-        CRC-32 of the uncompressed payload; 0 when there is none.
     start_ns, end_ns
         Log times of the earliest and the latest message, both inclusive.
+    crc
+        CRC-32 of the uncompressed payload; 0 when there is none.
+    record_offset
+        Offset of the chunk's record in the file, if its reader needs it.
+    index_length
+        Bytes of the message indexes after it; 0 if unknown.
+    padding
+        Bytes of the record after its payload: fields that are unknown here.
+    compression
+        ``none``, ``bz2``, ``lz4`` or ``zstd``.
     connection_ids
         The connections with messages in it; None if unknown until it is read.
     message_count
@@ -67,31 +73,122 @@ class Segment:
 
     offset: int
     length: int
-    compression: str
     uncompressed_size: int
-    crc: int
     start_ns: int
     end_ns: int
+    crc: int = 0
+    record_offset: int = 0
+    index_length: int = 0
+    padding: int = 0
+    compression: str = "none"
     connection_ids: frozenset[int] | None = None
     message_count: int | None = None
 
-    @property
-    def messages(self) -> int:
-        """How many messages it has by the index; 0 if that is unknown."""
-        return self.message_count or 0
 
-    def may_hold(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> bool:
-        """Whether a message of these connections and times can be in it (``ids`` None: any connection)."""
-        return (
-            (start_ns is None or self.end_ns >= start_ns)
-            and (stop_ns is None or self.start_ns < stop_ns)
-            and (ids is None or self.connection_ids is None or not self.connection_ids.isdisjoint(ids))
+class Kind(NamedTuple):
+    """What a segment has in common with many others: its class, its compression, and its connections."""
+
+    made_as: type[Segment]
+    compression: str
+    connection_ids: frozenset[int] | None
+
+
+#: A segment without its kind. The last two are the number of its kind, and its count, plus one if it is known.
+_COLUMNS = (
+    "offset", "length", "uncompressed_size", "start_ns", "end_ns", "crc",
+    "record_offset", "index_length", "padding", "kind", "count",
+)  # fmt: skip
+_ROW = np.dtype([(name, "<u8") for name in _COLUMNS])
+_PACKED = struct.Struct(f"<{len(_COLUMNS)}Q")
+
+
+class Segments:
+    """The segments of a file, as a table of numbers: a long recording has 200,000. Each `Segment` is made when needed.
+
+    Parameters
+    ----------
+    segments
+        Those to begin with.
+    """
+
+    __slots__ = ("_numbers", "_packed", "kinds")
+
+    def __init__(self, segments: Iterable[Segment] = ()) -> None:
+        #: The kinds there are, each in the place that `rows` names.
+        self.kinds: list[Kind] = []
+        self._numbers: dict[Kind, int] = {}
+        self._packed = bytearray()
+        for segment in segments:
+            self.append(segment)
+
+    @property
+    def rows(self) -> NDArray[np.void]:
+        """The table, shape (segments,), to be read and changed in place; no segment is added while it is held."""
+        return np.frombuffer(self._packed, _ROW)
+
+    def append(self, segment: Segment) -> None:
+        """Add a segment."""
+        kind = Kind(type(segment), segment.compression, segment.connection_ids)
+        number = self._numbers.setdefault(kind, len(self.kinds))
+        if number == len(self.kinds):
+            self.kinds.append(kind)
+        count = 0 if segment.message_count is None else segment.message_count + 1
+        self._packed += _PACKED.pack(
+            segment.offset,
+            segment.length,
+            segment.uncompressed_size,
+            segment.start_ns,
+            segment.end_ns,
+            segment.crc,
+            segment.record_offset,
+            segment.index_length,
+            segment.padding,
+            number,
+            count,
         )
+
+    def pop(self) -> Segment:
+        """Remove the last segment, and return it."""
+        last = self[len(self) - 1]
+        del self._packed[-_PACKED.size :]
+        return last
+
+    def __len__(self) -> int:
+        return len(self._packed) // _PACKED.size
+
+    def __getitem__(self, place: int) -> Segment:
+        *numbers, kind, count = _PACKED.unpack_from(self._packed, place * _PACKED.size)
+        made_as, compression, connection_ids = self.kinds[kind]
+        segment: Segment = made_as(*numbers, compression, connection_ids, count - 1 if count else None)
+        return segment
+
+    def __iter__(self) -> Iterator[Segment]:
+        return map(self.__getitem__, range(len(self._packed) // _PACKED.size))
+
+    def select(self, chosen: Bools) -> Segments:
+        """Return the chosen segments; ``chosen`` has the shape (segments,)."""
+        found = Segments()
+        found.kinds, found._numbers = self.kinds, self._numbers
+        found._packed += self.rows[chosen].tobytes()
+        return found
+
+    def sort(self) -> None:
+        """Sort them as they are in the file, which they usually are."""
+        rows = self.rows
+        if (rows["offset"][1:] < rows["offset"][:-1]).any():
+            rows[:] = rows[np.argsort(rows["offset"], kind="stable")]
+
+
+def _limits(start_ns: int | None, stop_ns: int | None) -> tuple[np.uint64, np.uint64]:
+    """Return the first and the last log time of a cut, ns; of one that has none, the last is before the first."""
+    first = max(start_ns or 0, 0)
+    last = _LATEST_NS if stop_ns is None else min(stop_ns - 1, _LATEST_NS)
+    return (np.uint64(first), np.uint64(last)) if first <= last else (np.uint64(1), np.uint64(0))
 
 
 def whole_chunks(
-    segments: Collection[Segment], rule: ChunkRule, start_ns: int | None, stop_ns: int | None
-) -> dict[Segment, int]:
+    segments: Segments, rule: ChunkRule | None, start_ns: int | None, stop_ns: int | None
+) -> tuple[Bools, Numbers]:
     """Find the chunks that can be copied as a whole, by the index alone.
 
     A chunk that is wanted completely is copied if it can stay behind everything that is before it in the file, and
@@ -102,57 +199,59 @@ def whole_chunks(
     Parameters
     ----------
     segments
-        All segments to read.
+        All segments to read, in the order of the file.
     rule
-        The chunks that the destination accepts.
+        The chunks that the destination accepts; None: none.
     start_ns, stop_ns
         The cut, ``start_ns <= log_time_ns < stop_ns``.
 
     Returns
     -------
-    dict[Segment, int]
-        The chunks, and the log time at which each is due: when it has begun, and all before it in the file has ended.
+    whole
+        Which segments these are, shape (segments,).
+    due
+        When each segment is due, ns, shape (segments,): at its first log time; one that can be copied, when all before
+        it in the file have ended, too.
     """
-    ordered = sorted(segments, key=attrgetter("offset"))
-    # A chunk is due when all messages before it in the file are written.
-    ends = accumulate((segment.end_ns for segment in ordered), max, initial=0)
-    due = [max(segment.start_ns, latest) for segment, latest in zip(ordered, ends, strict=False)]
-    found: dict[Segment, int] = {}
+    rows = segments.rows
+    starts, ends = rows["start_ns"], rows["end_ns"]
+    if rule is None:
+        return np.zeros(len(rows), bool), starts
+    known, (first, last) = rule.connection_ids, _limits(start_ns, stop_ns)
+    whole = np.array([ids is not None and ids <= known for _, _, ids in segments.kinds], bool)[rows["kind"]]
+    whole &= (rows["uncompressed_size"] >= MIN_WHOLE_BYTES) & (starts >= first) & (ends <= last)
+    if rule.last_ns is not None:
+        whole &= ends <= np.uint64(rule.last_ns)
+    # When all messages before it in the file are written.
+    due = starts.copy()
+    np.maximum(due[1:], np.maximum.accumulate(ends)[:-1], out=due[1:])
     # The first message behind it that is read by itself.
-    following: int | None = None
-    for segment, due_ns in zip(reversed(ordered), reversed(due), strict=True):
-        if (
-            (following is None or due_ns <= following)
-            and segment.connection_ids is not None
-            and segment.connection_ids <= rule.connection_ids
-            and segment.uncompressed_size >= MIN_WHOLE_BYTES
-            and (start_ns is None or start_ns <= segment.start_ns)
-            and (stop_ns is None or segment.end_ns < stop_ns)
-            and (rule.last_ns is None or segment.end_ns <= rule.last_ns)
-            and not rule.is_cut(segment.start_ns, max(segment.end_ns, due_ns))
-        ):
-            found[segment] = due_ns
-        else:
-            following = segment.start_ns if following is None else min(following, segment.start_ns)
-    return found
+    following = _LATEST_NS
+    backwards = (column[::-1].data for column in (starts, ends, due, whole))
+    for place, (begin_ns, end_ns, due_ns, is_allowed) in enumerate(zip(*backwards, strict=True), 1):
+        if not is_allowed or due_ns > following or rule.is_cut(begin_ns, max(end_ns, due_ns)):
+            whole[-place] = False
+            following = min(following, begin_ns)
+    return whole, np.where(whole, due, starts)
 
 
-def times_around(segments: Iterable[Segment]) -> Callable[[int, int], dict[str, int | None]]:
+def times_around(segments: Segments) -> Callable[[int, int], dict[str, int | None]]:
     """Return a function that finds the log times around a part of the file.
 
     It takes the part's start and stop, and returns ``first_ns``, the latest log time before it, and ``last_ns``, the
-    earliest after it; None if there are no messages. Segments without times (``end_ns`` 0) are ignored.
+    earliest after it; None if there are no messages. Segments without times (``end_ns`` 0) are ignored. They are in the
+    order of the file.
     """
-    timed = sorted((segment for segment in segments if segment.end_ns), key=attrgetter("offset"))
-    offsets = [segment.offset for segment in timed]
-    latest = list(accumulate((segment.end_ns for segment in timed), max))
-    earliest = list(accumulate((segment.start_ns for segment in reversed(timed)), min))[::-1]
+    timed = segments.rows[segments.rows["end_ns"] > 0]
+    offsets = timed["offset"]
+    latest = np.maximum.accumulate(timed["end_ns"])
+    earliest = np.minimum.accumulate(timed["start_ns"][::-1])[::-1]
 
     def around(start: int, stop: int) -> dict[str, int | None]:
-        before, behind = bisect_left(offsets, start), bisect_left(offsets, stop)
+        before, behind = np.searchsorted(offsets, np.array((start, stop), np.uint64))
         return {
-            "first_ns": latest[before - 1] if before else None,
-            "last_ns": earliest[behind] if behind < len(earliest) else None,
+            "first_ns": int(latest[before - 1]) if before else None,
+            "last_ns": int(earliest[behind]) if behind < len(earliest) else None,
         }
 
     return around
@@ -167,26 +266,26 @@ class LoadSegment(Protocol):
 
 
 def segment_units(
-    segments: Iterable[Segment], load: LoadSegment, whole: Mapping[Segment, int], file: SourceFile
+    segments: Segments, load: LoadSegment, file: SourceFile, whole: Bools, due: Numbers
 ) -> Iterator[Unit]:
-    """Yield the segments of a file as units, by start; those that `whole_chunks` found may be whole.
+    """Yield the segments of a file, which are in its order, as units when they are due; see `whole_chunks`.
 
     Each unit is made when it is due: it takes more memory than its segment.
     """
-    # Stable sorts, without a key for each segment that lasts.
-    ordered = sorted(segments, key=attrgetter("offset"))
-    ordered.sort(key=(lambda segment: whole.get(segment, segment.start_ns)) if whole else attrgetter("start_ns"))
-    for segment in ordered:
+    for place in np.argsort(due, kind="stable").data:
+        segment = segments[place]
         yield Unit(
-            start_ns=whole.get(segment, segment.start_ns),
+            start_ns=int(due[place]),
             place=(segment.offset,),
             size=segment.uncompressed_size,
             load=partial(load, segment),
             is_quick=segment.compression == "none" and segment.uncompressed_size < _WORTH_A_THREAD,
-            may_be_whole=segment in whole,
+            may_be_whole=bool(whole[place]),
             extent=Extent(file, segment.offset, segment.length),
-            messages=segment.messages,
+            messages=segment.message_count or 0,
             compression=segment.compression,
+            end_ns=segment.end_ns,
+            connection_ids=segment.connection_ids,
         )
 
 
@@ -201,8 +300,8 @@ class ChunkedReader(Reader):
 
     has_chunks = True
     _file: SourceFile
-    #: The segments of the index; those with wrong times are replaced.
-    _segments: list[Segment]
+    #: The segments of the index, in the order of the file; wrong times of them are corrected.
+    _segments: Segments
     #: Whether a checksum verifies the times in the index. Only impossible ones are compared then.
     _are_times_verified = False
     #: Returns the log times of a chunk's messages by connection, for connections with these ids (None: all), from the
@@ -220,39 +319,43 @@ class ChunkedReader(Reader):
 
     def _confirm_ends(self) -> None:
         """Compare impossible times, and those of the first and the last chunk; subclasses call it when they open."""
-        segments = self._segments
         self._compared: set[int] = set()
-        self._places: dict[int, int] = {}
-        self._ordered: list[Segment] = []
-        for segment in [s for s in segments if s.start_ns > s.end_ns or s.end_ns == 0]:
-            self._confirm(segment)
-        for key, backwards in () if self._are_times_verified else (("start_ns", False), ("end_ns", True)):
+        rows = self._segments.rows
+        for place in np.flatnonzero((rows["start_ns"] > rows["end_ns"]) | (rows["end_ns"] == 0)):
+            self._confirm(int(place))
+        if self._are_times_verified:
+            return
+        for order in (np.argsort(rows["start_ns"], kind="stable"), np.argsort(rows["end_ns"], kind="stable")[::-1]):
             # The first or the last one; if its times are wrong, the next one.
-            for segment in sorted(segments, key=attrgetter(key), reverse=backwards):
-                if self._confirm(segment, unless_repeated=True):
+            for place in order:
+                if self._confirm(int(place), unless_repeated=True):
                     break
 
-    def _segments_with(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> list[Segment]:
+    def _segments_with(self, ids: frozenset[int] | None, start_ns: int | None, stop_ns: int | None) -> Segments:
         """Return the segments that may have messages of these connections (None: of any) in a cut."""
-        if not (self._are_times_verified or (start_ns is None and stop_ns is None)):
-            self._ordered = self._ordered or sorted(self._segments, key=attrgetter("offset"))
-            for segment in list(beside_cut(self._ordered, start_ns, stop_ns)):
-                if segment.may_hold(ids, None, None):
-                    self._confirm(segment)
-        return [segment for segment in self._segments if segment.may_hold(ids, start_ns, stop_ns)]
+        segments, (first, last) = self._segments, _limits(start_ns, stop_ns)
+        rows = segments.rows
+        are_wanted = [ids is None or own is None or not ids.isdisjoint(own) for _, _, own in segments.kinds]
+        may_have = np.array(are_wanted, bool)[rows["kind"]]
+        if not self._are_times_verified and (start_ns, stop_ns) != (None, None):
+            for place in np.flatnonzero(may_have & beside_cut(rows, first, last)):
+                self._confirm(int(place))
+        chosen = may_have & (rows["end_ns"] >= first) & (rows["start_ns"] <= last)
+        return segments if chosen.all() else segments.select(chosen)
 
-    def _confirm(self, segment: Segment, *, unless_repeated: bool = False) -> bool:
+    def _confirm(self, place: int, *, unless_repeated: bool = False) -> bool:
         """Compare a segment's times once; return whether they are right.
 
         With ``unless_repeated``, the times of a chunk are right if nothing repeats them; else it is read.
         """
-        if segment.offset in self._compared:
+        if place in self._compared:
             return True
+        segment = self._segments[place]
         declared = first_ns, last_ns = (segment.start_ns, segment.end_ns)
         repeated = self._repeated_span(segment)
         if repeated is None and unless_repeated:
             return True
-        self._compared.add(segment.offset)
+        self._compared.add(place)
         if repeated == declared:
             return True
         actual = self._contained_span(segment)
@@ -270,9 +373,8 @@ class ChunkedReader(Reader):
                 segment.offset,
                 f"it has log times {wrong} for the chunk with data at byte {segment.offset}, its messages have {right}",
             )
-        self._places = self._places or {other.offset: place for place, other in enumerate(self._segments)}
-        self._segments[self._places[segment.offset]] = replace(segment, start_ns=actual[0], end_ns=actual[1])
-        self._ordered = []
+        rows = self._segments.rows
+        rows["start_ns"][place], rows["end_ns"][place] = actual
         return False
 
     def counts(
@@ -285,9 +387,7 @@ class ChunkedReader(Reader):
             return declared
         counts = dict.fromkeys(ids, 0)
         entries = 0
-        for segment in self._segments:
-            if not segment.may_hold(ids, start_ns, stop_ns):
-                continue
+        for segment in self._segments_with(ids, start_ns, stop_ns):
             times = None if segment.connection_ids is None else self._indexed_times(segment, ids)
             entries += sum(map(len, (times or {}).values()))
             # Chunks of a hostile file may share their index records, which would take quadratic time.
@@ -303,27 +403,19 @@ class ChunkedReader(Reader):
         self._file.close()
 
 
-def beside_cut(ordered: Sequence[Segment], start_ns: int | None, stop_ns: int | None) -> Iterator[Segment]:
+def beside_cut(rows: NDArray[np.void], first: np.uint64, last: np.uint64) -> Bools:
     """Find the segments next to a cut: outside of it, with the segment before or after them inside.
 
     In a recording in order these are two. If their declared times are wrong, they may hold messages of the cut.
 
     Parameters
     ----------
-    ordered
-        In the order of the file.
-    start_ns, stop_ns
-        The cut, ``start_ns <= log_time_ns < stop_ns``.
+    rows
+        Those of `Segments`, in the order of the file.
+    first, last
+        The cut, ``first <= log_time_ns <= last``.
     """
-    if stop_ns is not None:
-        if ordered and ordered[0].start_ns >= stop_ns:
-            yield ordered[0]
-        for before, segment in pairwise(ordered):
-            if segment.start_ns >= stop_ns > before.start_ns:
-                yield segment
-    if start_ns is not None:
-        for segment, behind in pairwise(ordered):
-            if segment.end_ns < start_ns <= behind.end_ns:
-                yield segment
-        if ordered and ordered[-1].end_ns < start_ns:
-            yield ordered[-1]
+    behind, before = rows["start_ns"] > last, rows["end_ns"] < first
+    behind[1:] = behind[1:] & ~behind[:-1]
+    before[:-1] = before[:-1] & ~before[1:]
+    return np.asarray(behind | before)

@@ -76,11 +76,6 @@ class Destination(NamedTuple):
     ros_version: int
 
     @property
-    def chunks(self) -> str:
-        """The format of its chunks: ``rosbag1`` or ``mcap``; empty for none."""
-        return self.file_format.name if self.file_format.has_chunks else ""
-
-    @property
     def times_ns(self) -> tuple[int, int]:
         """The first and the last log time that it can store."""
         (first, last), (first_in_file, last_in_file) = self.format.times_ns, self.file_format.times_ns
@@ -90,6 +85,11 @@ class Destination(NamedTuple):
         """Return whether the source is in this kind of container, so that messages of any serialisation fit."""
         entry = FORMATS.get(source.container)
         return entry is not None and self.format.name == (entry.written_as or entry.name)
+
+    def same_chunks(self, source: Summary) -> bool:
+        """Return whether the source has chunks of the same format, so that they can be copied as a whole."""
+        entry = FORMATS.get(source.storage or source.container)
+        return entry is not None and entry.has_chunks and entry.name == self.file_format.name
 
     @property
     def serialization(self) -> str:

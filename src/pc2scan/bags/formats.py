@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-    from pc2scan.model import Summary, Writer
+    from pc2scan.model import Writer
 
     from .reader import Reader
     from .splitting import Cut
@@ -240,12 +240,6 @@ def file_suffixes() -> tuple[str, ...]:
 def storages() -> dict[str, Format]:
     """Return the formats of a directory's files, by name."""
     return {name: entry for name, entry in FORMATS.items() if entry.open_storage is not None}
-
-
-def chunk_format(source: Summary) -> str:
-    """Return the name of the format of a recording's chunks; empty for none."""
-    entry = FORMATS.get(source.storage or source.container)
-    return entry.name if entry is not None and entry.has_chunks else ""
 
 
 def and_list(names: Sequence[str]) -> str:

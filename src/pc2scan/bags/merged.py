@@ -209,7 +209,10 @@ class _Source(NamedTuple):
     def units(self) -> Iterator[Unit]:
         """Yield its units, with messages of the merged connections."""
         for unit in self.reader.units(*self.selection):
-            yield unit._replace(place=(self.number, *unit.place), load=_ConnectionReplacer(unit.load, self.known))
+            if (ids := unit.connection_ids) is not None:
+                ids = frozenset(self.known[own].id for own in ids & self.known.keys())
+            load = _ConnectionReplacer(unit.load, self.known)
+            yield unit._replace(place=(self.number, *unit.place), load=load, connection_ids=ids)
 
 
 class _ConnectionReplacer(NamedTuple):

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from pc2scan.errors import MessageError
 from pc2scan.model import RawMessage, copied_message
 
-from .units import FirstTimes, Handle, merge_by_time
+from .units import FirstTimes, merge_by_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-    from collections.abc import Set as AbstractSet
 
     from pc2scan.model import Connection
     from pc2scan.progress import Meter, Price
@@ -26,11 +25,7 @@ if TYPE_CHECKING:
     from .reader import Reader
     from .units import Loaded, Unit
 
-#: The parts of units where no part is wanted, and where there are so many that none is ever filled.
-_NO_PARTS: AbstractSet[int] = frozenset()
-_ANY_PART: AbstractSet[int] = frozenset([-1])
-
-#: Units are listed for each part, to skip those between; of more parts, all units are read.
+#: Rows are listed for each part, to skip those between; of more parts, all are listed.
 _MOST_PARTS = 1_000
 
 _Value = TypeVar("_Value")
@@ -91,6 +86,10 @@ class Observer(Generic[_Value]):
         Whether no more messages are wanted, by what other observers found.
     found
         The values.
+    filled
+        The parts of which the first message was found.
+    has_ended
+        Whether the recording was read.
     """
 
     connections: Sequence[Connection]
@@ -102,11 +101,11 @@ class Observer(Generic[_Value]):
     keep: Callable[[_Value], object] | None = None
     is_needless: Callable[[], bool] | None = None
     found: list[_Value] = field(default_factory=list)
+    filled: set[int] = field(default_factory=set)
+    has_ended: bool = False
     _count: int = 0
     _first: FirstTimes | None = None
-    has_ended: bool = False
     _earliest: dict[int, int] = field(default_factory=dict)
-    _filled: set[int] = field(default_factory=set)
 
     @property
     def selection(self) -> tuple[frozenset[int], int | None, int | None, Spread | None]:
@@ -119,7 +118,7 @@ class Observer(Generic[_Value]):
         return (
             self.has_ended
             or (self.most is not None and self._count >= self.most)
-            or (self.spread is not None and len(self._filled) == self.spread.parts)
+            or (self.spread is not None and len(self.filled) == self.spread.parts)
             or (self.is_needless is not None and self.is_needless())
         )
 
@@ -129,9 +128,19 @@ class Observer(Generic[_Value]):
         limits = (self.most, self.start_ns, self.stop_ns, self.spread, self.is_needless)
         return self.take is copied_message and limits == (None,) * 5
 
-    def wants(self, parts: AbstractSet[int]) -> bool:
-        """Return whether a message of any of these parts is wanted."""
-        return not self.is_done and (self.spread is None or not parts <= self._filled)
+    def wants(self, unit: Unit) -> bool:
+        """Return whether messages of a unit are wanted, by their times."""
+        if self.is_done or (self.stop_ns is not None and unit.start_ns >= self.stop_ns):
+            return False
+        if unit.end_ns is None:
+            return True
+        if self.start_ns is not None and unit.end_ns < self.start_ns:
+            return False
+        if self.spread is None:
+            return True
+        first = self.spread.part_of(max(unit.start_ns, self.spread.start_ns))
+        last = self.spread.part_of(min(unit.end_ns, self.spread.stop_ns - 1))
+        return last - first >= len(self.filled) or any(part not in self.filled for part in range(first, last + 1))
 
     def value_of(self, message: RawMessage) -> tuple[Observer[Any], _Value | None] | None:
         """Return what is kept of a message; None if it is not wanted."""
@@ -142,7 +151,7 @@ class Observer(Generic[_Value]):
             return None
         if self.spread is not None:
             part = self.spread.part_of(time_ns)
-            if part in self._filled or time_ns > self._earliest.setdefault(part, time_ns):
+            if part in self.filled or time_ns > self._earliest.setdefault(part, time_ns):
                 return None
             self._earliest[part] = time_ns
         if self.most is not None:
@@ -161,9 +170,9 @@ class Observer(Generic[_Value]):
         """Count the next message, and keep its value; return whether no more messages are wanted."""
         if self.spread is not None:
             part = self.spread.part_of(log_time_ns)
-            if part in self._filled:
+            if part in self.filled:
                 return False
-            self._filled.add(part)
+            self.filled.add(part)
         if self.most is not None:
             if self.is_done:
                 return False
@@ -253,7 +262,7 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
         by_connection.update({key: [] for key in connections})
         for observer in observers:
             if not observer.is_done:
-                for key in observer.selection[0]:
+                for key in {connection.id for connection in observer.connections}:
                     by_connection[key].append(observer)
         for key, (first, *further) in ((key, found) for key, found in by_connection.items() if found):
             if not further and first.takes_all_messages:
@@ -267,13 +276,22 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
         found = [each for observer in by_connection[key] if (each := observer.value_of(message))]
         return _Seen(message.log_time_ns, len(message.data), found)
 
+    def is_wanted(unit: Unit) -> bool:
+        """Whether an observer wants messages of a unit by now."""
+        ids = connections.keys() if unit.connection_ids is None else connections.keys() & unit.connection_ids
+        return any(observer.wants(unit) for key in ids for observer in by_connection[key])
+
+    def load(unit: Unit, callback: Callable[[RawMessage], Any], *, whole: bool) -> Loaded[Any]:
+        """Load a unit whose messages are due, if any observer wants them by then."""
+        if not is_wanted(unit):
+            return []
+        if meter is not None:
+            meter.add(unit.work(meter.ahead))
+        return unit.load(callback, whole=whole)
+
     sort_out()
-    selections = {observer.selection: observer for observer in observers}
-    starts, stops = zip(*((start, stop) for _, start, stop, _ in selections), strict=True)
-    is_wanted: Callable[[Unit], bool] = lambda _: True  # noqa: E731
+    starts, stops = zip(*((observer.start_ns, observer.stop_ns) for observer in observers), strict=True)
     spread = next((observer for observer in observers if observer.spread is not None), None)
-    if reader.has_chunks and (len(selections) > 1 or spread is not None):
-        is_wanted = _unit_filter(reader, observers)
     if spread is not None and not reader.has_chunks:
         units: Iterable[Unit] = _units_of_parts(reader, spread)
     else:
@@ -281,9 +299,8 @@ def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter:
             list(connections.values()), None if None in starts else min(starts), None if None in stops else max(stops)
         )
     # Twice: when units are announced to the system, and when they are due.
-    chosen = (unit for unit in units if is_wanted(unit))
-    loading = partial(_load_wanted, is_wanted, meter)
-    with closing(merge_by_time(chosen, take, loading=loading, holds_units=False, path=reader.path)) as messages:
+    chosen = (unit._replace(load=partial(load, unit)) for unit in units if is_wanted(unit))
+    with closing(merge_by_time(chosen, take, holds_units=False, path=reader.path)) as messages:
         for seen in messages:
             if isinstance(seen, RawMessage):
                 lone[seen.connection.id](seen)
@@ -309,54 +326,6 @@ def _units_of_parts(reader: Reader, observer: Observer[Any]) -> Iterator[Unit]:
         return
     for part in range(spread.parts):
         for unit in reader.units(observer.connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
-            if not observer.wants({part}):
+            if part in observer.filled or observer.is_done:
                 break
             yield unit
-
-
-def _unit_filter(reader: Reader, observers: Sequence[Observer[Any]]) -> Callable[[Unit], bool]:
-    """Return a function that finds out whether an observer still wants messages of a unit."""
-    listed: dict[object, dict[tuple[int, ...], AbstractSet[int]]] = {}
-    places: list[tuple[Observer[Any], dict[tuple[int, ...], AbstractSet[int]]]] = []
-    for observer in observers:
-        key = observer.selection
-        if key not in listed:
-            listed[key] = _parts_of_units(reader, observer)
-        places.append((observer, listed[key]))
-    return lambda unit: any(unit.place in own and observer.wants(own[unit.place]) for observer, own in places)
-
-
-def _parts_of_units(reader: Reader, observer: Observer[Any]) -> dict[tuple[int, ...], AbstractSet[int]]:
-    """Return the places of the units that an observer wants, with the parts that each may have messages of."""
-    spread, connections = observer.spread, observer.connections
-    if spread is None:
-        return {unit.place: _NO_PARTS for unit in reader.units(connections, observer.start_ns, observer.stop_ns)}
-    if spread.parts > _MOST_PARTS:
-        return {unit.place: _ANY_PART for unit in reader.units(connections, observer.start_ns, observer.stop_ns)}
-    found: dict[tuple[int, ...], AbstractSet[int]] = {}
-    for part in range(spread.parts):
-        # Most units have messages of one part only, and share its set.
-        own = frozenset([part])
-        for unit in reader.units(connections, spread.begin_ns(part), spread.begin_ns(part + 1)):
-            found[unit.place] = found[unit.place] | own if unit.place in found else own
-    return found
-
-
-def _load_wanted(
-    is_wanted: Callable[[Unit], bool],
-    meter: Meter | None,
-    units: Iterable[Unit],
-    callback: Callable[[RawMessage], Any],
-) -> Generator[Handle]:
-    """Load each unit when its messages are due, if any observer wants them by then."""
-
-    def load(unit: Unit) -> Loaded[Any]:
-        if not is_wanted(unit):
-            return []
-        found = unit.load(callback, whole=False)
-        if meter is not None:
-            meter.add(unit.work(meter.ahead))
-        return found
-
-    for unit in units:
-        yield Handle(unit, partial(load, unit))

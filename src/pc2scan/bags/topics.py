@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 
-_TRANSIENT_LOCAL = r"""\bdurability["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b"""
+#: Begins with a word that is found as such: profiles may be many, and long.
+_TRANSIENT_LOCAL = r"""durability(?<!\wdurability)["']?[ \t]*:[ \t]*["']?(?:1|transient_local)\b"""
 
 
 def find_topic(requested: str, types: dict[str, set[str]], candidates: list[str], *kinds: str) -> str:
@@ -172,7 +173,7 @@ def latches(qos: str) -> bool:
     >>> latches("- history: 1\n  durability: 1"), latches("- durability: volatile")
     (True, False)
     """
-    return re.search(_TRANSIENT_LOCAL, qos, re.IGNORECASE) is not None
+    return re.search(_TRANSIENT_LOCAL, qos.lower()) is not None
 
 
 class NewestItems(Generic[Item]):

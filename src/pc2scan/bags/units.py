@@ -226,6 +226,10 @@ class Unit(NamedTuple):
         How many messages it has; 0 if that is unknown. For progress only.
     compression
         How it is stored: ``none``, ``bz2``, ``lz4`` or ``zstd``. For progress only.
+    end_ns
+        Log time of its last message, or later; None if that is unknown.
+    connection_ids
+        The connections with messages in it; None if they are unknown, or those that were asked for.
     """
 
     start_ns: int
@@ -238,6 +242,8 @@ class Unit(NamedTuple):
     is_in_memory: bool = False
     messages: int = 0
     compression: str = "none"
+    end_ns: int | None = None
+    connection_ids: frozenset[int] | None = None
 
     def work(self, price: Price) -> int:
         """Return how much work it is at a price."""

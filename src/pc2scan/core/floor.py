@@ -165,11 +165,6 @@ def are_enough(samples: Sequence[CloudSample]) -> bool:
     return len(samples) >= JUDGED_CLOUDS or (len(samples) > 0 and samples[0].floor is not None)
 
 
-def enough_to_judge(samples: Sequence[CloudSample]) -> Sequence[CloudSample]:
-    """Return as many of the first clouds as are enough (`are_enough`), or all if there are fewer."""
-    return samples[: 1 if are_enough(samples[:1]) else JUDGED_CLOUDS]
-
-
 def thin_points(x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], most: int = MOST_POINTS) -> _Points:
     """Return a sample of a cloud's returns, (N, 3), spread over the cloud whatever its order.
 

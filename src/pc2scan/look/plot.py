@@ -14,9 +14,10 @@ import numpy as np
 from pc2scan.core import kernel
 from pc2scan.core.project import Projector
 from pc2scan.core.rule import rule_of
-from pc2scan.errors import UsageError, leading, visible
+from pc2scan.errors import NothingToConvertError, UsageError, leading, visible
 from pc2scan.files.ownership import OutputPath, inputs_of, refuse_overlap
 from pc2scan.files.text_output import file_output
+from pc2scan.messages.laserscan import LASERSCAN
 from pc2scan.result import Part, Result
 from pc2scan.text import size
 
@@ -149,7 +150,12 @@ def plot(
         file_output(destination, beginning=None, overwrite=overwrite) as deliver,
         open_recording(sources, options, warn) as recording,
     ):
-        taken = take_shots(recording, options, count=clouds, at_ns=recording.log_times(at), level=True)
+        try:
+            taken = take_shots(recording, options, count=clouds, at_ns=recording.log_times(at), level=True)
+        except NothingToConvertError as err:
+            if any(each.ros_type == LASERSCAN for each in recording.reader.connections):
+                err.hint = "figures show clouds; pc2scan view shows scans"
+            raise
         figure = _figure(taken, title_of(sources), kind)
         deliver(figure)
         return Plotted(str(destination), len(figure), tuple(taken.notes), tuple(taken.warnings), recording.damage)

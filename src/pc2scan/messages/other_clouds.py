@@ -192,6 +192,9 @@ def without(wanted: str, connections: Sequence[Connection], reader: Source | Non
     scans = sorted({each.topic for each in connections if _type(each) in SCANS})
     if scans and "LaserScan" not in wanted:
         return f"{missing}, but 2D scans: {name_list(scans, _MOST_TOPICS)}", ""
+    if scans:
+        many = f"{missing}, but scans with several echoes: {name_list(scans, _MOST_TOPICS)}"
+        return many, "pc2scan convert `rebin=True` makes LaserScans of them"
     if instead := instead_of_clouds(connections, reader):
         return f"{missing}, but {instead[0]}", instead[1]
     types = {f"{each.topic} ({each.kind})" for each in connections}

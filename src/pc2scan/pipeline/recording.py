@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.formats import chunk_format
 from pc2scan.errors import MessageError, UnwritableError, UsageError
 from pc2scan.messages.definitions import definition
 from pc2scan.messages.laserscan import LASERSCAN
@@ -91,7 +90,7 @@ def open_output(
         Its writer; None in a dry run.
     """
     span, frames, warnings = prepared.span, options.frames, list[str]()
-    copying = target.chunks == chunk_format(reader.summary) != ""
+    copying = target.same_chunks(reader.summary)
     if copying and writer is not None:
         writer.keep_ids(reader.connections)
     topics = RecordingTopics(target, options, same_kind=target.same_kind(reader.summary))
@@ -196,7 +195,9 @@ def _chunk_rule(routes: Mapping[int, OpenRoute], target: Destination, writer: Wr
         for route in routes.values()
         if not route.steps and route.reencode is None and route.passing_handle == route.connection.id
     )
-    return ChunkRule(target.chunks, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1])
+    return ChunkRule(
+        target.file_format.name, target.chunk_compressions, untouched, writer.declarations(), target.times_ns[1]
+    )
 
 
 def _copy_extras(reader: Reader, target: Destination, writer: Writer) -> list[str]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pc2scan.core.floor import FARTHEST_MEDIAN, LEVEL, enough_to_judge
+from pc2scan.core.floor import FARTHEST_MEDIAN, JUDGED_CLOUDS, LEVEL, are_enough
 from pc2scan.core.ground import Ground, common_ground, find_ground
 from pc2scan.core.percentiles import percentiles
 from pc2scan.core.rigid import Rigid
@@ -131,7 +131,7 @@ def mounting(
     buffer
         The recording's transforms; None if there are none.
     """
-    clouds = enough_to_judge(clouds)
+    clouds = clouds[: 1 if are_enough(clouds[:1]) else JUDGED_CLOUDS]
     judged_in, origin_z, stamp_ns = clouds[0].judged_in, clouds[0].origin[2], clouds[0].stamp_ns
     samples = [cloud.points for cloud in clouds]
     seen = _Observation(topic, frame, judged_in, samples, common_ground([find_ground(points) for points in samples]))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunks import Segment, shared
+from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
 from pc2scan.bags.units import MAX_LISTED_ITEMS
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
@@ -28,39 +27,18 @@ if TYPE_CHECKING:
 # Maximum length of a compression's name. A longer one is damaged.
 _MAX_COMPRESSION_NAME = 64
 
-#: Bytes of a message's entry in the index after a chunk.
-_ENTRY_BYTES = 16
-
 CHUNK_HEAD_SIZE = RECORD.size + CHUNK.size + _MAX_COMPRESSION_NAME + UINT64.size
 
 
-@dataclass(slots=True, eq=False)
 class ChunkSegment(Segment):
-    """A chunk. `crc` is 0 until its header is read; loading uses the CRC in the header.
+    """A chunk. `crc` is 0 until its header is read; loading uses the CRC in the header."""
 
-    Attributes
-    ----------
-    record_offset
-        Offset of the chunk's record in the file.
-    index_length
-        Bytes of the message indexes after it; 0 if unknown.
-    padding
-        Bytes of the record after its payload: fields that are unknown here.
-    """
-
-    record_offset: int = 0
-    index_length: int = 0
-    padding: int = 0
+    __slots__ = ()
 
     @property
     def stop(self) -> int:
         """Offset of the record after it."""
         return self.offset + self.length + self.padding
-
-    @property
-    def messages(self) -> int:
-        """About how many messages it has by the size of their index; 0 if that is unknown."""
-        return self.index_length // _ENTRY_BYTES
 
     @property
     def form(self) -> tuple[int, int, int, str, int]:
@@ -80,7 +58,7 @@ def chunk_at(data: Buffer, position: int, record_offset: int, file: RecordFile, 
         start_ns, end_ns, size, crc, name_size = CHUNK.unpack_from(data, position + RECORD.size)
         name_at = position + RECORD.size + CHUNK.size
         (length,) = UINT64.unpack_from(data, name_at + min(name_size, _MAX_COMPRESSION_NAME))
-        name = shared(str(data[name_at : name_at + name_size], "utf-8"))
+        name = str(data[name_at : name_at + name_size], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
         raise file.damage(malformed) from err
     if name_size > _MAX_COMPRESSION_NAME:

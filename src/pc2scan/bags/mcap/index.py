@@ -9,21 +9,21 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
-from pc2scan.bags.chunks import Segment, shared
+import numpy as np
+
+from pc2scan.bags.chunks import Segment, Segments
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import DamageError
 from pc2scan.files.compression import crc32
 
 from . import records
 from .chunks import CHUNK_HEAD_SIZE, ChunkSegment, chunk_at
-from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, Opcode, parse, split
+from .records import CHUNK, MAGIC, MESSAGE, OP_CHUNK, OP_MESSAGE, OP_MESSAGE_INDEX, RECORD, UINT64, Opcode, parse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from pc2scan.bags.damage import DamageLog
     from pc2scan.model import Buffer
@@ -34,6 +34,12 @@ _FOOTER_SIZE = RECORD.size + 20
 
 #: A chunk's record up to its payload, without the name of its compression.
 _CHUNK_HEAD = RECORD.size + CHUNK.size + UINT64.size
+
+#: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
+_INDEX_HEAD = struct.Struct("<BQHI")
+
+#: Log time and place in the chunk of one message.
+_ENTRY = struct.Struct("<QQ")
 
 #: Records that no summary may have, and records that no data section may have.
 _DATA = frozenset({OP_MESSAGE, OP_CHUNK, Opcode.ATTACHMENT, Opcode.METADATA})
@@ -92,7 +98,7 @@ class McapIndex:
     profile: str = ""
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
-    segments: list[Segment] = field(default_factory=list)
+    segments: Segments = field(default_factory=Segments)
     attachments: list[int] = field(default_factory=list)
     metadata: list[int] = field(default_factory=list)
     statistics: records.Statistics | None = None
@@ -158,8 +164,8 @@ def find_index(file: RecordFile, *, verify: bool = True) -> McapIndex:
     """
     index = McapIndex()
     start = read_header(file, index)
-    end, chunks = read_summary(file, index, verify=verify)
-    walk = RecordWalk(file, index, chunks)
+    end = read_summary(file, index, verify=verify)
+    walk = RecordWalk(file, index, index.segments)
     stop = walk.run(start, end)
     if walk.stray:
         raise file.damage(walk.stray)
@@ -180,13 +186,10 @@ def read_header(file: RecordFile, index: McapIndex) -> int:
     return len(MAGIC) + RECORD.size + len(content)
 
 
-def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[int, Sequence[ChunkSegment]]:
-    """Read the summary at the end of the file.
+def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> int:
+    """Read the summary at the end of the file; returns the end of the data section.
 
-    Returns
-    -------
-    tuple[int, Sequence[ChunkSegment]]
-        The end of the data section, and the chunks in the summary, in the order of the file.
+    The chunks are in the order of the file.
     """
     footer_offset = file.size - len(MAGIC) - _FOOTER_SIZE
     tail = file.read(footer_offset, _FOOTER_SIZE + len(MAGIC)) if footer_offset > len(MAGIC) else b""
@@ -196,20 +199,18 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
     footer = parse(records.Footer, tail[RECORD.size : _FOOTER_SIZE], footer_offset, file)
     start = footer.summary_start
     if start == 0:
-        return footer_offset, ()
+        return footer_offset
     if not len(MAGIC) <= start <= footer_offset:
         raise file.damage(f"the footer places the summary at byte {start}, allowed is up to {footer_offset}")
-    data = file.read(start, footer_offset - start)
     if verify and footer.summary_crc:
         # The CRC includes the footer up to the CRC itself.
-        actual = crc32(tail[: _FOOTER_SIZE - 4], crc32(data))
+        actual = crc32(tail[: _FOOTER_SIZE - 4], file.crc(start, footer_offset))
         if actual != footer.summary_crc:
             raise file.damage(f"the summary's CRC is {actual:08x}, recorded is {footer.summary_crc:08x}")
         index.verified = True
-    chunks: list[ChunkSegment] = []
-    for kind, content in split(memoryview(data), start, file):
+    for kind, content in _records_between(file, start, footer_offset):
         if kind == Opcode.CHUNK_INDEX:
-            chunks.append(_indexed_chunk(content, start, file))
+            index.segments.append(_indexed_chunk(content, start, file))
             index.all_counted = False
         elif kind == Opcode.STATISTICS:
             index.statistics = parse(records.Statistics, content, start, file)
@@ -219,13 +220,29 @@ def read_summary(file: RecordFile, index: McapIndex, *, verify: bool) -> tuple[i
             raise file.damage(f"the summary at byte {start} has a record of kind {kind}, which only the data may have")
         else:
             index.declare(kind, content, start, file)
-    index.segments += chunks
-    chunks.sort(key=attrgetter("record_offset"))
-    if any(chunk.record_offset == other.record_offset for chunk, other in pairwise(chunks)):
+    index.segments.sort()
+    places = index.segments.rows["record_offset"]
+    if (places[1:] == places[:-1]).any():
         raise file.damage("the summary's index names a chunk twice")
     index.channels_listed = bool(index.channels)
-    index.summarized = bool(chunks)
-    return start, chunks
+    index.summarized = len(places) > 0
+    return start
+
+
+def _records_between(file: RecordFile, start: int, stop: int) -> Iterator[tuple[int, memoryview]]:
+    """Yield the opcodes and contents of the records of a summary, which a long recording has megabytes of."""
+    window, offset = _Window(file), start
+    while offset + RECORD.size <= stop:
+        position = window.locate(offset, RECORD.size)
+        opcode, length = RECORD.unpack_from(window.data, position)
+        following = offset + RECORD.size + length
+        if following > stop:
+            break
+        position = window.locate(offset, following - offset)
+        yield opcode, memoryview(window.data)[position + RECORD.size : position + following - offset]
+        offset = following
+    if offset != stop:
+        raise file.damage(f"the records from byte {start} on do not end after {stop - start} bytes")
 
 
 def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> ChunkSegment:
@@ -234,11 +251,11 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> ChunkS
     try:
         start_ns, end_ns, offset, length, offsets_size = struct.unpack_from("<QQQQI", content)
         position = 36 + offsets_size
-        ids = shared(frozenset(channel for channel, _ in struct.iter_unpack("<HQ", content[36:position])))
+        ids = frozenset(channel for channel, _ in struct.iter_unpack("<HQ", content[36:position]))
         message_index_size, name_size = struct.unpack_from("<QI", content, position)
         position += 12 + name_size
         compressed, uncompressed = struct.unpack_from("<QQ", content, position)
-        name = shared(str(content[position - name_size : position], "utf-8"))
+        name = str(content[position - name_size : position], "utf-8")
     except (struct.error, UnicodeDecodeError) as err:
         raise file.damage(f"a ChunkIndex record in the summary at byte {origin} is malformed") from err
     payload = offset + _CHUNK_HEAD + name_size
@@ -252,7 +269,6 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> ChunkS
         length=compressed,
         compression=name or "none",
         uncompressed_size=uncompressed,
-        crc=0,
         start_ns=start_ns,
         end_ns=end_ns,
         # Without entries, there are either no message indexes or no messages.
@@ -260,6 +276,7 @@ def _indexed_chunk(content: memoryview, origin: int, file: RecordFile) -> ChunkS
         record_offset=offset,
         index_length=message_index_size,
         padding=padding,
+        message_count=max(0, message_index_size - len(ids) * _INDEX_HEAD.size) // _ENTRY.size,
     )
 
 
@@ -302,7 +319,7 @@ class _MessageRun:
 
     def segment(self) -> Segment:
         size = self.end - self.start
-        return Segment(self.start, size, "none", size, 0, self.start_ns, self.end_ns, frozenset(self.ids))
+        return Segment(self.start, size, size, self.start_ns, self.end_ns, connection_ids=frozenset(self.ids))
 
 
 class RecordWalk:
@@ -318,10 +335,14 @@ class RecordWalk:
         Those that are known already, in the order of the file.
     """
 
-    def __init__(self, file: RecordFile, index: McapIndex, chunks: Sequence[ChunkSegment] = ()) -> None:
+    def __init__(self, file: RecordFile, index: McapIndex, chunks: Segments | None = None) -> None:
         self._file = file
         self._index = index
-        self._chunks = chunks
+        rows = (Segments() if chunks is None else chunks).rows
+        # Message indexes may have any length, which must not overflow.
+        behind = rows["offset"] + rows["length"] + rows["padding"] + np.minimum(rows["index_length"], 1 << 62)
+        #: Where each of them begins, and where the record after its message indexes does.
+        self._known = zip(rows["record_offset"].copy().data, behind.data, strict=True)
         self._run: _MessageRun | None = None
         self._chunk: ChunkSegment | None = None
         self._indexed: Counter[int] = Counter()
@@ -339,22 +360,21 @@ class RecordWalk:
         RecordingError
             If a record reaches beyond ``end`` or is malformed.
         """
-        window, known = _Window(self._file), iter(self._chunks)
-        coming = next(known, None)
+        window, known = _Window(self._file), self._known
+        coming, behind = next(known, (end, end))
         complete = is_missing = False
         try:
             while offset < end:
                 self.previous, self.offset = self.offset, offset
-                while coming is not None and coming.record_offset < offset:
-                    coming, is_missing = next(known, None), True
-                if coming is not None and coming.record_offset == offset:
-                    following = coming.stop + coming.index_length
-                    coming = next(known, None)
+                while coming < offset:
+                    (coming, behind), is_missing = next(known, (end, end)), True
+                if coming == offset:
                     self._close()
                     self._is_behind_chunk = True
-                    if not offset < following <= end:
-                        raise self._beyond(offset, following, end)
-                    offset = following
+                    if not offset < behind <= end:
+                        raise self._beyond(offset, behind, end)
+                    offset = behind
+                    coming, behind = next(known, (end, end))
                     continue
                 position = window.locate(offset, MESSAGE.size)
                 if offset + RECORD.size > end:
@@ -374,7 +394,7 @@ class RecordWalk:
                 else:
                     self._other(opcode, window, offset, following)
                 offset = following
-            if is_missing or coming is not None:
+            if is_missing or coming != end:
                 raise self._file.damage("the summary's index names places where no chunk begins")
             complete = True
         finally:
@@ -436,7 +456,7 @@ class RecordWalk:
             index.segments.append(self._run.segment())
             self._run = None
         if self._chunk is not None:
-            ids = shared(frozenset(self._indexed)) if complete and self._indexed else None
+            ids = frozenset(self._indexed) if complete and self._indexed else None
             index.segments.append(replace(self._chunk, connection_ids=ids))
             index.counts.update(self._indexed)
             index.all_counted = index.all_counted and ids is not None
@@ -444,12 +464,6 @@ class RecordWalk:
         self._indexed.clear()
         self._is_behind_chunk = False
 
-
-#: A message index up to its entries: opcode and length, the channel, and how many bytes of entries follow.
-_INDEX_HEAD = struct.Struct("<BQHI")
-
-#: Log time and place in the chunk of one message.
-_ENTRY = struct.Struct("<QQ")
 
 #: Bytes of message indexes that are read at a time if their number is unknown.
 _AHEAD = 4096
@@ -510,38 +524,25 @@ def find_declarations(
     Chunks are read in the order of the file, those with messages of unknown channels first, and only as many as
     needed. Without a summary, a channel that has no messages may stay unknown.
     """
-    chunks = [segment for segment in index.segments if isinstance(segment, ChunkSegment)]
-    chunks.sort(key=attrgetter("offset"))
-    used = frozenset[int]().union(*(s.connection_ids for s in index.segments if s.connection_ids))
-    all_used_known = index.channels_listed or all(segment.connection_ids is not None for segment in index.segments)
-    rest = []
-    for chunk in chunks:
-        if _are_all_declared(index, used, all_used_known=all_used_known):
-            return
-        ids = chunk.connection_ids
-        if not index.channels_listed if ids is None else not ids <= index.channels.keys():
-            _declare_from(chunk, file, index, records_of, log)
-        else:
-            rest.append(chunk)
-    for chunk in rest:
-        if _are_all_declared(index, used, all_used_known=all_used_known):
-            return
-        _declare_from(chunk, file, index, records_of, log)
-
-
-def _are_all_declared(index: McapIndex, used: frozenset[int], *, all_used_known: bool) -> bool:
-    """Whether every channel with messages and every schema of a channel is known.
-
-    ``used`` are the channels with messages, as far as message indexes have them; ``all_used_known`` tells whether they
-    have all, or whether the summary lists all channels.
-    """
-    channels = index.channels
-    enough = all_used_known if index.statistics is None else len(channels) >= index.statistics.channel_count
-    return (
-        enough
-        and used <= channels.keys()
-        and all(c.schema_id in index.schemas for c in channels.values() if c.schema_id)
-    )
+    kinds = index.segments.kinds
+    # The channels with messages, as far as message indexes have them; and whether these, or a summary, have all.
+    used = frozenset[int]().union(*(kind.connection_ids for kind in kinds if kind.connection_ids))
+    all_used_known = index.channels_listed or all(kind.connection_ids is not None for kind in kinds)
+    read: set[int] = set()
+    for are_all_due in (False, True):
+        for chunk in index.segments:
+            channels, statistics = index.channels, index.statistics
+            if (
+                (all_used_known if statistics is None else len(channels) >= statistics.channel_count)
+                and used <= channels.keys()
+                and all(channel.schema_id in index.schemas for channel in channels.values() if channel.schema_id)
+            ):
+                return
+            ids = chunk.connection_ids
+            is_due = not index.channels_listed if ids is None else not ids <= channels.keys()
+            if isinstance(chunk, ChunkSegment) and (is_due or are_all_due) and chunk.offset not in read:
+                read.add(chunk.offset)
+                _declare_from(chunk, file, index, records_of, log)
 
 
 def _declare_from(

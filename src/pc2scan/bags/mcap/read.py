@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from contextlib import suppress
 from functools import partial
-from operator import attrgetter
 from threading import Lock
 from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
@@ -26,10 +27,10 @@ from .index import McapIndex, find_declarations, find_index, indexed_times
 from .records import ANY_TIME, MESSAGE, RECORD, Opcode, RecordFile, encode_record, parse, scan_messages, split
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Segment
+    from pc2scan.bags.chunks import Segment, Segments
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.salvage import SalvagedMessages
@@ -118,6 +119,7 @@ class McapReader(ChunkedReader):
             self.connections = tuple(connections_of(self._index, self._file, self._log))
             self._known = {item.id: item for item in self.connections}
             self._segments = self._index.segments
+            self._segments.sort()
             self._indexed_times = partial(indexed_times, self._file)
             self._are_times_verified = self._index.verified
             self._confirm_ends()
@@ -164,13 +166,13 @@ class McapReader(ChunkedReader):
             return iter(())
         rule = rule if rule and rule.container == "mcap" else None
         segments = self._segments_with(ids, start_ns, stop_ns)
-        whole = whole_chunks(segments, rule, start_ns, stop_ns) if rule else {}
+        whole, due = whole_chunks(segments, rule, start_ns, stop_ns)
         blindly: frozenset[int] = frozenset()
-        if rule and whole and not self._verify and not self._packs(segments[0]):
+        if rule and not self._verify and whole.any() and not self._packs(segments[0]):
             blindly = shared_channels(self._index, rule)
         times = (0 if start_ns is None else start_ns, 1 << 64 if stop_ns is None else stop_ns)
         selection = _Selection(wanted, *times, rule, blindly)
-        return segment_units(segments, partial(self._load, selection), whole, self._file)
+        return segment_units(segments, partial(self._load, selection), self._file, whole, due)
 
     def _load(
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
@@ -490,8 +492,9 @@ def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
     else:
         count, times = index.counts.total() if index.all_counted else None, None
     # A chunk without messages has both times zero.
-    held = [s for s in index.segments if s.connection_ids is not None or s.end_ns]
-    found = (min(s.start_ns for s in held), max(s.end_ns for s in held)) if held else None
+    rows, are_known = index.segments.rows, np.array([ids is not None for _, _, ids in index.segments.kinds], bool)
+    held = rows[are_known[rows["kind"]] | (rows["end_ns"] > 0)]
+    found = (int(held["start_ns"].min()), int(held["end_ns"].max())) if len(held) else None
     covers = times is not None and found is not None and times[0] <= found[0] <= found[1] <= times[1]
     if times and found and not covers:
         declared, actual = (f"{stamp_text(first)} to {stamp_text(last)}" for first, last in (times, found))
@@ -501,7 +504,7 @@ def summary_of(index: McapIndex, file: RecordFile, log: DamageLog) -> Summary:
     return Summary(
         container="mcap",
         storage="",
-        compression=tuple(sorted({segment.compression for segment in index.segments})),
+        compression=tuple(sorted({kind.compression for kind in index.segments.kinds})),
         size_bytes=file.size,
         message_count=count,
         start_ns=times[0] if times else None,
@@ -515,7 +518,7 @@ def compare_counts(index: McapIndex, file: RecordFile, log: DamageLog) -> None:
     statistics = index.statistics
     if statistics is None or log.found:
         return
-    chunks = sum(isinstance(segment, ChunkSegment) for segment in index.segments)
+    chunks = int(np.count_nonzero(index.segments.rows["record_offset"]))
     # Messages are counted, too.
     for kind, declared, found, lost in (
         ("attachments", statistics.attachment_count, len(index.attachments), None),
@@ -541,9 +544,6 @@ def shared_channels(index: McapIndex, rule: ChunkRule) -> frozenset[int]:
 
 # --- The CRC of a data section ---
 
-#: Bytes between messages are read in pieces of this size.
-_PIECE = 4 << 20
-
 
 class DataCrc:
     """Compares the CRC of a data section when all of its messages were read.
@@ -553,7 +553,7 @@ class DataCrc:
     file
         The file.
     segments
-        All segments with messages.
+        All segments with messages, in the order of the file.
     stop
         The end of the data section.
     recorded
@@ -567,7 +567,7 @@ class DataCrc:
     def __init__(
         self,
         file: RecordFile,
-        segments: Sequence[Segment],
+        segments: Segments,
         stop: int,
         recorded: int,
         log: DamageLog,
@@ -575,7 +575,7 @@ class DataCrc:
         counted: bool,
     ) -> None:
         self._file = file
-        self._segments = sorted(segments, key=attrgetter("offset"))
+        self._segments = segments
         self._stop = stop
         self._recorded = recorded
         self._log = log
@@ -601,25 +601,21 @@ class DataCrc:
             found, self._found = self._found, {}
         value = position = 0
         for segment in self._segments:
-            value = self._between(value, position, segment.offset)
+            value = self._file.crc(position, segment.offset, value)
             value = combine_crc32(value, found[segment.offset], segment.length)
             position = segment.offset + segment.length
-        value = self._between(value, position, self._stop)
+        value = self._file.crc(position, self._stop, value)
         if value != self._recorded:
             error = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
             self._log.note(self._file.damage(error), key="data", messages_lost=0 if self._counted else None)
 
-    def _between(self, value: int, start: int, stop: int) -> int:
-        for position in range(start, stop, _PIECE):
-            value = crc32(self._file.read(position, min(_PIECE, stop - position)), value)
-        return value
-
 
 def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | None:
     """Return the comparison for a file; None if it has no CRC, or its chunks have their own."""
-    if index.data_end is None or not index.segments:
+    if index.data_end is None:
         return None
     stop, recorded = index.data_end
-    if not recorded or any(isinstance(segment, ChunkSegment) for segment in index.segments):
+    rows = index.segments.rows
+    if not recorded or not len(rows) or rows["record_offset"].any():
         return None
     return DataCrc(file, index.segments, stop, recorded, log, counted=index.statistics is not None)

@@ -276,6 +276,9 @@ UINT64 = struct.Struct("<Q")
 # Plain integers: comparing an IntEnum member costs a method call for each message.
 OP_MESSAGE, OP_CHUNK, OP_MESSAGE_INDEX = 0x05, 0x06, 0x07
 
+#: Bytes that are read at a time for a CRC.
+_PIECE = 1 << 20
+
 #: Opcodes from here on are for private records. Those between `Opcode` and these are for later specifications.
 FIRST_PRIVATE = 0x80
 
@@ -300,6 +303,12 @@ class RecordFile(SourceFile):
                 f"a record of kind {opcode} ({opcode.name}) is declared at byte {offset}, found {actual}",
             )
         return self.read(offset + RECORD.size, length)
+
+    def crc(self, start: int, stop: int, value: int = 0) -> int:
+        """Return the CRC-32 of a part of the file that follows what has the CRC ``value``."""
+        for position in range(start, stop, _PIECE):
+            value = crc32(self.read(position, min(_PIECE, stop - position)), value)
+        return value
 
 
 _Record = TypeVar("_Record", bound=Record)

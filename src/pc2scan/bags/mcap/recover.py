@@ -10,14 +10,16 @@ from __future__ import annotations
 import re
 import struct
 from array import array
+from bisect import bisect_right
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import times_around
+import numpy as np
+
+from pc2scan.bags.chunks import Segments, times_around
 from pc2scan.bags.damage import AnotherRecordingError
 from pc2scan.bags.salvage import SalvagedMessages, clamp_times
 from pc2scan.bags.units import LazyItems
@@ -45,7 +47,7 @@ from .records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from pc2scan.bags.chunks import Segment
     from pc2scan.bags.damage import DamageLog
@@ -338,9 +340,9 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog, *, ver
     except DamageError as err:
         without_header = err
     summary, end = McapIndex(), file.size - len(MAGIC) * _ends_with_magic(file)
-    indexed: Sequence[Segment] = ()
+    indexed: Iterable[Segment] = ()
     try:
-        end, _ = read_summary(file, summary, verify=verify)
+        end = read_summary(file, summary, verify=verify)
     except DamageError as err:
         without_summary = err
         # The walk then includes the records of the summary, and finds channels there.
@@ -361,7 +363,8 @@ def recover_index(file: RecordFile, problem: DamageError, log: DamageLog, *, ver
     index.channels_listed = summary.channels_listed
     _adopt(index, indexed, gaps)
     # Message indexes may be missing, or be those of another chunk.
-    index.segments = [replace(segment, connection_ids=None) for segment in index.segments]
+    index.segments = Segments(replace(segment, connection_ids=None) for segment in index.segments)
+    index.segments.sort()
     around = times_around(index.segments)
     if without_header is not None:
         # The walk begins where it should be. No message is in it, but what took it may have taken more.
@@ -446,11 +449,13 @@ def _forget(index: McapIndex, offset: int) -> None:
     for places in (index.attachments, index.metadata):
         if offset in places:
             places.remove(offset)
-    run = index.segments[-1] if index.segments else None
-    if run is not None and not isinstance(run, ChunkSegment) and run.offset <= offset < run.offset + run.length:
-        index.segments.pop()
-        if run.offset < offset:
-            index.segments.append(replace(run, length=offset - run.offset))
+    run = index.segments.pop() if index.segments else None
+    if run is None or isinstance(run, ChunkSegment) or not run.offset <= offset < run.offset + run.length:
+        kept = run
+    else:
+        kept = replace(run, length=offset - run.offset) if run.offset < offset else None
+    if kept is not None:
+        index.segments.append(kept)
 
 
 def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:
@@ -474,17 +479,22 @@ def _declaration_in_front(file: RecordFile, index: McapIndex, offset: int, end: 
 
 def _adopt(index: McapIndex, indexed: Iterable[Segment], gaps: list[_Gap]) -> None:
     """Add chunks of the summary's index that the walk did not find, because their headers are damaged."""
-    found = sorted(index.segments, key=attrgetter("offset"))
+    index.segments.sort()
+    rows = index.segments.rows.copy()
+    offsets, stops = rows["offset"], np.maximum.accumulate(rows["offset"] + rows["length"])
+    beginnings = [gap.start for gap in gaps]
     for segment in indexed:
         stop = segment.offset + segment.length
-        if any(other.offset < stop and segment.offset < other.offset + other.length for other in found):
+        # Of those that begin before its end, none may end behind its beginning.
+        before = np.searchsorted(offsets, np.uint64(stop))
+        if before and stops[before - 1] > segment.offset:
             continue
         index.segments.append(segment)
         index.all_counted = False
-        for number, gap in enumerate(gaps):
-            if gap.start <= segment.offset and stop <= gap.stop:
-                # The index has its header, so nothing is lost here.
-                gaps[number] = gap._replace(stop=gap.start)
+        number = bisect_right(beginnings, segment.offset) - 1
+        if number >= 0 and stop <= gaps[number].stop:
+            # The index has its header, so nothing is lost here.
+            gaps[number] = gaps[number]._replace(stop=gaps[number].start)
 
 
 def displaced_chunks(file: RecordFile, segments: Iterable[Segment]) -> dict[int, ChunkSegment]:

@@ -109,8 +109,10 @@ class McapWriter:
         self._counts: dict[int, int] = {}
         self._first_ns: int | None = None
         self._last_ns = 0
-        # Encoded records and indexes of the summary.
-        self._groups: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_GROUPS}
+        # The encoded records of the summary by kind, how many indexes each kind has, and the schemas and channels.
+        self._groups = {opcode: bytearray() for opcode in _SUMMARY_GROUPS}
+        self._numbers = dict.fromkeys(_SUMMARY_GROUPS, 0)
+        self._declared: set[bytes] = set()
         self._ahead = WriteAhead()
         self._spare: list[BytesIO] = []
         self._chunk = _OpenChunk(BytesIO())
@@ -183,11 +185,12 @@ class McapWriter:
     def _declare(self, opcode: Opcode, record: records.Record) -> None:
         packed = encode_record(record)
         self._put(packed)
-        self._groups[opcode].append(packed)
+        self._declared.add(packed)
+        self._groups[opcode] += packed
 
     def declarations(self) -> frozenset[bytes]:
         """Return the records of all schemas and channels declared so far."""
-        return frozenset((*self._groups[Opcode.SCHEMA], *self._groups[Opcode.CHANNEL]))
+        return frozenset(self._declared)
 
     def write(self, handle: int, log_time_ns: int, data: Buffer, publish_time_ns: int, sequence: int = 0) -> None:
         """Append a message; ``data`` is copied.
@@ -235,7 +238,8 @@ class McapWriter:
             self._ahead.put(partial(self._recompress, small), self._put_chunk, chunk.size)
             self._chunk = _OpenChunk(chunk.buffer)
         elif chunk.size:
-            self._ahead.put(partial(self._compress_chunk, chunk), partial(self._put_compressed, chunk), chunk.size)
+            put = partial(self._put_chunk, buffer=chunk.buffer)
+            self._ahead.put(partial(self._compress_chunk, chunk), put, chunk.size)
             self._chunk = _OpenChunk(self._spare.pop() if self._spare else BytesIO())
 
     def _compress_chunk(self, chunk: _OpenChunk) -> StoredChunk:
@@ -247,15 +251,8 @@ class McapWriter:
     def _recompress(self, chunk: StoredChunk) -> StoredChunk:
         return replace(chunk, compression=self._compression or "none", stored=self._compress(memoryview(chunk.stored)))
 
-    def _put_compressed(self, chunk: _OpenChunk, packed: StoredChunk) -> None:
-        self._put_chunk(packed)
-        if isinstance(packed.stored, memoryview):
-            # A buffer with a view of it cannot be written.
-            packed.stored.release()
-        self._spare.append(chunk.buffer)
-
-    def _put_chunk(self, chunk: StoredChunk) -> None:
-        """Write a chunk and its message indexes."""
+    def _put_chunk(self, chunk: StoredChunk, buffer: BytesIO | None = None) -> None:
+        """Write a chunk and its message indexes; another chunk may use its ``buffer`` then."""
         compression = "" if chunk.compression == "none" else chunk.compression
         name = compression.encode()
         start_ns, end_ns = chunk.span_ns()
@@ -285,9 +282,15 @@ class McapWriter:
             message_start_time=start_ns,
             uncompressed_size=chunk.size,
         )
-        self._groups[Opcode.CHUNK_INDEX].append(encode_record(index))
+        self._groups[Opcode.CHUNK_INDEX] += encode_record(index)
+        self._numbers[Opcode.CHUNK_INDEX] += 1
         self._first_ns = start_ns if self._first_ns is None else min(self._first_ns, start_ns)
         self._last_ns = max(self._last_ns, end_ns)
+        if buffer is not None:
+            if isinstance(chunk.stored, memoryview):
+                # A buffer with a view of it cannot be written.
+                chunk.stored.release()
+            self._spare.append(buffer)
 
     def add_attachment(self, attachment: Attachment) -> None:
         """Append an attachment, with CRC and index."""
@@ -315,30 +318,40 @@ class McapWriter:
             name=record.name,
             media_type=record.media_type,
         )
-        self._groups[Opcode.ATTACHMENT_INDEX].append(encode_record(index))
+        self._groups[Opcode.ATTACHMENT_INDEX] += encode_record(index)
+        self._numbers[Opcode.ATTACHMENT_INDEX] += 1
 
     def add_metadata(self, metadata: Metadata) -> None:
         """Append a metadata record, with index."""
         packed = encode_record(records.MetadataRecord(metadata.name, dict(metadata.entries)))
         index = records.MetadataIndex(offset=self._put(packed), length=len(packed), name=metadata.name)
-        self._groups[Opcode.METADATA_INDEX].append(encode_record(index))
+        self._groups[Opcode.METADATA_INDEX] += encode_record(index)
+        self._numbers[Opcode.METADATA_INDEX] += 1
 
     def finish(self) -> None:
         """Write the last chunk and the summary, and put everything on the disk."""
         self._finish_chunk()
         self._put(encode_record(records.DataEnd(0)))
-        self._groups[Opcode.STATISTICS].append(encode_record(self._statistics()))
-        start = position = self._file.position
-        summary, offsets = [], []
-        for opcode, group in self._groups.items():
-            if group:
-                packed = b"".join(group)
-                summary.append(packed)
-                offsets.append(encode_record(records.SummaryOffset(opcode, position, len(packed))))
-                position += len(packed)
-        tail = b"".join((*summary, *offsets, encode_record(records.Footer(start, position, 0))))
+        statistics = records.Statistics(
+            attachment_count=self._numbers[Opcode.ATTACHMENT_INDEX],
+            channel_count=len(self._channels),
+            channel_message_counts={channel_id: count for channel_id, count in self._counts.items() if count},
+            chunk_count=self._numbers[Opcode.CHUNK_INDEX],
+            message_count=sum(self._counts.values()),
+            message_end_time=self._last_ns,
+            message_start_time=self._first_ns or 0,
+            metadata_count=self._numbers[Opcode.METADATA_INDEX],
+            schema_count=sum(map(len, self._schemas.values())),
+        )
+        self._groups[Opcode.STATISTICS] += encode_record(statistics)
+        start, crc, offsets = self._file.position, 0, []
+        for opcode, packed in self._groups.items():
+            if group := memoryview(packed):
+                offsets.append(encode_record(records.SummaryOffset(opcode, self._file.put(group), len(group))))
+                crc = crc32(group, crc)
+        tail = b"".join((*offsets, encode_record(records.Footer(start, self._file.position, 0))))
         # The footer's last field is the CRC of the summary and of the footer's other fields.
-        self._file.put(tail[:-4], struct.pack("<I", crc32(tail[:-4])), MAGIC)
+        self._file.put(tail[:-4], struct.pack("<I", crc32(tail[:-4], crc)), MAGIC)
         self._file.finish()
 
     def abort(self) -> None:
@@ -350,19 +363,6 @@ class McapWriter:
         """Write at the end, after all complete chunks; returns the offset."""
         self._ahead.finish()
         return self._file.put(data)
-
-    def _statistics(self) -> records.Statistics:
-        return records.Statistics(
-            attachment_count=len(self._groups[Opcode.ATTACHMENT_INDEX]),
-            channel_count=len(self._channels),
-            channel_message_counts={channel_id: count for channel_id, count in self._counts.items() if count},
-            chunk_count=len(self._groups[Opcode.CHUNK_INDEX]),
-            message_count=sum(self._counts.values()),
-            message_end_time=self._last_ns,
-            message_start_time=self._first_ns or 0,
-            metadata_count=len(self._groups[Opcode.METADATA_INDEX]),
-            schema_count=sum(map(len, self._schemas.values())),
-        )
 
 
 class _OpenChunk:

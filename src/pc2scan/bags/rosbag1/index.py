@@ -6,7 +6,9 @@ import struct
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import Segment, shared
+import numpy as np
+
+from pc2scan.bags.chunks import Segment, Segments
 from pc2scan.bags.reader import ConnectionLimit
 from pc2scan.errors import RecordingError
 
@@ -31,7 +33,7 @@ from .records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from pc2scan.model import Buffer, Connection
 
@@ -49,7 +51,7 @@ class BagIndex(NamedTuple):
     connections
         By id.
     segments
-        The chunks with messages, and messages outside chunks.
+        The chunks with messages, and messages outside chunks, in the order of the file.
     stop
         Where the bag's own index ends, bytes; 0 if it was not used.
     unlisted
@@ -57,7 +59,7 @@ class BagIndex(NamedTuple):
     """
 
     connections: dict[int, Connection]
-    segments: list[Segment]
+    segments: Segments
     stop: int = 0
     unlisted: frozenset[int] = frozenset()
 
@@ -86,7 +88,7 @@ def read_index(file: BagFile) -> BagIndex:
     connections = found.by_id
 
     counts = dict.fromkeys(connections, 0)
-    located = []
+    located = Segments()
     for _ in range(chunk_count):
         fields, start, position = file.record(position, CHUNK_INFO)
         if (version := number_field(fields, "ver")) != 1:
@@ -100,22 +102,27 @@ def read_index(file: BagFile) -> BagIndex:
         ids = frozenset(numbers[::2])
         if ids:
             place = number_field(fields, "chunk_pos", 8)
-            times = (time_field(fields, "start_time"), time_field(fields, "end_time"))
-            located.append((place, *times, shared(ids), sum(numbers[1::2])))
+            start_ns, end_ns = time_field(fields, "start_time"), time_field(fields, "end_time")
+            count = sum(numbers[1::2])
+            located.append(Segment(place, 0, 0, start_ns, end_ns, connection_ids=ids, message_count=count))
 
-    placed = []
-    for place, start_ns, end_ns, ids, count in located:
-        segment = chunk_segment(place, *file.record(place, CHUNK))
-        segment = replace(segment, start_ns=start_ns, end_ns=end_ns, connection_ids=ids, message_count=count)
-        placed.append(segment)
-    _refuse_overlaps(placed, file.size)
-    segments = []
-    for segment in placed:
-        if segment.end_ns:
-            segments.append(segment)
-        # Some recorders write zeros for unknown times: the chunk is read then.
-        elif span := contained_span(file, segment):
-            segments.append(replace(segment, start_ns=span[0], end_ns=span[1]))
+    segments = Segments()
+    for entry in located:
+        chunk = chunk_segment(entry.offset, *file.record(entry.offset, CHUNK))
+        entry.offset, entry.length, entry.uncompressed_size = chunk.offset, chunk.length, chunk.uncompressed_size
+        entry.compression = chunk.compression
+        segments.append(entry)
+    del located
+    segments.sort()
+    _refuse_overlaps(segments, file.size)
+    rows, has_messages = segments.rows, np.ones(len(segments.rows), bool)
+    # Some recorders write zeros for unknown times: the chunk is read then.
+    for number in np.flatnonzero(rows["end_ns"] == 0).tolist():
+        span = contained_span(file, segments[number])
+        rows["start_ns"][number], rows["end_ns"][number] = span or (0, 0)
+        has_messages[number] = span is not None
+    if not has_messages.all():
+        segments = segments.select(has_messages)
     unlisted = frozenset(counts) - connections.keys()
     if unlisted:
         _find_connections(file, segments, set(unlisted), found)
@@ -155,21 +162,22 @@ def _read_bag_header(file: BagFile) -> tuple[int, int, int]:
 
 def chunk_segment(chunk_pos: int, fields: Mapping[bytes, bytes], start: int, stop: int) -> Segment:
     """Make a segment from a chunk's record, without times and connections."""
-    compression = shared(text_of(field_of(fields, "compression")))
+    compression = text_of(field_of(fields, "compression"))
     if compression not in COMPRESSIONS:
         raise FormatError(
             f"the chunk at byte {chunk_pos} is compressed with {compression!r}, allowed are {', '.join(COMPRESSIONS)}"
         )
     size = number_field(fields, "size")
-    return Segment(start, stop - start, compression, size, crc=0, start_ns=0, end_ns=0)
+    return Segment(start, stop - start, size, start_ns=0, end_ns=0, compression=compression)
 
 
-def _refuse_overlaps(segments: Sequence[Segment], size: int) -> None:
+def _refuse_overlaps(segments: Segments, size: int) -> None:
     """Raise if chunks overlap: otherwise the index of a short file could repeat its chunks without limit."""
-    if len({segment.offset for segment in segments}) < len(segments):
+    rows = segments.rows
+    if (rows["offset"][1:] == rows["offset"][:-1]).any():
         raise FormatError("the index names a chunk twice")
     # One damaged length may reach into the next chunk, but not all lengths.
-    if (stored := sum(segment.length for segment in segments)) > 2 * size:
+    if (stored := int(rows["length"].sum())) > 2 * size:
         raise FormatError(f"the chunks have {stored} bytes together, in a bag of {size}")
 
 
@@ -214,7 +222,7 @@ def indexed_times(file: BagFile, segment: Segment, ids: frozenset[int] | None = 
     return times
 
 
-def _find_connections(file: BagFile, segments: Sequence[Segment], missing: set[int], found: Connections) -> None:
+def _find_connections(file: BagFile, segments: Segments, missing: set[int], found: Connections) -> None:
     """Find connections in the chunks that have messages and are not in the index."""
     for segment in segments:
         if not missing:

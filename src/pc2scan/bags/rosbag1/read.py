@@ -11,6 +11,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
 from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems, map_items
@@ -44,7 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from pc2scan.bags.chunks import Segment
+    from pc2scan.bags.chunks import Numbers, Segment, Segments
     from pc2scan.bags.formats import ReadOptions
     from pc2scan.bags.reader import Reader
     from pc2scan.bags.units import Item, Loaded, Unit
@@ -76,14 +78,14 @@ class _Selection(NamedTuple):
     rule
         Which chunks may be copied as a whole; None: none.
     needed
-        The connections that each of these has to describe.
+        The connections that chunks have to describe, by the chunk's offset; see `first_uses`.
     """
 
     wanted: dict[int, Connection | None]
     start_ns: int | None
     stop_ns: int | None
     rule: ChunkRule | None
-    needed: Mapping[Segment, frozenset[int]]
+    needed: Mapping[int, frozenset[int]]
 
 
 class Rosbag1Reader(ChunkedReader):
@@ -163,11 +165,11 @@ class Rosbag1Reader(ChunkedReader):
         rule = rule if rule and rule.container == "rosbag1" else None
         ids = None if connections is None else frozenset(connection.id for connection in connections)
         wanted = {key: item if ids is None or key in ids else None for key, item in self._index.connections.items()}
-        due = self._segments_with(ids, start_ns, stop_ns)
-        whole = whole_chunks(due, rule, start_ns, stop_ns) if rule else {}
-        needed = first_uses(due, whole, start_ns) if whole else {}
+        segments = self._segments_with(ids, start_ns, stop_ns)
+        whole, due = whole_chunks(segments, rule, start_ns, stop_ns)
+        needed = first_uses(segments, due, start_ns) if whole.any() else {}
         selection = _Selection(wanted, start_ns, stop_ns, rule, needed)
-        return segment_units(due, partial(self._load, selection), whole, self._file)
+        return segment_units(segments, partial(self._load, selection), self._file, whole, due)
 
     def _load(
         self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
@@ -223,7 +225,7 @@ class Rosbag1Reader(ChunkedReader):
         messages = self._scan(selection, segment, chunk, described, places)
         if isinstance(messages, LazyItems) or not all(described.values()):
             return messages
-        if not selection.needed[segment] <= described.keys() <= rule.connection_ids:
+        if not selection.needed.get(segment.offset, frozenset()) <= described.keys() <= rule.connection_ids:
             return messages
         return whole_chunk(segment, stored, chunk, messages, places, rule) or messages
 
@@ -289,23 +291,21 @@ class Rosbag1Reader(ChunkedReader):
 
 def summary_of(index: BagIndex, size: int) -> Summary:
     """Return the summary of a bag of this size, bytes."""
-    segments = index.segments
+    rows = index.segments.rows
     counts = [connection.message_count for connection in index.connections.values()]
     return Summary(
         container="rosbag1",
         storage="",
-        compression=tuple(sorted({segment.compression for segment in segments})),
+        compression=tuple(sorted({kind.compression for kind in index.segments.kinds})),
         size_bytes=size,
         message_count=None if None in counts else sum(filter(None, counts)),
-        start_ns=min((segment.start_ns for segment in segments), default=None),
-        end_ns=max((segment.end_ns for segment in segments), default=None),
+        start_ns=int(rows["start_ns"].min()) if len(rows) else None,
+        end_ns=int(rows["end_ns"].max()) if len(rows) else None,
     )
 
 
-def first_uses(
-    segments: Collection[Segment], whole: Mapping[Segment, int], start_ns: int | None
-) -> dict[Segment, frozenset[int]]:
-    """Find the connections that each chunk has to describe, because no earlier chunk does.
+def first_uses(segments: Segments, due: Numbers, start_ns: int | None) -> dict[int, frozenset[int]]:
+    """Find the connections that a chunk has to describe, because no earlier chunk does, by the chunk's offset.
 
     ROS 1's ``rosbag reindex`` needs a connection's description in the chunk of its first message.
 
@@ -313,18 +313,19 @@ def first_uses(
     ----------
     segments
         All segments to read.
-    whole
-        When chunks are due that may be copied; see `whole_chunks`.
+    due
+        When each of them is; see `whole_chunks`.
     start_ns
         The start of the cut: a chunk across it may be written without its first messages.
     """
     uses = {}
     seen: frozenset[int] = frozenset()
-    for segment in sorted(segments, key=lambda each: (whole.get(each, each.start_ns), each.offset)):
-        ids = segment.connection_ids or frozenset()
-        uses[segment] = ids - seen
-        if start_ns is None or start_ns <= segment.start_ns:
-            seen |= uses[segment]
+    for place in np.argsort(due, kind="stable").data:
+        segment = segments[place]
+        if first := (segment.connection_ids or frozenset()) - seen:
+            uses[segment.offset] = first
+            if start_ns is None or start_ns <= segment.start_ns:
+                seen |= first
     return uses
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import Segment, times_around
+from pc2scan.bags.chunks import Segment, Segments, times_around
 from pc2scan.bags.damage import AnotherRecordingError
 from pc2scan.bags.salvage import SalvagedMessages, clamp_times
 from pc2scan.bags.units import LazyItems
@@ -224,7 +224,7 @@ class _RecoveredRecords:
     """The results of the pass over the file, and the messages outside chunks that it is among."""
 
     connections: Connections
-    segments: list[Segment] = field(default_factory=list)
+    segments: Segments = field(default_factory=Segments)
     gaps: list[tuple[int, int, str]] = field(default_factory=list)
     loose: _MessageRun = field(default_factory=_MessageRun)
     loose_start: int = 0
@@ -236,13 +236,17 @@ class _RecoveredRecords:
             self.loose_start = position
         self.loose.add(number_field(record.fields, "conn"), time_field(record.fields, "time"))
 
+    def ends_with(self, record: BagRecord) -> bool:
+        """Whether the last segment is the chunk of this record."""
+        return bool(self.segments) and self.segments[len(self.segments) - 1].offset == record.start
+
     def end_run(self, position: int) -> None:
         """Make a segment of the messages outside chunks, if there are any, that end here."""
         run = self.loose
         if run.counts:
             size = position - self.loose_start
             ids = frozenset(run.counts)
-            self.segments.append(Segment(self.loose_start, size, "none", size, 0, run.first_ns, run.last_ns, ids))
+            self.segments.append(Segment(self.loose_start, size, size, run.first_ns, run.last_ns, connection_ids=ids))
             self.loose = _MessageRun()
 
 
@@ -292,14 +296,14 @@ def recover_index(file: BagFile, problem: DamageError, log: DamageLog) -> BagInd
                 # The index records are complete if another record follows; then the chunk's times are known.
                 _set_times(found, index)
                 _note_record(file, found, position, record)
-                noted = record.kind == CHUNK and found.segments and found.segments[-1].offset == record.start
+                noted = record.kind == CHUNK and found.ends_with(record)
                 index = _MessageRun() if noted else None
         previous, position = (position, record), record.stop
     found.end_run(file.size)
     _find_times(file, found, log)
     _note(file, found, problem, log)
     connections = {key: replace(item, message_count=None) for key, item in sorted(found.connections.by_id.items())}
-    return BagIndex(connections, [segment for segment in found.segments if segment.end_ns])
+    return BagIndex(connections, found.segments.select(found.segments.rows["end_ns"] > 0))
 
 
 def _next_after_damage(
@@ -375,13 +379,12 @@ def _with_entries(index: _MessageRun | None, file: BagFile, record: BagRecord) -
 
 def _set_times(found: _RecoveredRecords, index: _MessageRun | None) -> None:
     """Set the last chunk's times to those in its index records."""
-    if index is not None and index.counts and found.segments and not found.segments[-1].end_ns:
-        found.segments[-1] = replace(
-            found.segments[-1],
-            start_ns=index.first_ns,
-            end_ns=max(index.last_ns, 1),
-            connection_ids=frozenset(index.counts),
-        )
+    if index is not None and index.counts and found.segments:
+        chunk = found.segments.pop()
+        if not chunk.end_ns:
+            chunk.start_ns, chunk.end_ns = index.first_ns, max(index.last_ns, 1)
+            chunk.connection_ids = frozenset(index.counts)
+        found.segments.append(chunk)
 
 
 def _add_chunk(file: BagFile, found: _RecoveredRecords, position: int, stop: int) -> None:
@@ -395,24 +398,23 @@ def _add_chunk(file: BagFile, found: _RecoveredRecords, position: int, stop: int
 
 def _is_sound(file: BagFile, found: _RecoveredRecords, record: BagRecord) -> bool:
     """Whether the last chunk decompresses to its declared size."""
-    segment = found.segments[-1] if found.segments else None
-    if segment is None or segment.offset != record.start:
+    if not found.ends_with(record):
         return True
     try:
-        return bool(len(borrow_payload(file, segment).data))
+        return bool(len(borrow_payload(file, found.segments[len(found.segments) - 1]).data))
     except FormatError:
         return False
 
 
 def _set_end(found: _RecoveredRecords, record: BagRecord, stop: int) -> None:
     """Set the end of the last chunk to the next record."""
-    if found.segments and found.segments[-1].offset == record.start:
-        found.segments[-1] = replace(found.segments[-1], length=stop - record.start)
+    if found.ends_with(record):
+        found.segments.append(replace(found.segments.pop(), length=stop - record.start))
 
 
 def _find_times(file: BagFile, found: _RecoveredRecords, log: DamageLog) -> None:
     """Read the chunks whose times are not in index records, or that may describe unknown connections."""
-    segments = []
+    segments = Segments()
     known = found.connections.by_id
     for segment in found.segments:
         if segment.end_ns and segment.connection_ids is not None and segment.connection_ids <= known.keys():

@@ -82,7 +82,7 @@ class Rosbag1Writer:
         self._connections: dict[int, bytes] = {}
         # The part of a message's record before its time, for each connection.
         self._prefixes: dict[int, bytes] = {}
-        self._chunk_infos: list[bytes] = []
+        self._chunk_infos, self._chunk_count = bytearray(), 0
         self._declared: set[int] = set()
         self._chunk = _OpenChunk()
         self._ahead = WriteAhead()
@@ -218,8 +218,8 @@ class Rosbag1Writer:
         self._flush()
         self._ahead.finish()
         index_pos = self._file.position
-        self._file.put(*self._connections.values(), *self._chunk_infos)
-        header = _pack_bag_header(index_pos, len(self._connections), len(self._chunk_infos))
+        self._file.put(*self._connections.values(), memoryview(self._chunk_infos))
+        header = _pack_bag_header(index_pos, len(self._connections), self._chunk_count)
         self._file.replace(len(FIRST_LINE), header)
         self._file.finish()
 
@@ -249,7 +249,8 @@ class Rosbag1Writer:
     def _put_chunk(self, chunk: StoredChunk, parts: Sequence[Buffer] = ()) -> None:
         """Write a chunk, whose records are in ``parts`` if there are any, and its index."""
         stored = parts or (chunk.stored,)
-        self._chunk_infos.append(_pack_chunk_info(chunk, self._file.position))
+        self._chunk_infos += _pack_chunk_info(chunk, self._file.position)
+        self._chunk_count += 1
         header = {"compression": chunk.compression.encode(), "size": UINT32.pack(chunk.size)}
         length = sum(len(part) for part in stored)
         self._file.put(_pack_header(CHUNK, header), UINT32.pack(length), *stored)
