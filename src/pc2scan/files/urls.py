@@ -92,12 +92,17 @@ def path_text(name: str, value: object) -> str:
     if not isinstance(text, str):
         hint = ", not an open file" if hasattr(value, "read") else ""
         raise TypeError(f"{name} is {value_and_type(value)}, it must be a path: str or pathlib.Path{hint}")
-    if not text:
-        raise UsageError(f"{name} is an empty path")
+    refuse_empty(f"`{name}`", text)
     text = local_path(text)
     if text.startswith("~") and not os.path.lexists(text):
         return os.path.expanduser(text)  # noqa: PTH111  # Path.expanduser fails where there is no such user
     return text
+
+
+def refuse_empty(name: str, text: str) -> None:
+    """Raise a UsageError for an empty path, before `pathlib.Path` takes it for the folder ``.``."""
+    if not text:
+        raise UsageError(f"{name} is an empty path", hint="was a variable empty?")
 
 
 def local_path(text: str) -> str:
