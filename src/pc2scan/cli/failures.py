@@ -179,12 +179,15 @@ def _meant_as_option(words: Sequence[str], missing: str = "") -> str:
 
     ``missing`` is the word that was taken for a path, if it is known.
     """
-    known = options_of(words[0]) if words[0] in GROUPS else {}
+    options = options_of(words[0]).values() if words[0] in GROUPS else ()
+    known = {option.spelling: option for option in options if option.spelling}
     for at, word in enumerate(words[1:], 1):
-        option = known.get(word.replace("-", "_"))
-        if option is None or not option.spelling or missing not in {"", word} or os.path.lexists(word):
+        option = known.get(f"--{word.replace('_', '-')}")
+        if option is None or missing not in {"", word} or os.path.lexists(word):
             continue
         end = at + 1 if isinstance(option.value, Flag) else at + 2
+        if end > len(words):
+            continue
         others = [*words[1:at], *words[end:]]
         place = [] if any(not other.startswith("-") for other in others) else [_PLACES.get(words[0], "SRC")]
         return (
