@@ -115,10 +115,11 @@ def test_what_work_costs() -> None:
     assert cloud.work(two) < 0.7 * cloud.work(one)
     quick = cloud._replace(is_quick=True)
     assert quick.work(two) == quick.work(one)
-    # Of zeros little is stored, and little is to be decompressed.
-    scanned, zeros = (cloud._replace(extent=Extent(NO_FILE, 0, stored)) for stored in (2 * MB, 1_000))
+    # Of zeros little is stored, and noise is stored as it is: there is little to decompress.
+    scanned, zeros, noise = (cloud._replace(extent=Extent(NO_FILE, 0, stored)) for stored in (2 * MB, 1_000, 4 * MB))
     assert scanned.work(one) == cloud.work(one)
     assert zeros.work(one) < 0.4 * cloud.work(one)
+    assert noise.work(one) < 0.4 * cloud.work(one)
     # A row of a database takes longer than a message of a chunk.
     rows = trifles._replace(is_in_memory=True)
     assert rows.work(AHEAD) > 2 * trifles.work(AHEAD)

@@ -12,9 +12,8 @@ Progress: TypeAlias = Callable[[int, int, int], None]
 # What work costs, nanoseconds. Only their ratios matter: of what is read ahead to what is converted, and of small
 # messages to clouds. docs/benchmarks.md says how they were measured, and how far the time left is from the truth.
 
-#: To read a stored byte, and to make a byte of what is stored and compare its CRC, by the compression. Of what is
-#: compressed to next to nothing, such as zeros, the first is little.
-_READ_NS = {"none": (0.0, 0.25), "lz4": (0.3, 0.4), "zstd": (2.0, 0.2), "bz2": (70.0, 2.0)}
+#: To decode a stored byte, and to make a byte of what is stored and compare its CRC, by the compression.
+_READ_NS = {"none": (0.0, 0.25), "lz4": (1.0, 0.2), "zstd": (3.6, 0.2), "bz2": (0.0, 35.0)}
 
 #: What is stored of a byte of clouds, about, where it is unknown.
 _STORED = 0.5
@@ -103,11 +102,14 @@ class Price(NamedTuple):
         is_quick
             Whether no other thread gets them; see `pc2scan.bags.units.Unit`.
         """
-        stored_ns, made_ns = _READ_NS.get(compression, _READ_NS["none"])
-        bytes_ns = size * (made_ns + self.byte_ns) + (size * _STORED if stored is None else stored) * stored_ns
-        share = 1.0 if is_quick else 1 - _SHARED + _SHARED / self.threads
+        decode_ns, made_ns = _READ_NS.get(compression, _READ_NS["none"])
+        # What does not become smaller, such as pictures, is stored as it is.
+        share = _STORED if stored is None else min(1.0, stored / max(1, size))
+        bytes_ns = size * (made_ns + self.byte_ns + share * (1 - share) * decode_ns)
+        if not is_quick:
+            bytes_ns *= 1 - _SHARED + _SHARED / self.threads
         fixed_ns = messages * _ROW_NS if are_rows else _CHUNK_NS
-        return round(bytes_ns * share) + messages * self.message_ns + fixed_ns
+        return round(bytes_ns) + messages * self.message_ns + fixed_ns
 
 
 #: The price of what is read ahead or compared, and of scans that are checked.

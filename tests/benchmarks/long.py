@@ -33,6 +33,7 @@ from pc2scan.files.new_file import NewFile
 from pc2scan.messages.definitions import TYPES, definition
 from pc2scan.messages.pointcloud2 import POINTCLOUD2
 from pc2scan.model import Connection, Definition
+from pc2scan.threads import keep_freed_memory
 from support.builders import IMU, TF, imu_message, transforms, typestore
 
 if TYPE_CHECKING:
@@ -317,6 +318,8 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=2, help="how often the progress is measured (default: 2)")
     parser.add_argument("--folder", type=Path, help="where the recordings are written meanwhile")
     asked = parser.parse_args()
+    # As the command does: else half of the time of lz4 is spent on pages of memory that malloc gives back.
+    keep_freed_memory()
     with TemporaryDirectory(dir=asked.folder) as folder:
         if asked.only != "progress":
             _print_memory(Path(folder), asked.gb)

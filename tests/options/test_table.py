@@ -150,6 +150,7 @@ def test_each_tolerance_is_a_number(values: dict[str, object]) -> None:
     ("values", "read"),
     [
         ({"range_cutoff": "50cm"}, 0.5),
+        ({"start": "250us"}, TimeBound(250_000)),
         ({"range_cutoff": 2}, 2.0),
         ({"min_used": "5%"}, 0.05),
         ({"topics": "/points"}, ("/points",)),

@@ -21,13 +21,20 @@ ANGLE = re.compile(r"(deg|rad)\((.*)\)")
 EXAMPLES = {
     "rad": "write radians (1.5708, pi/2) or degrees (90deg)",
     "m": "write metres (0.5, 0.5m), centimetres (50cm) or millimetres (500mm)",
-    "s": "write seconds (0.1, 0.1s) or milliseconds (100ms)",
+    "s": "write seconds (0.1, 0.1s), 100ms, 48us or 500ns",
 }
 
 _NUMBER_AND_UNIT = re.compile(r"([0-9]{1,18}(?:\.[0-9]{0,18})?|\.[0-9]{1,18}) ?([A-Za-z]+)")
 
+#: Units of times, as parts of a second.
+PARTS_OF_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+
 #: Units in lower case, as nanoseconds and as bytes.
-_DURATIONS = {"ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9}
+_DURATIONS = {
+    **{unit: 10**9 // parts for unit, parts in PARTS_OF_SECOND.items()},
+    "min": 60 * 10**9,
+    "h": 3600 * 10**9,
+}
 _SIZES = {
     "b": 1,
     **{f"{prefix}b": 1000**power for power, prefix in enumerate("kmgt", 1)},
@@ -49,7 +56,7 @@ _OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
 _UNITS: Mapping[str, Mapping[str, Callable[[float], float]]] = {
     "rad": {"rad": float, "deg": lambda value: value * math.pi / 180.0, "°": lambda value: value * math.pi / 180.0},
     "m": {"m": float, "cm": lambda value: value / 100, "mm": lambda value: value / 1000},
-    "s": {"s": float, "ms": lambda value: value / 1000},
+    "s": {unit: lambda value, parts=parts: value / parts for unit, parts in PARTS_OF_SECOND.items()},
 }
 
 
@@ -60,7 +67,7 @@ def quantity(text: str, unit: str) -> float | None:
     ----------
     text
         ``1.57``, ``pi/2``, ``90deg``, ``90°``, ``deg(90)``, ``rad(pi/2)`` for an angle; ``0.5``, ``0.5m``, ``50cm``,
-        ``500mm`` for a length; ``0.1``, ``1/10``, ``100ms`` for a time.
+        ``500mm`` for a length; ``0.1``, ``1/10``, ``100ms``, ``48us``, ``500ns`` for a time.
     unit
         The unit of the result: ``rad``, ``m`` or ``s``.
 
@@ -106,7 +113,7 @@ def written_angle(text: str) -> float | None:
 
 
 def duration_ns(text: str) -> int | None:
-    """Read a time of ``60s``, ``1.5min``, ``2h`` or ``500ms`` as nanoseconds; None if it is something else.
+    """Read a time of ``60s``, ``1.5min``, ``2h``, ``500ms``, ``48us`` or ``500ns`` as nanoseconds; None if it is something else.
 
     >>> duration_ns("60s"), duration_ns("1.5 min"), duration_ns("0.1s"), duration_ns("60")
     (60000000000, 90000000000, 100000000, None)

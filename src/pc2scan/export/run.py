@@ -161,7 +161,10 @@ def run(
         readers = open_recordings(sources, stack, verify=options.verify, strict=options.strict)
         reader = as_one(readers)
         names = _topics([c for c in reader.connections if c.ros_version is not None], file_format, options, form)
-        meter = None if progress is None else meter_of(progress, options, converting=form.converting)
+        meter = None
+        if progress is not None:
+            writes = "none" if file_format.clouds else None
+            meter = meter_of(progress, options, converting=form.converting, writes=writes)
         stream = _stream(sources, names, file_format, options, form, meter)
         stack.callback(stream.close)
         folder = _is_folder(destination, stream.topics, file_format, in_folder=in_folder)

@@ -21,7 +21,7 @@ _ABSOLUTE_SECONDS = 100_000_000
 #: Larger whole numbers are nanoseconds: as seconds they would be after the year 5000.
 _ABSOLUTE_NANOSECONDS = 100_000_000_000
 
-_SECONDS = r"@?(\d+\.?\d*|\.\d+) ?(s|ms)?"
+_SECONDS = r"@?(\d+\.?\d*|\.\d+) ?([mun]?s)?"
 #: A date and time, with or without a time zone. Its groups: the fraction of the seconds, the time zone.
 _DATE_AND_TIME = r"(\d{4}-\d\d-\d\d[T ][\d:]+?)(?:[.,](\d+))?(Z|[+-]\d\d(?::?\d\d)?)?"
 
@@ -42,7 +42,7 @@ class TimeBound(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> TimeBound:
-        """Read ``12.5`` (seconds from the beginning; ``12.5s`` and ``500ms`` too) or a point in time.
+        """Read ``12.5`` (seconds from the beginning; ``12.5s``, ``500ms``, ``48us`` and ``500ns`` too) or a point in time.
 
         A point in time is ``@1604515190.25`` (seconds since 1970), the same without ``@`` if it is
         100,000,000 or more, nanoseconds since 1970 if it is beyond 100,000,000,000, or an ISO 8601 date and time
@@ -61,7 +61,10 @@ class TimeBound(NamedTuple):
                 value = Decimal(written[1])
             except InvalidOperation as err:  # pragma: no cover - the pattern admits only decimals
                 raise UsageError(f"{text!r} is not a time") from err
-            value = value / 1000 if written[2] == "ms" else value
+            if unit := written[2]:
+                from pc2scan.core.quantities import PARTS_OF_SECOND  # noqa: PLC0415  # most are plain numbers
+
+                value /= PARTS_OF_SECOND[unit]
             if value >= _ABSOLUTE_NANOSECONDS:
                 return cls(int(value), absolute=True)
             absolute = text.startswith("@") or value >= _ABSOLUTE_SECONDS

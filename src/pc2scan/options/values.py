@@ -306,7 +306,7 @@ class Count(Value):
 
 
 class Number(Value):
-    """A number, which may have a unit: ``50cm``, ``90deg``, ``100ms``."""
+    """A number, which may have a unit: ``50cm``, ``90deg``, ``100ms``, ``48us``."""
 
     kind = "float"
     expected = "a number"

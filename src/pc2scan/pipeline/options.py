@@ -494,7 +494,7 @@ def _offset_of(text: str, value: str) -> int | None:
     if found is None or found > _MOST_OFFSET_NS:
         raise UsageError(
             f"`time_offset`: {text!r} is not an offset",
-            hint="write seconds (3.2, -37s), milliseconds (120ms), auto, or with a topic /rear=0.12s",
+            hint="write seconds (3.2, -37s), 120ms, 48us, auto, or with a topic /rear=0.12s",
         )
     return -found if sign == "-" else found
 

@@ -111,13 +111,26 @@ class NumpyTimes:
         return datetime64(self.log_time_ns)
 
 
-def meter_of(progress: Progress, options: ConvertOptions, *, converting: bool) -> Meter:
-    """Return what counts the work of a `Stream`; ``converting`` is whether it makes scans of clouds."""
+def meter_of(progress: Progress, options: ConvertOptions, *, converting: bool, writes: str | None = None) -> Meter:
+    """Return what counts the work of a `Stream`.
+
+    Parameters
+    ----------
+    progress
+        The function to report to.
+    options
+        The options of the conversion.
+    converting
+        Whether it makes scans of clouds.
+    writes
+        The compression in which clouds are written; None: they are not.
+    """
     from pc2scan.progress import Meter, Price  # noqa: PLC0415  # most loops show no progress
 
     # What is read as it was recorded is read on one thread.
     threads = (options.jobs or cores()) if converting else 1
-    return Meter(progress, Price.of_conversion(threads=threads, deskews=converting and options.scan.deskew))
+    deskews = converting and options.scan.deskew
+    return Meter(progress, Price.of_conversion(threads=threads, projects=converting, deskews=deskews, writes=writes))
 
 
 Item = TypeVar("Item")
