@@ -7,7 +7,9 @@ import io
 import sqlite3
 import struct
 from contextlib import closing
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import lz4.frame
@@ -88,10 +90,19 @@ KINDS = ["mcap-zstd", "mcap-lz4", "bag-lz4", "bag-bz2"]
 
 
 def bomb(folder: Path, kind: str, size: int) -> Path:
+    source = folder / f"a.{kind.partition('-')[0]}"
+    source.write_bytes(bomb_bytes(kind, size))
+    return source
+
+
+@cache
+def bomb_bytes(kind: str, size: int) -> bytes:
+    """A bomb, which takes seconds to pack, for all that is done with it."""
     container, compression = kind.split("-")
-    if container == "bag":
-        return bag_of(folder / "a.bag", zero_cloud(size, 1), compression)
-    return mcap_of(folder / "a.mcap", zero_cloud(size, 2), compression)
+    with TemporaryDirectory() as folder:
+        if container == "bag":
+            return bag_of(Path(folder, "a.bag"), zero_cloud(size, 1), compression).read_bytes()
+        return mcap_of(Path(folder, "a.mcap"), zero_cloud(size, 2), compression).read_bytes()
 
 
 #: Every kind with every command; of those a repair could copy chunks as they are.
