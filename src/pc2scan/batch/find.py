@@ -15,7 +15,7 @@ from pc2scan.bags.opening import open_recording, sniff
 from pc2scan.errors import Pc2ScanError, RecordingError, UsageError
 from pc2scan.files.places import working_names
 from pc2scan.files.source import open_bytes
-from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, is_url, local_path, path_or_url, refuse_empty
+from pc2scan.files.urls import UrlPath, absolute, exists, is_dir, is_file, is_url, local_path, path_or_url
 
 from .manifest import Identity, identity_of
 
@@ -137,7 +137,6 @@ def _candidates(sources: Sequence[str], out: Path) -> Iterator[Iterable[_Candida
     """Yield the candidates of the sources by root; that of single files is the folder that contains them all."""
     files: list[Path] = []
     for source in sources:
-        refuse_empty("SRC", source)
         text = local_path(source)
         path = path_or_url(text)
         if path.is_dir():

@@ -15,7 +15,7 @@ from typer._types import TyperChoice
 from typer.core import TyperOption
 from typer.models import TyperPath
 
-from pc2scan.files.urls import local_path, path_or_url, refuse_empty
+from pc2scan.files.urls import local_path, path_or_url
 from pc2scan.options import values
 from pc2scan.options.call import Options
 from pc2scan.options.option import Parameter
@@ -39,8 +39,7 @@ class PathType(TyperPath):
         """Convert what was typed."""
         if isinstance(value, str):
             is_option = param.param_type_name == "option"
-            refuse_empty(f"`{param.name}`" if is_option else param.human_readable_name.strip("[].") or "SRC", value)
-            value = local_path(value)
+            value = local_path(value, f"`{param.name}`" if is_option else param.human_readable_name.strip("[]."))
         path: Any = super().convert(value, param, ctx)
         return path if self.type is str else path_or_url(path)
 
