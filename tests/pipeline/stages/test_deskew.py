@@ -249,6 +249,18 @@ def test_a_unit_that_cannot_be_has_the_one_that_fits(asked: str, times: list[int
     assert hint in str(caught.value.hint)
 
 
+@pytest.mark.parametrize(
+    ("times", "hint"),
+    [([0.0, 100.0], "probably in another unit"), ([90.0, 91.0], "probably in another unit"), ([np.nan] * 2, "None")],
+)
+def test_times_of_beams_that_cannot_be_name_no_field(times: list[float], hint: str) -> None:
+    beams = points(np.ones((2, 3)), np.array(times), TIME)
+    with pytest.raises(DecodeError) as caught:
+        Deskew(frames(), "odom", PointTime())(beams)
+    assert hint in str(caught.value.hint)
+    assert "point_time" not in str(caught.value.hint)
+
+
 def test_a_cloud_of_a_minute_has_a_bounded_number_of_nodes() -> None:
     moving = moving_of(Deskew(frames(end=61.0), "odom", PointTime()), points(np.ones((2, 3)), [0, 59 * SECOND], "t"))
     assert 20_000 < moving.transform.node_times.size < 24_000
