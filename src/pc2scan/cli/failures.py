@@ -15,6 +15,7 @@ from typer._click.exceptions import UsageError as TyperUsageError
 
 from pc2scan.errors import DamageError, MissingError, Pc2ScanError, UsageError
 from pc2scan.options.table import GROUPS, instead_of, options_of
+from pc2scan.options.values import Flag
 from pc2scan.text import did_you_mean
 
 from .render import as_typed, say, show_error
@@ -41,6 +42,9 @@ _KINDS = {
 
 #: Options that are typed as if they were commands.
 _FLAGS = ("help", "version")
+
+#: What a command takes instead of recordings.
+_PLACES = {"golden": "DIR"}
 
 #: How similar an option must be to what was typed to be suggested, from 0 to 1.
 _ALIKE = 0.6
@@ -126,7 +130,7 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
     if isinstance(err, BadOptionUsage):
         return UsageError(f"{err.option_name} {text.removeprefix(f'Option {err.option_name!r} ')}", hint=hint)
     if text.startswith("Got unexpected extra argument"):
-        hint = _meant_as_output(typed) or hint
+        hint = _meant_as_output(typed) or _meant_as_option(typed) or hint
     text, _, near = text.partition(". Did you mean ")
     if typed and f"No such command {typed[0]!r}" == text:
         if os.path.lexists(typed[0]):
@@ -145,7 +149,7 @@ def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
             return f"an option such as {before} takes no value: {before.replace('--', '--no-', 1) if off else before}"
         if any(sign in name for sign in "*?[") and len(words) > 1:
             return "the shell replaces * only without quotes; pc2scan batch converts each of several recordings"
-        if name == words[-1] and (hint := _meant_as_output(words)):
+        if hint := _meant_as_option(words, name) or (name == words[-1] and _meant_as_output(words)):
             return hint
     if "--static-tf" in words and isinstance(err, UsageError):
         begin = words.index("--static-tf") + 1
@@ -168,6 +172,28 @@ def _meant_as_output(words: Sequence[str]) -> str:
     # The word before is a source, no option that has a value.
     is_new = os.path.lexists(words[-2]) and not os.path.lexists(last)
     return f"did you mean -o {shlex.quote(last)}?" if is_new else ""
+
+
+def _meant_as_option(words: Sequence[str], missing: str = "") -> str:
+    """Return what to type, if an option was typed without its dashes, as in ``golden init drive.bag``; else nothing.
+
+    ``missing`` is the word that was taken for a path, if it is known.
+    """
+    options = options_of(words[0]).values() if words[0] in GROUPS else ()
+    known = {option.spelling: option for option in options if option.spelling}
+    for at, word in enumerate(words[1:], 1):
+        option = known.get(f"--{word.replace('_', '-')}")
+        if option is None or missing not in {"", word} or os.path.lexists(word):
+            continue
+        end = at + 1 if isinstance(option.value, Flag) else at + 2
+        if end > len(words):
+            continue
+        others = [*words[1:at], *words[end:]]
+        place = [] if any(not other.startswith("-") for other in others) else [_PLACES.get(words[0], "SRC")]
+        return (
+            f"did you mean {shlex.join(['pc2scan', words[0], *place, *others, option.spelling, *words[at + 1 : end]])}?"
+        )
+    return ""
 
 
 def _is_transform(words: Sequence[str]) -> bool:

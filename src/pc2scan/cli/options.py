@@ -33,11 +33,14 @@ _NUMBERS: Mapping[str, Callable[[str], float]] = {"int": int, "float": float}
 
 
 class PathType(TyperPath):
-    """The type of options that are paths: a URL is read before Path joins its slashes."""
+    """The type of options that are paths: a URL is read before Path joins its slashes; an empty path is refused."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         """Convert what was typed."""
-        path: Any = super().convert(local_path(value) if isinstance(value, str) else value, param, ctx)
+        if isinstance(value, str):
+            is_option = param.param_type_name == "option"
+            value = local_path(value, f"`{param.name}`" if is_option else param.human_readable_name.strip("[]."))
+        path: Any = super().convert(value, param, ctx)
         return path if self.type is str else path_or_url(path)
 
 

@@ -9,6 +9,7 @@ import ast
 import math
 import operator
 import re
+from functools import partial
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -51,12 +52,17 @@ _OPERATORS: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Div: operator.truediv,
 }
 
+
+def _divided(parts: int, value: float) -> float:
+    return value / parts
+
+
 # Units divide by whole numbers, so that 10cm is the float64 nearest to 0.1. Degrees are computed in rosparam's order of
 # operations, so that the last bit is the same.
 _UNITS: Mapping[str, Mapping[str, Callable[[float], float]]] = {
     "rad": {"rad": float, "deg": lambda value: value * math.pi / 180.0, "°": lambda value: value * math.pi / 180.0},
     "m": {"m": float, "cm": lambda value: value / 100, "mm": lambda value: value / 1000},
-    "s": {unit: lambda value, parts=parts: value / parts for unit, parts in PARTS_OF_SECOND.items()},
+    "s": {unit: partial(_divided, parts) for unit, parts in PARTS_OF_SECOND.items()},
 }
 
 
@@ -113,7 +119,7 @@ def written_angle(text: str) -> float | None:
 
 
 def duration_ns(text: str) -> int | None:
-    """Read a time of ``60s``, ``1.5min``, ``2h``, ``500ms``, ``48us`` or ``500ns`` as nanoseconds; None if it is something else.
+    """Read a time of ``60s``, ``1.5min``, ``2h``, ``500ms``, ``48us`` or ``7ns`` as nanoseconds; None for other texts.
 
     >>> duration_ns("60s"), duration_ns("1.5 min"), duration_ns("0.1s"), duration_ns("60")
     (60000000000, 90000000000, 100000000, None)

@@ -92,18 +92,17 @@ def path_text(name: str, value: object) -> str:
     if not isinstance(text, str):
         hint = ", not an open file" if hasattr(value, "read") else ""
         raise TypeError(f"{name} is {value_and_type(value)}, it must be a path: str or pathlib.Path{hint}")
-    if not text:
-        raise UsageError(f"{name} is an empty path")
-    text = local_path(text)
+    text = local_path(text, f"`{name}`")
     if text.startswith("~") and not os.path.lexists(text):
         return os.path.expanduser(text)  # noqa: PTH111  # Path.expanduser fails where there is no such user
     return text
 
 
-def local_path(text: str) -> str:
+def local_path(text: str, name: str = "a source") -> str:
     """Return the path that a ``file:`` URL names, as RFC 8089 defines it; any other text is returned as it is.
 
-    All code after this sees a path, so a file has no second kind of name.
+    All code after this sees a path, so a file has no second kind of name. An empty text, which `pathlib.Path` takes for
+    the folder ``.``, is an error; ``name`` says what it was given as.
 
     >>> local_path("file:///data/a%20b.bag"), local_path("file://localhost/a.bag"), local_path("FILE:/a.bag")
     ('/data/a b.bag', '/a.bag', '/a.bag')
@@ -113,8 +112,11 @@ def local_path(text: str) -> str:
     Raises
     ------
     UsageError
-        If the URL names another machine, has a query or a fragment, or a character that no path can have.
+        If the text is empty, or the URL names another machine, has a query or a fragment, or a character that no path
+        can have.
     """
+    if not text:
+        raise UsageError(f"{name} is an empty path", hint="was a variable empty?")
     scheme, _, rest = text.partition(":")
     if scheme.lower() != "file" or not rest.startswith("/"):
         return text

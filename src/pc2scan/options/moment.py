@@ -42,7 +42,7 @@ class TimeBound(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> TimeBound:
-        """Read ``12.5`` (seconds from the beginning; ``12.5s``, ``500ms``, ``48us`` and ``500ns`` too) or a point in time.
+        """Read ``12.5`` (seconds from the beginning; ``500ms``, ``48us`` and ``500ns`` too) or a point in time.
 
         A point in time is ``@1604515190.25`` (seconds since 1970), the same without ``@`` if it is
         100,000,000 or more, nanoseconds since 1970 if it is beyond 100,000,000,000, or an ISO 8601 date and time

@@ -162,7 +162,8 @@ class Projection(TypedDict, total=False):
         Quantity,
         Parameter(
             Number("s", words=("auto",)),
-            "Time from beam to beam, such as 48us. auto: from the points' own times; the scan's stamp is then the first beam's.",
+            "Time from beam to beam, such as 48us. auto: by the points' times; the scan's stamp is then the first "
+            "beam's.",
             panel=SLAM,
         ),
     ]

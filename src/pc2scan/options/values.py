@@ -234,6 +234,10 @@ class PathName(Value):
         """Return the path."""
         return path_of(name, value)
 
+    def admits(self, value: object) -> bool:
+        """Return whether it is a text that is not empty."""
+        return isinstance(value, str) and bool(value)
+
 
 class Recording(PathName):
     """The path of a recording."""

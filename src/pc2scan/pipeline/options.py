@@ -248,6 +248,12 @@ class ScanSpec:
             self._check_levelling()
         if (self.reverse or not self.deskew) and (self.point_time or self.stamp != "header"):
             raise UsageError("`point_time` and `stamp` need `deskew` of clouds")
+        if self.point_time and self.combining.rebin:
+            raise UsageError(
+                "`point_time` is about points of clouds, but `rebin` converts scans, whose beams have the times of "
+                "their time_increment",
+                hint="remove `point_time`; `deskew` and `stamp` work with `rebin`",
+            )
         if self.fixed_frame and (self.reverse or not (self.deskew or self.level or self.may_combine)):
             raise UsageError(
                 "`fixed_frame` needs `deskew` or `level` of clouds, `accumulate`, or topics that become one scan"

@@ -37,6 +37,9 @@ MAX_FILE_BYTES = 1_000_000
 #: Maximum number of levels of nesting. It also stops an alias that contains itself.
 MAX_DEPTH = 50
 
+#: The hint where no parameter file is found.
+_EXAMPLE = "name a ROS parameter file or a launch file; each parameter is an option, too, such as `min_height=-0.3`"
+
 #: Parameters that every ROS 2 node has.
 _EVERY_NODE = frozenset({"use_sim_time", "start_type_description_service", "qos_overrides"})
 
@@ -289,14 +292,14 @@ def _as_bool(name: str, value: object) -> object:
     return value
 
 
-def read_text(path: Path, shown: Path | None = None) -> str:
-    """Return the text of a parameter file; ``shown`` is its path for errors."""
+def read_text(path: Path, shown: Path | None = None, example: str = _EXAMPLE) -> str:
+    """Return the text of a parameter file; ``shown`` is its path for errors, ``example`` the hint if there is none."""
     actual, path = path, shown or path
     try:
         with open_bytes(actual) as file:
             data = file.read(MAX_FILE_BYTES + 1)
     except FileNotFoundError as err:
-        hint = missing_hint(path, (".yaml", ".yml"))
+        hint = missing_hint(path, (".yaml", ".yml")) or example
         raise ParameterError(f"{path}: does not exist", hint=hint) from err
     except IsADirectoryError as err:
         raise ParameterError(f"{path}: this is a directory, not a parameter file") from err

@@ -112,7 +112,7 @@ def _read_file(path: Path) -> _Entry:
     from .params_file import read_text  # noqa: PLC0415  # only for a file
     from .yaml_nodes import compose  # noqa: PLC0415
 
-    text = read_text(path)
+    text = read_text(path, example=_EXAMPLE)
     root = compose(text, str(path))
     if root is None:
         raise UsageError(f"{path}: the file is empty", hint=_EXAMPLE)

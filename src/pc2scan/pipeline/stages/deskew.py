@@ -306,9 +306,8 @@ class Deskew:
             return None
         if unknown == measured:
             message = f"none of its points has a time: {name} is not finite"
-            raise DecodeError(
-                message, stamp_ns=points.stamp_ns, hint="if another field has the times, name it: `point_time=FIELD`"
-            )
+            hint = None if of_scan else "if another field has the times, name it: `point_time=FIELD`"
+            raise DecodeError(message, stamp_ns=points.stamp_ns, hint=hint)
         label = AZIMUTH if turn is not None else "time_increment" if given else name
         self._check(label, low, high, unit, several=measured > 1 and not given, stamp_ns=points.stamp_ns)
         stamp_ns = points.stamp_ns
@@ -358,6 +357,8 @@ class Deskew:
         elif several and high - low < _SHORTEST:
             message = f"its points all have the same time in their field {name}, {low:.6g} s after its stamp"
             hint = "name the field with the times: `point_time=FIELD`; clouds measured at once need no `deskew`"
+        if name == "time_increment":
+            hint = "time_increment is in seconds, and this one is probably in another unit"
         if message:
             raise DecodeError(message, stamp_ns=stamp_ns, hint=hint)
 
