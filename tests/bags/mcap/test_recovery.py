@@ -6,15 +6,18 @@ import random
 import struct
 from contextlib import closing
 from itertools import product
+from time import process_time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 from mcap.records import DataEnd, MessageIndex
 
 from pc2scan.bags.mcap.read import McapReader
-from pc2scan.bags.mcap.records import MAGIC
+from pc2scan.bags.mcap.records import MAGIC, OP_CHUNK, RECORD
 from pc2scan.bags.mcap.recover import is_message
+from pc2scan.bags.mcap.write import McapWriter
 from pc2scan.errors import DamageError
+from pc2scan.model import Connection
 from support.bounded import watched
 from support.command import run
 from support.mcap_files import (
@@ -403,6 +406,29 @@ def test_a_chunk_with_a_broken_header_is_read_by_the_index(summary: str, tmp_pat
     times, said, _ = repaired(path)
     assert sorted(times) == sound
     assert ("the summary's CRC" in said) == (summary != "sound")
+
+
+def test_many_chunks_that_only_the_index_has_take_linear_time(tmp_path: Path) -> None:
+    times = []
+    for chunks in (1_000, 8_000):
+        path = tmp_path / f"{chunks}.mcap"
+        writer = McapWriter(path, "none", chunk_size=1)
+        handle = writer.add_connection(Connection(0, "/said", "std_msgs/msg/String", "ros1"))
+        for number in range(chunks):
+            writer.write(handle, number, b"\1\0\0\0x", number)
+        writer.finish()
+        data = bytearray(path.read_bytes())
+        # The summary's CRC, and the header of the first chunk.
+        data[-12] ^= 1
+        data[data.index(RECORD.pack(OP_CHUNK, 76))] = 0x20
+        path.write_bytes(data)
+        began = process_time()
+        with closing(McapReader(path)) as reader:
+            assert len(list(reader.messages())) == chunks
+            assert reader.damage
+        times.append(process_time() - began)
+    # Eight times as long; sixty times if each chunk is compared with all others.
+    assert times[1] < 24 * times[0]
 
 
 def test_a_plain_chunk_with_a_wrong_crc_keeps_its_messages(tmp_path: Path) -> None:
