@@ -581,6 +581,7 @@ class DataCrc:
         self._log = log
         self._counted = counted
         self._found: dict[int, int] = {}
+        self._error: DamageError | None = None
         self._lock = Lock()
 
     def add(self, segment: Segment, data: Buffer) -> None:
@@ -593,21 +594,23 @@ class DataCrc:
         Raises
         ------
         DamageError
-            If it differs, and damage is an error.
+            If it differs, and damage is an error: from then on each time, because a reading beside this one may have
+            ignored it.
         """
         with self._lock:
-            if len(self._found) < len(self._segments):
-                return
-            found, self._found = self._found, {}
-        value = position = 0
-        for segment in self._segments:
-            value = self._file.crc(position, segment.offset, value)
-            value = combine_crc32(value, found[segment.offset], segment.length)
-            position = segment.offset + segment.length
-        value = self._file.crc(position, self._stop, value)
-        if value != self._recorded:
-            error = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
-            self._log.note(self._file.damage(error), key="data", messages_lost=0 if self._counted else None)
+            if len(self._found) == len(self._segments):
+                found, self._found = self._found, {}
+                value = position = 0
+                for segment in self._segments:
+                    value = self._file.crc(position, segment.offset, value)
+                    value = combine_crc32(value, found[segment.offset], segment.length)
+                    position = segment.offset + segment.length
+                value = self._file.crc(position, self._stop, value)
+                if value != self._recorded:
+                    text = f"the data section has CRC {value:08x}, recorded is {self._recorded:08x}"
+                    self._error = self._file.damage(text)
+        if self._error is not None:
+            self._log.note(self._error, key="data", messages_lost=0 if self._counted else None)
 
 
 def data_crc(file: RecordFile, index: McapIndex, log: DamageLog) -> DataCrc | None:
