@@ -6,6 +6,7 @@ import struct
 from abc import abstractmethod
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -58,7 +59,7 @@ class Segment:
     crc
         CRC-32 of the uncompressed payload; 0 when there is none.
     record_offset
-        Offset of the chunk's record in the file, if its reader needs it.
+        Offset of the chunk's record in the file; 0 outside chunks, and for readers that do not need it.
     index_length
         Bytes of the message indexes after it; 0 if unknown.
     padding
@@ -93,13 +94,15 @@ class Kind(NamedTuple):
     connection_ids: frozenset[int] | None
 
 
-#: A segment without its kind. The last two are the number of its kind, and its count, plus one if it is known.
-_COLUMNS = (
-    "offset", "length", "uncompressed_size", "start_ns", "end_ns", "crc",
-    "record_offset", "index_length", "padding", "kind", "count",
+#: The numbers of a segment, in the order of its attributes.
+_NUMBERS = (
+    "offset", "length", "uncompressed_size", "start_ns", "end_ns", "crc", "record_offset", "index_length", "padding",
 )  # fmt: skip
-_ROW = np.dtype([(name, "<u8") for name in _COLUMNS])
-_PACKED = struct.Struct(f"<{len(_COLUMNS)}Q")
+_numbers_of = attrgetter(*_NUMBERS)
+
+#: A row has these, the number of the segment's kind, and its count plus one; 0 if that is unknown.
+_ROW = np.dtype([(name, "<u8") for name in (*_NUMBERS, "kind", "count")])
+_PACKED = struct.Struct(f"<{len(_NUMBERS) + 2}Q")
 
 
 class Segments:
@@ -133,28 +136,16 @@ class Segments:
         if number == len(self.kinds):
             self.kinds.append(kind)
         count = 0 if segment.message_count is None else segment.message_count + 1
-        self._packed += _PACKED.pack(
-            segment.offset,
-            segment.length,
-            segment.uncompressed_size,
-            segment.start_ns,
-            segment.end_ns,
-            segment.crc,
-            segment.record_offset,
-            segment.index_length,
-            segment.padding,
-            number,
-            count,
-        )
+        self._packed += _PACKED.pack(*_numbers_of(segment), number, count)
 
     def pop(self) -> Segment:
         """Remove the last segment, and return it."""
-        last = self[len(self) - 1]
+        last = self[-1]
         del self._packed[-_PACKED.size :]
         return last
 
     def __len__(self) -> int:
-        return len(self._packed) // _PACKED.size
+        return self.rows.size
 
     def __getitem__(self, place: int) -> Segment:
         *numbers, kind, count = _PACKED.unpack_from(self._packed, place * _PACKED.size)
@@ -163,7 +154,7 @@ class Segments:
         return segment
 
     def __iter__(self) -> Iterator[Segment]:
-        return map(self.__getitem__, range(len(self._packed) // _PACKED.size))
+        return map(self.__getitem__, range(self.rows.size))
 
     def select(self, chosen: Bools) -> Segments:
         """Return the chosen segments; ``chosen`` has the shape (segments,)."""
@@ -268,9 +259,9 @@ class LoadSegment(Protocol):
 def segment_units(
     segments: Segments, load: LoadSegment, file: SourceFile, whole: Bools, due: Numbers
 ) -> Iterator[Unit]:
-    """Yield the segments of a file, which are in its order, as units when they are due; see `whole_chunks`.
+    """Yield the segments of a file as units, in the order in which `whole_chunks` says that they are due.
 
-    Each unit is made when it is due: it takes more memory than its segment.
+    The segments are in the order of the file. Each unit is made when it is due: it takes more memory than its segment.
     """
     for place in np.argsort(due, kind="stable").data:
         segment = segments[place]

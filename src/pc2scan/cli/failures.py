@@ -162,12 +162,7 @@ def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
 def _meant_as_output(words: Sequence[str]) -> str:
     """Return what to type, if the last word is probably the destination, as with ``cp``; else nothing."""
     command, last = words[0], words[-1]
-    if (
-        command not in {*_WRITING, "plot"}
-        or len(words) < _SRC_DST
-        or {"-o", "--output"} & set(words)
-        or os.path.lexists(last)
-    ):
+    if command not in {*_WRITING, "plot"} or len(words) < _SRC_DST or {"-o", "--output"} & set(words):
         return ""
     # The word before is a source, no option that has a value.
     is_new = os.path.lexists(words[-2]) and not os.path.lexists(last)

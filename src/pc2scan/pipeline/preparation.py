@@ -72,7 +72,7 @@ class Preparation(NamedTuple):
     def counting(self, routes: Mapping[int, OpenRoute], on_error: str, report: Report) -> Generator[Tally]:
         """Count the items of the conversion; the report then has what the first clouds show, also after an error.
 
-        Their warnings are those that the preparation was to be told.
+        It has their warnings already: the preparation's ``warn`` was called with them.
         """
         tally = Tally(routes, on_error, self.firsts.warn)
         report.skipped = tally.skipped
@@ -264,7 +264,7 @@ class _OutputFacts:
     def conversions(
         self, placer: Placer, firsts: FirstClouds
     ) -> tuple[dict[ScanSpec | Combination, Conversion], list[str]]:
-        """Return the conversions of the output and of its combinations, with notes; `firsts` is told the warnings.
+        """Return the conversions of the output and of its combinations, and notes; adds warnings to `firsts`.
 
         Raises
         ------
@@ -351,11 +351,9 @@ class _OutputFacts:
         firsts.warn(*(spec.label + each for facts in topics for each in time_warnings(facts, where)))
         with spec.naming_errors():
             turns, notes = measure_turns(topics, where)
-        sample = None if surroundings is None else surroundings.add
-        for facts in topics:
-            if duration_warning(facts, where):
-                # Points at wrong times are where odometry that lags would put them.
-                sample = None
+        # Points at wrong times are where odometry that lags would put them.
+        are_wrong = any(duration_warning(facts, where) for facts in topics)
+        sample = None if surroundings is None or are_wrong else surroundings.add
         deskew = Deskew(placer, spec.fixed_frame, where, spec.stamp, turns, sample)
         return deskew, [spec.label + note for note in notes]
 

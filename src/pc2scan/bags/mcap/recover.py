@@ -449,13 +449,11 @@ def _forget(index: McapIndex, offset: int) -> None:
     for places in (index.attachments, index.metadata):
         if offset in places:
             places.remove(offset)
-    run = index.segments.pop() if index.segments else None
-    if run is None or isinstance(run, ChunkSegment) or not run.offset <= offset < run.offset + run.length:
-        kept = run
-    else:
-        kept = replace(run, length=offset - run.offset) if run.offset < offset else None
-    if kept is not None:
-        index.segments.append(kept)
+    run = index.segments[-1] if index.segments else None
+    if run is not None and not isinstance(run, ChunkSegment) and run.offset <= offset < run.offset + run.length:
+        index.segments.pop()
+        if run.offset < offset:
+            index.segments.append(replace(run, length=offset - run.offset))
 
 
 def _behind_data_end(file: RecordFile, offset: int, end: int) -> int | None:

@@ -115,7 +115,7 @@ def read_index(file: BagFile) -> BagIndex:
     del located
     segments.sort()
     _refuse_overlaps(segments, file.size)
-    rows, has_messages = segments.rows, np.ones(len(segments.rows), bool)
+    rows, has_messages = segments.rows, np.ones(len(segments), bool)
     # Some recorders write zeros for unknown times: the chunk is read then.
     for number in np.flatnonzero(rows["end_ns"] == 0).tolist():
         span = contained_span(file, segments[number])

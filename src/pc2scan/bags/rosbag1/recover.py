@@ -238,7 +238,7 @@ class _RecoveredRecords:
 
     def ends_with(self, record: BagRecord) -> bool:
         """Whether the last segment is the chunk of this record."""
-        return bool(self.segments) and self.segments[len(self.segments) - 1].offset == record.start
+        return bool(self.segments) and self.segments[-1].offset == record.start
 
     def end_run(self, position: int) -> None:
         """Make a segment of the messages outside chunks, if there are any, that end here."""
@@ -401,7 +401,7 @@ def _is_sound(file: BagFile, found: _RecoveredRecords, record: BagRecord) -> boo
     if not found.ends_with(record):
         return True
     try:
-        return bool(len(borrow_payload(file, found.segments[len(found.segments) - 1]).data))
+        return bool(len(borrow_payload(file, found.segments[-1]).data))
     except FormatError:
         return False
 

@@ -31,9 +31,6 @@ _FARTHEST = 1500.0
 #: A tolerance of this many seconds or more, or a scan that takes so long, is nearly always meant in milliseconds.
 _LONG = 5.0
 
-#: A scan that takes less, seconds, is nearly always in another unit.
-_BRIEF = 1e-3
-
 
 class OutputRequest(NamedTuple):
     """The request of one output: all options, and its own."""
@@ -159,9 +156,11 @@ def times_in_another_unit(request: OutputRequest) -> Iterator[str]:
         if abs(turn if name == "time_increment" else value) >= _LONG:
             yield f"{name} is {value:g} s, and {why}; milliseconds are written `{name}={value:g}ms`"
         elif name != "transform_tolerance" and not isinstance(params.beams, str):
+            from pc2scan.core.timing import is_brief  # noqa: PLC0415  # times are seldom given
+
             # Of a sector, however narrow it is.
             circle = abs(value) * (FULL_TURN / params.layout.angle_increment if name == "time_increment" else 1)
-            if 0 < circle < _BRIEF:
+            if is_brief(circle, math.inf):
                 took = f"a whole turn takes {circle:.3g} s" if name == "time_increment" else "no lidar is so fast"
                 yield f"{name} is {value:g} s, and {took}: it is in seconds; `{name}=auto` measures it"
 
