@@ -258,10 +258,11 @@ def _cast(place: Place, origin: NDArray[np.float64], rays: NDArray[np.float64]) 
             continue
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = ((corner - origin) @ normal) / (rays @ normal)
-            at = origin - corner + distance[:, None] * rays
+            (first,) = np.nonzero((distance > 0) & (distance < nearest))
+            at = origin - corner + distance[first, None] * rays[first]
             u, v = at @ one / (one @ one), at @ other / (other @ other)
-            hit = (distance > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (distance < nearest)
-        nearest[hit] = distance[hit]
+        first = first[(u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)]
+        nearest[first] = distance[first]
     return nearest
 
 
