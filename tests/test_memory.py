@@ -116,7 +116,7 @@ def test_a_long_recording_takes_little_more_memory(name: str, tmp_path: Path) ->
             "--target-frame",
             "base_link",
             "--jobs",
-            "2",
+            "1",
             "-o",
             "scans.mcap",
             "--overwrite",

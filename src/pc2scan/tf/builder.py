@@ -59,11 +59,14 @@ class _Child:
     rows: list[NDArray[np.void]] = field(default_factory=list)
     runs: Runs | None = None
 
-    def sort(self) -> NDArray[np.void]:
-        """Return the transforms in memory in the order of their stamps; of several with one stamp, the first."""
-        rows = self.rows[0] if len(self.rows) == 1 else np.concatenate(self.rows)
-        stamps = rows["stamp_ns"]
-        return rows if (stamps[1:] > stamps[:-1]).all() else rows[time_order(stamps)]
+    def sort(self) -> list[NDArray[np.void]]:
+        """Return those in memory in the order of their stamps, in parts; of several with one stamp, the first."""
+        stamps = np.concatenate([part["stamp_ns"] for part in self.rows])
+        is_sorted = bool((stamps[1:] > stamps[:-1]).all())
+        if is_sorted and len(stamps) > _AT_ONCE:
+            return self.rows
+        rows = np.concatenate(self.rows)
+        return [rows if is_sorted else rows[time_order(stamps)]]
 
     def store(self, file: TransformFile) -> None:
         """Write those in memory into a file."""
@@ -71,7 +74,8 @@ class _Child:
 
         if self.rows and not self.is_static:
             self.runs = self.runs or Runs(file)
-            self.runs.append(self.sort())
+            for rows in self.sort():
+                self.runs.append(rows)
             self.rows = []
 
 
@@ -187,7 +191,7 @@ class TransformBuilder:
                 child.runs = child.runs.sorted(numbers)
                 histories[index] = child.runs.history(index, numbers, child.received)
                 continue
-            rows = child.sort()
+            rows = np.concatenate(child.sort())
             columns = (rows["stamp_ns"], rows["pose"], numbers[rows["parent"]])
             histories[index] = Samples.of(index, *columns, child.received, static=child.is_static)
         names = list(self._names)
