@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -249,30 +249,19 @@ def cloud(
     return points.astype(np.float32)
 
 
-@cache
-def _planes(surfaces: tuple[Rectangle, ...]) -> list[tuple[NDArray[Any], ...]]:
-    """The corner, the edges and the normal of each surface that has an area."""
-    planes: list[tuple[NDArray[Any], ...]] = []
-    for surface in surfaces:
-        corner, one, other = (np.array(part, float) for part in (surface.corner, surface.one, surface.other))
-        normal = np.cross(one, other)
-        if normal.any():
-            planes.append((corner, one, other, normal))
-    return planes
-
-
 def _cast(place: Place, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
     nearest = np.full(len(rays), np.inf)
-    for corner, one, other, normal in _planes(place.surfaces):
+    for surface in place.surfaces:
+        corner, one, other = (np.array(part, float) for part in (surface.corner, surface.one, surface.other))
+        normal = np.cross(one, other)
+        if not normal.any():
+            continue
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = ((corner - origin) @ normal) / (rays @ normal)
-            (first,) = np.nonzero((distance > 0) & (distance < nearest))
-            if not first.size:
-                continue
-            at = origin - corner + distance[first, None] * rays[first]
+            at = origin - corner + distance[:, None] * rays
             u, v = at @ one / (one @ one), at @ other / (other @ other)
-        first = first[(u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)]
-        nearest[first] = distance[first]
+            hit = (distance > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (distance < nearest)
+        nearest[hit] = distance[hit]
     return nearest
 
 

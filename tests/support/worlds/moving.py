@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -197,9 +196,8 @@ def measured(drive: Drive, lidar: Lidar, times: Floats, directions: Floats) -> F
     return nearest
 
 
-@lru_cache(maxsize=8)
-def messages(drive: Drive, lidar: Lidar, seconds: float) -> tuple[Message, ...]:
-    """Everything that a lidar measures, as serialised messages; remembered, since drives differ in their odometry."""
+def messages(drive: Drive, lidar: Lidar, seconds: float) -> list[Message]:
+    """Everything that a lidar measures, as serialised messages."""
     random = np.random.default_rng(7)
     found = []
     for begin, times, directions in lidar.sweeps(seconds):
@@ -212,7 +210,7 @@ def messages(drive: Drive, lidar: Lidar, seconds: float) -> tuple[Message, ...]:
         else:
             data = _cloud(lidar, stamp_ns, times, directions, distances)
         found.append(Message(log_time_ns, stamp_ns, data))
-    return tuple(found)
+    return found
 
 
 def _scan(lidar: Lidar, stamp_ns: int, distances: Floats) -> bytes:
