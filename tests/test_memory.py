@@ -106,6 +106,40 @@ def test_a_long_recording_takes_little_more_memory(name: str, tmp_path: Path) ->
 
 @on_glibc
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        (
+            "convert",
+            "--min-height",
+            "-2",
+            "--target-frame",
+            "base_link",
+            "--jobs",
+            "1",
+            "-o",
+            "scans.mcap",
+            "--overwrite",
+        ),
+        ("view", "-o", "page.html", "--overwrite"),
+        ("tf",),
+    ],
+    ids=lambda words: words[0],
+)
+def test_transforms_take_little_memory(words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A hundred thousand of ten frames, and nearly a million.
+    monkeypatch.chdir(tmp_path)
+    peaks = []
+    for clouds in (1_000, 9_500):
+        source = Long(clouds=clouds, points=64, joints=9).write(tmp_path / "joints.mcap")
+        peaks.append(measured((*words, source))[0] * 1024)
+        source.unlink()
+    assert peaks[1] - peaks[0] < 12_000_000
+    assert peaks[1] < 100_000_000
+
+
+@on_glibc
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [McapWriter, Rosbag1Writer])
 def test_the_index_of_a_recording_takes_little_memory(kind: type[McapWriter | Rosbag1Writer], tmp_path: Path) -> None:
     # As many chunks as 8 and 50 minutes of clouds of 1 MB have.

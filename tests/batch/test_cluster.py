@@ -13,6 +13,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -30,7 +31,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 psutil = pytest.importorskip("psutil", reason="psutil, which distributed needs, is not installed")
-distributed = pytest.importorskip("distributed", reason="distributed is not installed")
+# Not imported: that takes each worker of the tests a second.
+if find_spec("distributed") is None:
+    pytest.skip("distributed is not installed", allow_module_level=True)
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 slow = pytest.mark.slow
 
@@ -171,12 +174,14 @@ UNUSABLE = {
 @slow
 @pytest.mark.parametrize("wrong", UNUSABLE)
 def test_a_worker_that_cannot_be_used_is_refused(wrong: str, drives: Path, tmp_path: Path) -> None:
+    from distributed import Client
+
     modules, said = UNUSABLE[wrong]
     for name, text in modules.items():
         (tmp_path / "site" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "site" / name).write_text(text.format(folder=tmp_path))
     with cluster(tmp_path, {}, {"PYTHONPATH": str(tmp_path / "site")}) as (address, _):
-        with distributed.Client(address, timeout=30) as client:
+        with Client(address, timeout=30) as client:
             client.wait_for_workers(2, timeout=60)
         done = run_batch(drives, "-o", tmp_path / "out", "--dask", address)
     assert done.status == 2, done.stderr
@@ -296,13 +301,14 @@ def test_a_process_stays_for_all_recordings_and_not_longer(tmp_path: Path, monke
     (tmp_path / "counting_filter.py").write_text(COUNTER)
     monkeypatch.syspath_prepend(str(tmp_path))
     import counting_filter  # type: ignore[import-not-found]
+    from distributed import Client
 
     drives, seen, out = many(tmp_path / "drives", 40), tmp_path / "seen", tmp_path / "out"
     seen.mkdir()
     bad = item(POINTS, T0, lambda g, s: cloud(points_of(s, 13), g, seq=s))
     write_rosbag1(drives / "ends.bag", Recording((POINTS,), (bad,)))
     with cluster(tmp_path, {}, {}, PYTHONPATH=str(tmp_path)) as (address, _):
-        with distributed.Client(address, timeout=30) as client:
+        with Client(address, timeout=30) as client:
             client.wait_for_workers(2, timeout=60)
         report = batch(drives, out, dask=address, filters=[counting_filter.Counter(str(seen))])
         assert report.workers == 2

@@ -23,7 +23,7 @@ from pc2scan.batch.processes import available_bytes, receive, send, workers_for
 from pc2scan.errors import DestinationError, Pc2ScanError
 from support import sampled
 from support.batches import HEIGHTS, KEYWORDS, batch, contents, manifest_of, place
-from support.command import COMMAND, INTERRUPTED, environment
+from support.command import COMMAND, INTERRUPTED, environment, run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -201,23 +201,38 @@ def test_one_run_writes_at_a_time_until_its_workers_end(
     assert sorted(path.name for path in out.iterdir()) == ["a_scan.bag", "b_scan.bag", "manifest.jsonl"]
 
 
-def test_a_worker_that_dies_is_replaced(running: tuple[subprocess.Popen[bytes], Path]) -> None:
-    process, out = running
+#: A module that each worker loads: it is killed when its output is complete, just before the last renaming.
+KILLED = """
+import os
+import signal
+import sys
+
+def kill(event, arguments):
+    if event in ("os.link", "os.rename") and str(arguments[0]).endswith(".pc2scan-partial"):
+        with open({deaths!r}, "a") as file:
+            file.write(os.path.basename(arguments[0]) + "\\n")
+        os.stat(arguments[0])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+sys.addaudithook(kill)
+"""
+
+
+def test_a_worker_that_dies_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Both workers, so that each recording is tried again; then those that try again, so that it is given up.
-    killed: set[int] = set()
-    deadline = time.monotonic() + 60
-    while process.poll() is None and time.monotonic() < deadline:
-        for pid in set(workers_of(process)) - killed:
-            if any(out.glob("*.pc2scan-partial")):
-                os.kill(pid, signal.SIGKILL)
-                killed.add(pid)
-        time.sleep(0.02)
-    stdout, stderr = process.communicate(timeout=60)
-    assert process.returncode == 1, stderr
-    assert b"was killed by SIGKILL, perhaps because memory ran out; it is tried again" in stderr
+    drives, out, deaths = place(tmp_path / "drives", "a.bag", "b.bag"), tmp_path / "out", tmp_path / "deaths"
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(KILLED.format(deaths=str(deaths)))
+    paths = [str(site), environment().get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+    done = run("batch", drives, "-o", out, *HEIGHTS, "--jobs", "2")
+    assert done.status == 1, done.stderr
+    assert sorted(deaths.read_text().split()) == [f"{name}_scan.bag.pc2scan-partial" for name in "aabb"]
+    assert "was killed by SIGKILL, perhaps because memory ran out; it is tried again" in done.stderr
     lines = manifest_of(out)
     assert {(line["outcome"], line["attempts"]) for line in lines.values()} == {("died", 2)}
-    assert b"2 died" in stdout
+    assert "2 died" in done.stdout
     assert [path.name for path in out.iterdir()] == ["manifest.jsonl"]
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import struct
 import subprocess
 import sys
@@ -47,6 +48,7 @@ TICK_NS = 10_000_000
 
 _REAL_POINTS = 64
 _STAMP = struct.Struct("<II")
+_ANY_NS = 1_234_567_890_987_654_321
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,8 @@ class Long:
         For how many clouds at the beginning the lidar is off.
     others
         Whether it has transforms and an IMU.
+    joints
+        How many frames move besides the robot, each as often.
     scanned
         Whether all points are what a lidar would measure, which takes the room of a usual recording.
     """
@@ -72,6 +76,7 @@ class Long:
     compression: str = "none"
     quiet: int = 0
     others: bool = True
+    joints: int = 0
     scanned: bool = False
 
     def times(self, size: float) -> Long:
@@ -100,7 +105,9 @@ class Long:
             # Behind its points, a cloud has one more byte, in CDR or without.
             hole = (self.points - _REAL_POINTS) * POINT_BYTES
             scans[0][-1 - hole : -1] = bytes(hole)
-        pose = bytearray(transforms([("odom", "base_link", 0, (1.0, 0.0, 0.0))], version))
+        moving = [("odom", "base_link"), *(("base_link", f"joint_{number}") for number in range(self.joints))]
+        pose = bytearray(transforms([(*pair, _ANY_NS, (1.0, 0.0, 0.0)) for pair in moving], version))
+        stamps = [each.start() for each in re.finditer(re.escape(_STAMP.pack(*divmod(_ANY_NS, 1_000_000_000))), pose)]
         turn = bytearray(imu_message(version))
         mount = transforms([("base_link", "lidar", 0, (0.0, 0.0, 0.5))], version)
         writer.write(static, BEGIN_NS, mount, BEGIN_NS)
@@ -110,7 +117,8 @@ class Long:
             now = BEGIN_NS + number * TICK_NS
             stamp = divmod(now, 1_000_000_000)
             if self.others:
-                _STAMP.pack_into(pose, 8, *stamp)
+                for at in stamps:
+                    _STAMP.pack_into(pose, at, *stamp)
                 write(tf, now, poses, now, number)
                 for half in (now + 1_000_000, now + 6_000_000):
                     _STAMP.pack_into(turn, 4, *divmod(half, 1_000_000_000))

@@ -23,7 +23,20 @@ from pc2scan.bags.opening import open_recording
 from pc2scan.errors import Pc2ScanError, RecordingError
 from support import ROOT, sampled
 from support.batches import manifest_of
-from support.builders import CONTENT, POINTS, T0, Recording, cloud, item, write_db3, write_rosbag1
+from support.builders import (
+    CONTENT,
+    POINTS,
+    T0,
+    TF,
+    Item,
+    Recording,
+    Stream,
+    cloud,
+    item,
+    transforms,
+    write_db3,
+    write_rosbag1,
+)
 from support.command import COMMAND, INTERRUPTED, Finished, run, run_process
 
 if TYPE_CHECKING:
@@ -246,15 +259,31 @@ def unsorted(folder: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("source", sampled([packed, with_log, unsorted], 2))
+def of_joints(folder: Path) -> Path:
+    """A recording of a robot with 110,000 transforms."""
+    stream, items = Stream("/tf", TF), []
+    for time_ns in range(T0, T0 + 110):
+        rows = [("base_link", f"joint_{number}", time_ns, (1.0, 0.0, 0.0)) for number in range(1_000)]
+        items.append(Item(stream, time_ns, {1: transforms(rows, 1)}))
+    return write_rosbag1(folder / "drive.bag", Recording((stream, POINTS), (*items, *CONTENT.of("/points"))))
+
+
+@pytest.mark.parametrize(
+    ("source", "options"),
+    sampled([(packed, ()), (with_log, ()), (unsorted, ()), (of_joints, ("--target-frame", "base_link"))], 2),
+)
 def test_no_room_for_temporary_files(
-    source: Callable[[Path], Path], small_disk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    source: Callable[[Path], Path],
+    options: tuple[str, ...],
+    small_disk: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     path = source(tmp_path)
     before = sorted(tmp_path.iterdir())
     monkeypatch.setenv("TMPDIR", str(small_disk))
     # Python and SQLite look the folder up once in a process.
-    done = run_process("convert", path, "-o", tmp_path / "out.mcap")
+    done = run_process("convert", path, "-o", tmp_path / "out.mcap", *options)
     assert done.status == 1, done.stderr
     for words in (str(path), str(small_disk), "TMPDIR"):
         assert words in done.stderr

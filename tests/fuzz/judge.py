@@ -25,7 +25,7 @@ from pc2scan.pipeline.report import Report
 from pc2scan.pipeline.run import run
 from pc2scan.pipeline.run_files import OutputOptions
 from pc2scan.text import TextEnum
-from support.bounded import size_of, watched
+from support.bounded import refused, size_of, watched
 from support.command import COMMAND, environment
 
 if TYPE_CHECKING:
@@ -171,8 +171,8 @@ def attempt(made: Mutant, operation: Operation, folder: Path) -> Outcome:
         return Outcome.undetectable
     if operation.options is None or operation.options.start is not None:
         # Counts of messages are only compared where all are passed on.
-        (folder / "repaired").mkdir()
-        return attempt(made, REPAIR, folder / "repaired")
+        with tempfile.TemporaryDirectory(prefix="repaired-", dir=folder) as name:
+            return attempt(made, REPAIR, Path(name))
     if told_twice := contradictions(made.files):
         raise Finding(f"{_difference(expected, found)}, and exit status 0, though: {'; '.join(told_twice)[:400]}")
     return Outcome.undetectable
@@ -205,12 +205,14 @@ def _run(operation: Operation, options: ConvertOptions, source: Path, folder: Pa
 def _read(source: Path) -> tuple[int, Content | None]:
     """Read, leniently and strictly; returns the exit status that a command would have, and what is read."""
     status, found, sound = 1, None, False
-    with watched(size_of(source)), closing(open_recording(source)) as reader:
-        found = _content(reader)
-        status = 3 if reader.damage else 0
+    # Together within the bounds of one reading.
     with watched(size_of(source)):
-        content_of(source)
-        sound = True
+        with refused(), closing(open_recording(source)) as reader:
+            found = _content(reader)
+            status = 3 if reader.damage else 0
+        with refused():
+            content_of(source)
+            sound = True
     if sound != (status == 0):
         raise Finding(f"strict reading {'finds nothing' if sound else 'fails'}, and otherwise the status is {status}")
     return status, found

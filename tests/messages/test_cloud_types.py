@@ -171,16 +171,21 @@ def test_messages_that_end_too_early_are_errors(name: str, ros_version: int) -> 
     assert len(decoded(kind, data, ros_version).field("x"))
 
 
-DAMAGED = {
+def bomb(name: str) -> Callable[[], bytes]:
+    """What packs 50 MiB, when a test needs it: it takes a third of a second."""
+    return lambda: COMPRESSORS[name][1](bytes(50 << 20))
+
+
+DAMAGED: dict[str, tuple[dict[str, Any], str]] = {
     "cut gzip": ({"compressor": "zlib", "data": b"\x1f\x8b\x08\x00"}, "cannot be decompressed with zlib"),
     "no gzip": ({"compressor": "zlib", "data": b"nothing"}, "cannot be decompressed with zlib"),
     "cut zstd": ({"data": COMPRESSORS["zstd"][1](bytes(9999))[:-5]}, "cannot be decompressed with zstd"),
     "cut stream": ({"data": COMPRESSORS["zstd stream"][1](bytes(9999))[:-5]}, "with zstd: the data are cut off"),
     "nothing": ({"data": b""}, "data has 0 bytes"),
     "fewer points": ({"data": COMPRESSORS["zstd"][1](bytes(100))}, "data has 100 bytes"),
-    "bomb": ({"data": COMPRESSORS["zstd"][1](bytes(50 << 20))}, r"declare 52,428,800 bytes, at most 33,\d+,\d+"),
-    "stream bomb": ({"data": COMPRESSORS["zstd stream"][1](bytes(50 << 20))}, "are larger than"),
-    "gzip bomb": ({"compressor": "zlib", "data": COMPRESSORS["zlib"][1](bytes(50 << 20))}, "are larger than"),
+    "bomb": ({"data": bomb("zstd")}, r"declare 52,428,800 bytes, at most 33,\d+,\d+"),
+    "stream bomb": ({"data": bomb("zstd stream")}, "are larger than"),
+    "gzip bomb": ({"compressor": "zlib", "data": bomb("zlib")}, "are larger than"),
     "cloudini": ({"form": "cloudini"}, "compressed with 'cloudini'; zlib, zstd and draco are read"),
 }
 
@@ -188,7 +193,8 @@ DAMAGED = {
 @pytest.mark.parametrize("name", DAMAGED)
 def test_data_that_cannot_be_decompressed_are_errors(name: str) -> None:
     changes, message = DAMAGED[name]
-    data = clouds.compressed(clouds.lidar_points(0, 20), 2, **changes)  # type: ignore[arg-type]
+    made = {key: value() if callable(value) else value for key, value in changes.items()}
+    data = clouds.compressed(clouds.lidar_points(0, 20), 2, **made)
     with pytest.raises(DecodeError, match=message) as caught:
         decoded(COMPRESSED, data, 2).xyz()
     assert caught.value.stamp_ns == T0

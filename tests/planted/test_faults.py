@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import ast
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import pytest
@@ -52,9 +53,15 @@ def test_operators_in_c_are_found_outside_comments() -> None:
     assert found == [(" < ", " <= "), (" && ", " || "), (" > ", " >= ")]
 
 
+@lru_cache(maxsize=2)
+def parsed(text: str) -> ast.Module:
+    """The syntax of a module; the same one is asked for again and again between planted ones."""
+    return ast.parse(text)
+
+
 def statement_at(line: int, text: str) -> str:
     """The syntax of a module's statement that has a line; to show all of them would take seconds."""
-    (found,) = (each for each in ast.parse(text).body if each.lineno <= line <= (each.end_lineno or 0))
+    (found,) = (each for each in parsed(text).body if each.lineno <= line <= (each.end_lineno or 0))
     return ast.dump(found)
 
 

@@ -14,7 +14,7 @@ from support.command import Finished, run
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["run_bounded", "size_of", "watched"]
+__all__ = ["refused", "run_bounded", "size_of", "watched"]
 
 #: What a run may take besides four times its source. With an interpreter and its libraries these are 300 MB.
 _MARGIN_BYTES = 230_000_000
@@ -59,13 +59,20 @@ def watched(size: int, seconds: int = 20) -> Iterator[None]:
     signal.alarm(seconds)
     with _memory_bounded(size):
         try:
-            yield
-        except Pc2ScanError as err:
-            # What the user would read must be text whatever the input was.
-            f"{err} {visible(err.hint or '')}".encode()
+            with refused():
+                yield
         finally:
             signal.alarm(0)
             signal.signal(signal.SIGALRM, before)
+
+
+@contextmanager
+def refused() -> Iterator[None]:
+    """Let pass pc2scan's own errors; what the user would read must be text whatever the input was."""
+    try:
+        yield
+    except Pc2ScanError as err:
+        f"{err} {visible(err.hint or '')}".encode()
 
 
 def _hang(*_: object) -> None:

@@ -119,3 +119,9 @@ def test_parents_that_change_all_the_time_are_an_error() -> None:
     assert assert_rows_are_lookups(buffer, "odom", "base", at(0.1), at(0.2)) > 200
     with pytest.raises(TransformError, match=r"change their parents 1,200 times within 1\.2\d* s, at most 1,000"):
         buffer.rows("odom", "base", at(0.1), at(1.3), SECOND, lambda *_: ENOUGH)
+
+
+def test_a_frame_above_both_may_be_placed_later() -> None:
+    frames = [moved("base", name, second, x=second) for name in ("lidar", "camera") for second in (0, 9)]
+    buffer = built_of([*frames, moved("odom", "base", 3, x=1), moved("map", "base", 4, x=2)])
+    assert assert_rows_are_lookups(buffer, "camera", "lidar", at(1), at(6)) > 30

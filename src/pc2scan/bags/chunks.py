@@ -166,7 +166,7 @@ class Segments:
         """Return the chosen segments; ``chosen`` has the shape (segments,)."""
         found = Segments()
         found.kinds, found._numbers = self.kinds, self._numbers
-        found._packed += self.rows[chosen].tobytes()
+        found._packed += self.rows[chosen].view(np.uint8).data
         return found
 
     def sort(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pc2scan.files.yaml import dump_yaml, load_yaml
@@ -83,6 +84,8 @@ def merge_qos(texts: Sequence[str]) -> str:
     return merged if len(merged) <= MAX_CHARACTERS else "".join(written.values())
 
 
+# Most topics of a recording have the same profile.
+@lru_cache(maxsize=32)
 def respell_qos(text: str, *, by_name: bool) -> str:
     r"""Complete QoS profiles, and spell them as a rosbag2 directory's metadata version requires.
 

@@ -22,8 +22,10 @@ from .options import PathType, call_options, described, hide_options, typed_opti
 from .render import say
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from types import FrameType
+
+    from pc2scan.options.option import Option
 
 #: The commands in the order of the help; each is a function in the module of its name.
 COMMANDS = ("convert", "batch", "export", "view", "plot", "map", "check", "info", "tf", "repair", "diff", "golden")
@@ -58,9 +60,7 @@ class _Command(TyperCommand):
         for own in self.params:
             if type(own.type) is TyperPath:
                 own.type = PathType()
-        self._known = options_of(name)
-        self._has_more = len(self._known) > _FEW
-        self.params += [typed_option(option) for option in self._known.values() if option.spelling]
+        self._known: Mapping[str, Option] = {}
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words of a command; what was typed of the table's options becomes the argument ``options``."""
@@ -105,9 +105,15 @@ class _Command(TyperCommand):
         super().format_help_text(ctx, formatter)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters, with ``--help-all`` if ``--help`` shows only the common options."""
+        """Return the parameters, with ``--help-all`` if ``--help`` shows only the common options.
+
+        Those of the table are made here, because the help of all commands, which shows none, would wait for them.
+        """
+        if not self._known:
+            self._known = options_of(str(self.name))
+            self.params += [typed_option(option) for option in self._known.values() if option.spelling]
         found = super().get_params(ctx)
-        if not self._has_more:
+        if len(self._known) <= _FEW:
             return found
         text = "Show all options, and exit."
         every = TyperOption(
@@ -118,8 +124,9 @@ class _Command(TyperCommand):
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the options of each section, in the order in which the sections first occur."""
         sections: dict[str, list[tuple[str, str]]] = {}
-        short = self._has_more and not ctx.meta.get(_ALL)
-        for parameter in self.get_params(ctx):
+        parameters = self.get_params(ctx)
+        short = len(self._known) > _FEW and not ctx.meta.get(_ALL)
+        for parameter in parameters:
             option = self._known.get(parameter.name)
             if option is not None:
                 if short and not option.common:

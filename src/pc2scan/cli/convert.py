@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pc2scan.bags.formats import FORMATS
 from pc2scan.files.urls import is_url
 from pc2scan.options.call import Options
-from pc2scan.pipeline.parameters import preset_of
 
 from .options import Destination
 from .render import LiveWarnings, progress_bar, say, show
@@ -74,6 +72,9 @@ def next_command(report: Report) -> str:
 
     It is quoted for a shell, and right for the destination's container and ROS version.
     """
+    from pc2scan.bags.formats import FORMATS
+    from pc2scan.pipeline.parameters import preset_of
+
     destination = _destination(report)
     if report.all_empty:
         return f"pc2scan info {_quoted(report.sources[0])}"
@@ -94,6 +95,8 @@ def next_command(report: Report) -> str:
 
 def _destination(report: Report) -> str:
     """Return the destination quoted for the shell: the recording, or a pattern for all its files."""
+    from pc2scan.bags.formats import FORMATS
+
     if not report.files or FORMATS[report.container].is_directory:
         return _quoted(report.destination)
     if len(report.files) <= _NAMED:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from typer._click.exceptions import BadOptionUsage, BadParameter, MissingParameter, NoSuchOption
 from typer._click.exceptions import UsageError as TyperUsageError
 
-from pc2scan.errors import DamageError, MissingError, Pc2ScanError, UsageError
+from pc2scan.errors import DamageError, Pc2ScanError, UsageError
 from pc2scan.options.table import GROUPS, instead_of, options_of
 from pc2scan.options.values import Flag
 from pc2scan.text import did_you_mean
@@ -142,7 +142,7 @@ def in_our_words(err: TyperUsageError, typed: Sequence[str]) -> UsageError:
 
 def _mistyped(err: Pc2ScanError, words: Sequence[str]) -> str:
     """Return what to type instead, if a word was taken for something else than it was meant as; else nothing."""
-    if isinstance(err, MissingError) and (name := str(err.path)) in words:
+    if err.path is not None and (name := str(err.path)) in words and not os.path.lexists(name):
         before = words[words.index(name) - 1]
         if name.lower() in {"true", "false", "on", "off", "yes", "no"} and before.startswith("--"):
             off = name.lower() in {"false", "off", "no"}
@@ -181,13 +181,11 @@ def _meant_as_option(words: Sequence[str], missing: str = "") -> str:
         if option is None or missing not in {"", word} or os.path.lexists(word):
             continue
         end = at + 1 if isinstance(option.value, Flag) else at + 2
-        if end > len(words):
-            continue
+        value = shlex.join(words[at + 1 : end]) or option.value.metavar or "|".join(option.value.words)
         others = [*words[1:at], *words[end:]]
         place = [] if any(not other.startswith("-") for other in others) else [_PLACES.get(words[0], "SRC")]
-        return (
-            f"did you mean {shlex.join(['pc2scan', words[0], *place, *others, option.spelling, *words[at + 1 : end]])}?"
-        )
+        before = shlex.join(["pc2scan", words[0], *place, *others, option.spelling])
+        return f"did you mean {before}{' ' if value else ''}{value}?"
     return ""
 
 

@@ -12,7 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
+
+    PosesOf = Callable[[NDArray[np.intp]], NDArray[np.float64]]
 
 #: Rotations are compared with translations at this distance from the robot, metres.
 LEVER = 10.0
@@ -52,15 +56,15 @@ def spread(points: NDArray[np.float64]) -> float:
     return len(_DIRECTIONS) * len(points) ** 2 / total if total else 0.0
 
 
-def busiest(
-    stamps_ns: NDArray[np.int64], poses: NDArray[np.float64], span: Window, length_ns: int, most: int
-) -> list[Window]:
+def busiest(stamps_ns: NDArray[np.int64], poses_of: PosesOf, span: Window, length_ns: int, most: int) -> list[Window]:
     """Return the windows in which a velocity changes most, none of which overlaps another one, the busiest first.
 
     Parameters
     ----------
-    stamps_ns, poses
-        (N,) increasing, and (N, 7): x, y, z, and the quaternion i, j, k, r.
+    stamps_ns
+        (N,) increasing.
+    poses_of
+        Returns those of N poses with the numbers (K,): (K, 7), x, y, z, and the quaternion i, j, k, r.
     span
         Where windows may be.
     length_ns, most
@@ -72,7 +76,7 @@ def busiest(
     if steps < 2 or end_ns - begin_ns < length_ns:
         return []
     times = np.arange(begin_ns, end_ns, step_ns)
-    moved, turned = steps_of(poses[np.minimum(stamps_ns.searchsorted(times), len(stamps_ns) - 1)])
+    moved, turned = steps_of(poses_of(np.minimum(stamps_ns.searchsorted(times), len(stamps_ns) - 1)))
     motion = np.concatenate([moved, LEVER / 2 * turned], axis=1)
     sums, squares = (np.cumsum(np.pad(each, ((1, 0), (0, 0))), axis=0) for each in (motion, motion**2))
     mean, square = ((each[steps:] - each[:-steps]) / steps for each in (sums, squares))
@@ -92,18 +96,20 @@ def steps_of(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     return np.diff(poses[:, :3], axis=0), sign * vector
 
 
-def noise(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> tuple[float, float]:
+def noise(stamps_ns: NDArray[np.int64], poses_of: PosesOf) -> tuple[float, float]:
     """Return how far poses are off a smooth motion, as standard deviations: metres and radians; see `roughness`.
 
     Parameters
     ----------
-    stamps_ns, poses
+    stamps_ns, poses_of
         As for `busiest`.
     """
-    quaternions = poses[:, 3:]
-    signs = np.cumprod(np.where((quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0, -1.0, 1.0))
-    continuous = np.concatenate([quaternions[:1], quaternions[1:] * signs[:, None]])
-    sizes = roughness(stamps_ns, np.concatenate([poses[:, :3], continuous], axis=1))
+    places = _places(len(stamps_ns))
+    poses = poses_of(places.reshape(-1)).reshape(*places.shape, 7)
+    one, other = poses[:, :-1, 3:], poses[:, 1:, 3:]
+    # A quaternion and its negative are one rotation.
+    other *= np.cumprod(np.where((one * other).sum(axis=2, keepdims=True) < 0, -1.0, 1.0), axis=1)
+    sizes = _deviations(stamps_ns[places], poses)
     return float(np.linalg.norm(sizes[:3])), 2 * float(np.linalg.norm(sizes[3:]))
 
 
@@ -120,16 +126,26 @@ def roughness(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDAr
     The divided differences of five consecutive values are 0 for every polynomial of third degree. Their median size is
     that of the noise, even if single values jump.
     """
-    count = len(stamps_ns) - _TOGETHER + 1
-    if count < _FEWEST:
-        return np.zeros(values.shape[1])
+    places = _places(len(stamps_ns))
+    return _deviations(stamps_ns[places], values[places])
+
+
+def _places(values: int) -> NDArray[np.intp]:
+    """Return which consecutive values are compared, (M, 5); of few values, none."""
+    count = values - _TOGETHER + 1
     # Of long recordings, a thousand times five values are enough.
-    begins = np.unique(np.linspace(0, count - 1, min(count, 1_000)).astype(np.intp))
-    places = begins[:, None] + np.arange(_TOGETHER)
-    times = (stamps_ns[places] - stamps_ns[places[:, :1]]) / 1e9
+    begins = np.linspace(0, count - 1, min(count, 1_000) if count >= _FEWEST else 0).astype(np.intp)
+    return begins[:, None] + np.arange(_TOGETHER)
+
+
+def _deviations(stamps_ns: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard deviations of consecutive values, (M, 5, K), from a smooth course."""
+    if not len(values):
+        return np.zeros(values.shape[2])
+    times = (stamps_ns - stamps_ns[:, :1]) / 1e9
     apart = times[:, :, None] - times[:, None, :]
     apart[:, range(_TOGETHER), range(_TOGETHER)] = 1.0
     weights = 1 / apart.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    sizes = np.median(np.abs(np.einsum("np,npk->nk", weights, values[places])), axis=0) / 0.6745
+    sizes = np.median(np.abs(np.einsum("np,npk->nk", weights, values)), axis=0) / 0.6745
     return np.asarray(sizes, np.float64)

@@ -51,7 +51,7 @@ def seek_and_read(descriptor: int, length: int, offset: int) -> bytes:
 read_at: Callable[[int, int, int], bytes] = _read_at if hasattr(os, "pread") else seek_and_read
 
 
-def write_at(descriptor: int, data: bytes, offset: int) -> None:
+def write_at(descriptor: int, data: bytes | memoryview, offset: int) -> None:
     """Write bytes into an open file, on any thread."""
     view = memoryview(data)
     while view:

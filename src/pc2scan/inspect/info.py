@@ -288,9 +288,25 @@ def info(
     TopicError
         If there is no such topic.
     """
-    asked = frames or FrameOptions()
     with ExitStack() as stack:
         readers = open_recordings(sources, stack)
+        return info_of(
+            readers, samples=samples, described=described, target_frame=target_frame, frames=frames, given=given
+        )
+
+
+def info_of(
+    readers: Sequence[Reader],
+    *,
+    samples: int = 10,
+    described: Sequence[str] = (),
+    target_frame: str = "",
+    frames: FrameOptions | None = None,
+    given: Mapping[str, Any] | None = None,
+) -> Info:
+    """Inspect recordings that are open; see `info`."""
+    asked = frames or FrameOptions()
+    with ExitStack() as stack:
         reader = as_one(readers)
         counts, start_ns, end_ns = _message_counts(reader)
         topics = _topic_infos(reader.connections, counts, start_ns, end_ns)

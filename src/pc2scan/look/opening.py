@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pc2scan.core.params import ProjectionParams
 from pc2scan.errors import Pc2ScanError
-from pc2scan.inspect.info import info
+from pc2scan.inspect.info import info_of
 from pc2scan.tf.static import added_transforms
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Mapping
 
+    from pc2scan.bags.reader import Reader
     from pc2scan.inspect.info import Info
     from pc2scan.pipeline.options import ConvertOptions
 
@@ -40,15 +40,15 @@ class Opening(NamedTuple):
     notes: tuple[str, ...]
 
 
-def opening(sources: Sequence[Path], options: ConvertOptions) -> Opening:
+def opening(reader: Reader, options: ConvertOptions) -> Opening:
     """Return options with the frame and the heights that `pc2scan.info` proposes.
 
     They are as they were if heights are given, or if nothing can be proposed in the frame that is given.
 
     Parameters
     ----------
-    sources
-        The recordings.
+    reader
+        The recording.
     options
         The options of the conversion.
     """
@@ -59,7 +59,7 @@ def opening(sources: Sequence[Path], options: ConvertOptions) -> Opening:
         return unchanged
     try:
         # Heights are of the first clouds, however many are sampled.
-        found = info(sources, samples=1, described=asked, target_frame=params.target_frame, frames=options.frames)
+        found = info_of([reader], samples=1, described=asked, target_frame=params.target_frame, frames=options.frames)
         proposals = [(call.options, _topics(call.options, found)) for call in found.proposals]
         first = next((each for each, _ in proposals if params.target_frame in ("", _frame(each)[0])), None)
         if first is None or "min_height" not in first:

@@ -187,7 +187,7 @@ def page_of(
         reader = recording.reader
         at_ns = recording.log_times(at)
         if any(connection.ros_type in CLOUDS for connection in reader.connections) and not options.scan.reverse:
-            opened = opening(sources, options) if proposed else Opening(options, {}, ())
+            opened = opening(reader, options) if proposed else Opening(options, {}, ())
             packed = Packing()
             taken = take_shots(recording, opened.options, count=clouds, at_ns=at_ns, level=False, keep=packed.add)
             described, blobs = clouds_page(sources, taken, packed, opened, preset=preset)

@@ -238,6 +238,10 @@ class PathName(Value):
         """Return whether it is a text that is not empty."""
         return isinstance(value, str) and bool(value)
 
+    def schema(self) -> dict[str, Any]:
+        """Return the JSON schema."""
+        return {**_TEXT, "minLength": 1}
+
 
 class Recording(PathName):
     """The path of a recording."""
@@ -258,7 +262,8 @@ class Recordings(Recording):
 
     def schema(self) -> dict[str, Any]:
         """Return the JSON schema."""
-        return {"anyOf": [_TEXT, {"type": "array", "items": _TEXT, "minItems": 1}]}
+        one = super().schema()
+        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
 
 
 class Outputs(PathName):

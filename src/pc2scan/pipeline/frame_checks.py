@@ -109,7 +109,7 @@ def _upwards(buffer: TransformBuffer, frame: str) -> list[str]:
     while frame and frame not in found:
         found[frame] = None
         history = buffer.history(frame)
-        frame = "" if history is None else buffer.frames[int(history.parents[-1])]
+        frame = "" if history is None else buffer.frames[history.parent_at(None)]
     return list(found)
 
 

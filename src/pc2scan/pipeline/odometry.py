@@ -169,7 +169,7 @@ def odometry_of(buffer: TransformBuffer, fixed: str, source: str) -> Odometry:
     """
     links = sorted(
         buffer.moving_links(fixed, source),
-        key=lambda link: float(np.ptp(link.poses, axis=0) @ (1, 1, 1, 10, 10, 10, 10)),
+        key=lambda link: float(link.extent @ (1, 1, 1, 10, 10, 10, 10)),
         reverse=True,
     )
     if not links:
@@ -177,15 +177,16 @@ def odometry_of(buffer: TransformBuffer, fixed: str, source: str) -> Odometry:
     body = links[0]
     parent, child = buffer.frames[body.parent_at(None)], buffer.frames[body.child]
     is_below = len(links) == 1 and child == fixed.removeprefix("/")
-    intervals = np.diff(body.stamps_ns)
+    stamps_ns = body.all_stamps()
+    intervals = np.diff(stamps_ns)
     apart_ns = max(1, int(median(intervals))) if intervals.size else _STEP_NS
     every = max(1, _STEP_NS // apart_ns)
-    x, y, _, a, b, c, d = body.poses[::every].T
+    x, y, _, a, b, c, d = body.poses_of(np.arange(0, body.size, every)).T
     yaw = np.arctan2(2 * (d * c + a * b), 1 - 2 * (b * b + c * c))
     turned = np.remainder(np.diff(yaw) + math.pi, math.tau) - math.pi
     turns = np.ptp(np.append(0.0, np.cumsum(turned))) >= _LEAST_TURN
     # From one second with transforms to the next, nobody knows the way.
-    known = np.diff(body.stamps_ns[::every]) <= _LONGEST_STEP * max(_STEP_NS, apart_ns)
+    known = np.diff(stamps_ns[::every]) <= _LONGEST_STEP * max(_STEP_NS, apart_ns)
     # Of the poses, and of their inverses: the shares of the way that are ahead, less those that are back, and sideways.
     ahead, beside = [0.0, 0.0], [0.0, 0.0]
     for number, sign in enumerate((1, -1)):
@@ -217,7 +218,7 @@ def odometry_warnings(spec: ScanSpec, odometry: Odometry) -> Iterator[str]:
         return
     body = odometry.links[0]
     pair = f"from {spec.fixed_frame} to {odometry.child}"
-    intervals = np.diff(body.stamps_ns)
+    intervals = np.diff(body.all_stamps())
     apart_ns = int(median(intervals)) if intervals.size else 0
     if apart_ns > _SLOW_NS:
         yield (
@@ -225,7 +226,7 @@ def odometry_warnings(spec: ScanSpec, odometry: Odometry) -> Iterator[str]:
             f"{_CLOUD_NS / 1e9:g} s: points are placed as if the robot had moved evenly meanwhile; odometry of 10 Hz "
             "and more deskews better: another `fixed_frame`, or `tf_from` another recording"
         )
-    metres, radians = map(sum, zip(*(noise(link.stamps_ns, link.poses) for link in odometry.links), strict=True))
+    metres, radians = map(sum, zip(*(noise(link.all_stamps(), link.poses_of) for link in odometry.links), strict=True))
     off = math.hypot(metres, LEVER * radians)
     moved = _motion_of_cloud(body, apart_ns)
     if off > max(_LEAST_NOISE, moved / math.sqrt(12)):
@@ -247,10 +248,9 @@ def tilt_warnings(spec: ScanSpec, odometry: Odometry, up: UpSource) -> Iterator[
     if not (spec.deskew and odometry.links and isinstance(up, UpByImu)):
         return
     body = odometry.links[0]
-    x, y, z, w = body.poses[:, 3:].T
-    level = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y], axis=1)
+    level = np.concatenate([_ups(part.quaternions) for part in body.parts()])
     by_imu = _tilts(up.stamps_ns, up.directions)
-    by_odometry = _tilts(body.stamps_ns, level)
+    by_odometry = _tilts(body.all_stamps(), level)
     if by_imu > _LEAST_TILT and by_odometry < _LEVEL_BESIDE * by_imu:
         yield (
             f"by {up.topic}, roll and pitch change by {math.degrees(by_imu):.2g} degrees within {_CLOUD_NS / 1e9:g} s "
@@ -258,6 +258,12 @@ def tilt_warnings(spec: ScanSpec, odometry: Odometry, up: UpSource) -> Iterator[
             f"`deskew` leaves points {LEVER:g} m away off by {LEVER * by_imu:.2g} m; a `fixed_frame` with roll and "
             "pitch places them"
         )
+
+
+def _ups(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the directions of up in frames, (N, 3), by their rotations, (N, 4)."""
+    x, y, z, w = quaternions.T
+    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), w * w + z * z - x * x - y * y], axis=1)
 
 
 def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
@@ -274,7 +280,7 @@ def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
 def _motion_of_cloud(link: FrameHistory, apart_ns: int) -> float:
     """Return how far points at `LEVER` move within a cloud, metres, when the robot moves (third quartile)."""
     between = max(1, round(_CLOUD_NS / apart_ns)) if apart_ns else 1
-    poses = link.poses[::between]
+    poses = link.poses_of(np.arange(0, link.size, between))
     if len(poses) < _FEWEST // 100:
         return 0.0
     moved, turned = steps_of(poses)
@@ -378,7 +384,7 @@ class Surroundings:
         self._together = together
         self._clouds: dict[str, list[_Cloud]] = {}
         body = odometry.links[0]
-        self._windows = busiest(body.stamps_ns, body.poses, Window(*span), _WINDOW_NS, _WINDOWS)
+        self._windows = busiest(body.all_stamps(), body.poses_of, Window(*span), _WINDOW_NS, _WINDOWS)
 
     def add(self, topic: str, points: Points, seconds: Times | None = None) -> None:
         """Add a sample of a cloud, if it is of one of the windows. On any thread.

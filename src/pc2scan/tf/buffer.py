@@ -42,7 +42,6 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.errors import TransformError, UnconnectedError
 
 from .chain import Query, join_walks, walk_up
-from .history import FrameHistory
 from .lookup_errors import (
     empty_name_error,
     extrapolation_error,
@@ -59,6 +58,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .chain import Chain
+    from .history import FrameHistory
     from .lookup_errors import RejectedTransforms
     from .summary import FrameInfo, Tree
 
@@ -86,26 +86,20 @@ class TransformBuffer:
     rejections: tuple[RejectedTransforms, ...]
     rejected: int
     offers: Mapping[str, str] = field(default_factory=dict, kw_only=True)
-    _stamps_ns: NDArray[np.int64] = field(repr=False)
-    _poses: NDArray[np.float64] = field(repr=False)
-    _parents: NDArray[np.int32] = field(repr=False)
-    # Samples of child i are those from _offsets[i] to _offsets[i + 1].
-    _offsets: NDArray[np.int64] = field(repr=False)
-    _static: NDArray[np.bool_] = field(repr=False)
-    _received: NDArray[np.int64] = field(repr=False)
+    # By the frames' indices; None for a frame that is never a child.
+    _histories: tuple[FrameHistory | None, ...] = field(repr=False)
     _numbers: dict[str, int] = field(repr=False)
-    _histories: dict[int, FrameHistory | None] = field(default_factory=dict, repr=False)
     _chains: dict[tuple[int, int], Chain | None] = field(default_factory=dict, repr=False)
     _changes: dict[tuple[int, int], NDArray[np.int64]] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
         """Return the number of samples that are kept."""
-        return len(self._stamps_ns)
+        return sum(each.size for each in self._histories if each is not None)
 
     def history(self, frame: str) -> FrameHistory | None:
-        """Return the samples of a child frame (views); None for a frame that is never a child, or unknown."""
+        """Return the transforms of a child frame; None for a frame that is never a child, or unknown."""
         number = self._numbers.get(frame.removeprefix("/"))
-        return None if number is None else self._history(number)
+        return None if number is None else self._histories[number]
 
     def lookup(self, target: str, source: str, stamp_ns: int, tolerance_ns: int = 0) -> Rigid:
         """Return ``target_from_source`` at a stamp.
@@ -192,7 +186,7 @@ class TransformBuffer:
         ends = [*(change_ns - 1 for change_ns in inside), end_ns]
         parts = []
         for first_ns, last_ns in zip([begin_ns, *inside], ends, strict=True):
-            part = self._chain_during(replace(query, stamp_ns=first_ns))
+            part = self._chain_from(replace(query, stamp_ns=first_ns))
             parts.append(sample_chain(part, first_ns, last_ns, step_ns, needed_ns))
         return join_samples(parts)
 
@@ -243,8 +237,8 @@ class TransformBuffer:
     @cached_property
     def infos(self) -> tuple[FrameInfo, ...]:
         """Statistics of each child frame, sorted by name."""
-        children = np.flatnonzero(np.diff(self._offsets)).tolist()
-        return tuple(self._info(child) for child in sorted(children, key=self.frames.__getitem__))
+        infos = (frame_info(each, self.frames) for each in self._histories if each is not None)
+        return tuple(sorted(infos, key=attrgetter("child")))
 
     @cached_property
     def trees(self) -> tuple[Tree, ...]:
@@ -252,30 +246,7 @@ class TransformBuffer:
 
         Two frames are in one tree if any transforms of the recording connect them, at any time.
         """
-        return trees_of(self.frames, self._offsets, self._parents)
-
-    def _history(self, number: int) -> FrameHistory | None:
-        try:
-            return self._histories[number]
-        except KeyError:
-            return self._histories.setdefault(number, self._new_history(number))
-
-    def _new_history(self, number: int) -> FrameHistory | None:
-        samples = slice(*self._offsets[number : number + 2].tolist())
-        if samples.start == samples.stop:
-            return None
-        stamps, parents = self._stamps_ns[samples], self._parents[samples]
-        parent = int(parents[0])
-        return FrameHistory(
-            number,
-            bool(self._static[number]),
-            stamps,
-            self._poses[samples],
-            parents,
-            parent if (parents == parent).all() else -1,
-            int(stamps[0]),
-            int(stamps[-1]),
-        )
+        return trees_of(self.frames, self._histories)
 
     def _query(self, target: str, source: str, stamp_ns: int, tolerance_ns: int) -> Query | None:
         """Return the lookup with its names checked; None if both are the same."""
@@ -316,7 +287,7 @@ class TransformBuffer:
 
     def _timeless_chain(self, target: int, source: int) -> Chain | None:
         """Return the chain that is valid at all times; None if frames change parents, loop or are not connected."""
-        walks = [walk_up(frame, self._history, attrgetter("sole_parent")) for frame in (target, source)]
+        walks = [walk_up(frame, self._histories, attrgetter("sole_parent")) for frame in (target, source)]
         if any(walk.blocked is not None or walk.loop is not None for walk in walks):
             return None
         return join_walks(*walks)
@@ -329,8 +300,8 @@ class TransformBuffer:
             def parent_of(link: FrameHistory, tolerance_ns: int = tolerance_ns) -> int:
                 return link.parent_at(time_ns) if abs(link.gap_ns(time_ns)) <= tolerance_ns else -1
 
-            source_walk = walk_up(query.source_number, self._history, parent_of)
-            target_walk = walk_up(query.target_number, self._history, parent_of)
+            source_walk = walk_up(query.source_number, self._histories, parent_of)
+            target_walk = walk_up(query.target_number, self._histories, parent_of)
             for walk in (source_walk, target_walk):
                 if walk.loop is not None:
                     raise loop_error(query, walk, walk.loop, self.frames)
@@ -343,10 +314,10 @@ class TransformBuffer:
             raise extrapolation_error(query, blocked, self.frames, time_ns)
         raise unconnected_error(query, source_walk, target_walk, self.frames, self.trees)
 
-    def _chain_during(self, query: Query) -> Chain | None:
+    def _chain_from(self, query: Query) -> Chain | None:
         """Return the chain from a stamp until a frame changes its parent; None if there is none at the stamp."""
         try:
-            return self._timed_chain(query, query.stamp_ns).during(query.stamp_ns)
+            return self._timed_chain(query, query.stamp_ns)
         except UnconnectedError:
             raise
         except TransformError:
@@ -359,11 +330,12 @@ class TransformBuffer:
             ahead, found = list(frames), [np.empty(0, np.int64)]
             while ahead:
                 number = ahead.pop()
-                link = None if number in met else self._history(number)
+                link = None if number in met else self._histories[number]
                 met.add(number)
                 if link is not None:
-                    ahead += np.unique(link.parents).tolist()
-                    found += [] if link.static else [link.changes_ns]
+                    changes_ns, parents = link.changes()
+                    ahead += dict.fromkeys(parents.tolist())
+                    found += [] if link.static else [changes_ns]
             self._changes[frames] = np.unique(np.concatenate(found))
         return self._changes[frames]
 
@@ -376,8 +348,3 @@ class TransformBuffer:
         chain = self._chain(query, None)
         latest = (link.last_ns for link in chain.links if not link.static)
         return min((stamp_ns for stamp_ns in latest if stamp_ns != 0), default=None)
-
-    def _info(self, child: int) -> FrameInfo:
-        link = self._history(child)
-        assert link is not None  # children are the frames with samples
-        return frame_info(link, int(self._received[child]), self.frames)

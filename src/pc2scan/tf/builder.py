@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import struct
 from array import array
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from itertools import islice, pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pc2scan.errors import RecordingError
 
 from .buffer import TransformBuffer
+from .history import ROW, Samples, time_order
 from .lookup_errors import ACCEPTED, REASONS, RejectedTransforms, reason_of_names, reasons_of
 
 if TYPE_CHECKING:
@@ -20,6 +23,9 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import TransformRow
 
+    from .history import FrameHistory
+    from .stored import Runs, TransformFile
+
 #: Groups of rejected transforms that are reported one by one; all are counted.
 MAX_REJECTIONS = 100
 
@@ -27,11 +33,56 @@ MAX_REJECTIONS = 100
 MAX_FRAMES = 100_000
 MAX_PAIRS = 200_000
 
+#: How many transforms are in memory at most, and how many are sorted into their frames at a time.
+MOST_IN_MEMORY = 100_000
+_AT_ONCE = 8_192
+
+
+@dataclass(slots=True, eq=False)
+class _Child:
+    """The accepted transforms of a child frame.
+
+    Attributes
+    ----------
+    is_static
+        Whether its first transform is: then only the last one counts.
+    received
+        Their number.
+    rows
+        Those in memory, in the order of their arrival.
+    runs
+        Those before, in a file; None: there are none.
+    """
+
+    is_static: bool
+    received: int = 0
+    rows: list[NDArray[np.void]] = field(default_factory=list)
+    runs: Runs | None = None
+
+    def sort(self) -> list[NDArray[np.void]]:
+        """Return those in memory in the order of their stamps, in parts; of several with one stamp, the first."""
+        stamps = np.concatenate([part["stamp_ns"] for part in self.rows])
+        is_sorted = bool((stamps[1:] > stamps[:-1]).all())
+        if is_sorted and len(stamps) > _AT_ONCE:
+            return self.rows
+        rows = np.concatenate(self.rows)
+        return [rows if is_sorted else rows[time_order(stamps)]]
+
+    def store(self, file: TransformFile) -> None:
+        """Write those in memory into a file."""
+        from .stored import Runs  # noqa: PLC0415  # only long recordings need it
+
+        if self.rows and not self.is_static:
+            self.runs = self.runs or Runs(file)
+            for rows in self.sort():
+                self.runs.append(rows)
+            self.rows = []
+
 
 class TransformBuilder:
     """Collects transforms in the order of the recording; `build` turns them into a `TransformBuffer`.
 
-    Needs 69 bytes a transform.
+    Of each child frame, those that are accepted are together. More than `MOST_IN_MEMORY` are in a temporary file.
     """
 
     # Pair of frames, stamp_ns, whether static, and the pose.
@@ -39,15 +90,18 @@ class TransformBuilder:
     _DTYPE = np.dtype([("pair", "<i4"), ("stamp_ns", "<i8"), ("static", "?"), ("pose", "<f8", 7)])
 
     def __init__(self) -> None:
+        # What has arrived, but is not yet sorted into the frames.
         self._records = bytearray()
         self._pairs: dict[tuple[str, str], int] = {}
         self._names: dict[str, int] = {}
         # Parent, child and, where the names alone rule it out, the reason; three numbers a pair.
         self._pair_table = array("i")
-
-    def __len__(self) -> int:
-        """Return the number of transforms that were added."""
-        return len(self._records) // self._RECORD.size
+        # The pairs with accepted transforms, and by pair and reason the first stamp and the number of rejected ones.
+        self._accepted: set[int] = set()
+        self._rejected: dict[tuple[int, int], list[int]] = {}
+        self._children: dict[int, _Child] = {}
+        self._in_memory = 0
+        self._file: TransformFile | None = None
 
     def add(self, rows: Iterable[TransformRow], *, static: bool) -> None:
         """Append transforms in the order in which they were recorded.
@@ -63,7 +117,8 @@ class TransformBuilder:
         Raises
         ------
         RecordingError
-            If there are more frames than `MAX_FRAMES`, or more pairs than `MAX_PAIRS`.
+            If there are more frames than `MAX_FRAMES`, or more pairs than `MAX_PAIRS`; or if there are so many
+            transforms that they need a temporary file, which cannot be written.
         """
         pairs, pack = self._pairs, self._RECORD.pack
         for parent, child, stamp_ns, *pose in rows:
@@ -71,25 +126,33 @@ class TransformBuilder:
             if pair is None:
                 pair = self._add_pair(parent, child)
             self._records += pack(pair, stamp_ns, static, *pose)
+        if len(self._records) >= _AT_ONCE * self._RECORD.size:
+            self._sort_in()
 
     def add_poses(self, parent: str, child: str, stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
         """Append transforms of one pair of frames: (N,) nanoseconds, and (N, 7) as in `add`."""
         pair = self._pairs.get((parent, child))
-        records = np.zeros(len(stamps_ns), self._DTYPE)
-        records["pair"] = self._add_pair(parent, child) if pair is None else pair
-        records["stamp_ns"], records["pose"] = stamps_ns, poses
-        self._records += records.tobytes()
+        pair = self._add_pair(parent, child) if pair is None else pair
+        for begin in range(0, len(stamps_ns), _AT_ONCE):
+            part = slice(begin, begin + _AT_ONCE)
+            records = np.zeros(len(stamps_ns[part]), self._DTYPE)
+            records["pair"], records["stamp_ns"], records["pose"] = pair, stamps_ns[part], poses[part]
+            self._records += records.tobytes()
+            self._sort_in()
 
     def remove(self, children: Collection[str]) -> None:
         """Remove all transforms to some frames, whose names are without a leading slash."""
-        gone = [number for (_, child), number in self._pairs.items() if child.removeprefix("/") in children]
-        if gone:
-            records = np.frombuffer(self._records, self._DTYPE)
-            self._records = bytearray(records[~np.isin(records["pair"], gone)].tobytes())
+        self._sort_in()
+        gone = {number for (_, child), number in self._pairs.items() if child.removeprefix("/") in children}
+        self._accepted -= gone
+        self._rejected = {key: found for key, found in self._rejected.items() if key[0] not in gone}
+        for child in children:
+            self._children.pop(self._names.get(child, -1), None)
 
     def parents_of(self, children: Collection[str]) -> dict[str, str]:
         """Return which of some frames have transforms, and their parents, without leading slashes."""
-        used = set(np.flatnonzero(np.bincount(np.frombuffer(self._records, self._DTYPE)["pair"])).tolist())
+        self._sort_in()
+        used = self._accepted.union(pair for pair, _ in self._rejected)
         pairs = ((p.removeprefix("/"), c.removeprefix("/")) for (p, c), number in self._pairs.items() if number in used)
         return {child: parent for parent, child in pairs if child in children}
 
@@ -112,79 +175,75 @@ class TransformBuilder:
         return pair
 
     def build(self) -> TransformBuffer:
-        """Sort the transforms and reject those that cannot be used. More may be added afterwards."""
-        records = np.frombuffer(self._records, self._DTYPE)
-        pairs = np.array(self._pair_table, np.int32).reshape(-1, 3)
-        reasons = reasons_of(records["pose"], pairs[records["pair"], 2])
-        rejections = self._rejections(records, pairs, reasons)
-        good = np.flatnonzero(reasons == ACCEPTED)
-        rejected = len(records) - len(good)
-        del reasons
-        frames, parents, children = self._renumber(pairs[records["pair"][good], :2])
-        # A child is static if its first transform is.
-        numbers, first = np.unique(children, return_index=True)
-        is_static = np.zeros(len(frames), np.bool_)
-        is_static[numbers] = records["static"][good][first]
-        order = _time_order(children, records["stamp_ns"][good], is_static)
-        received = np.bincount(children, minlength=len(frames))
-        kept, parents, children = good[order], parents[order], children[order]
-        offsets = np.searchsorted(children, np.arange(len(frames) + 1))
-        # Freed before the poses are copied, which take more memory than all else.
-        del good, order, children
+        """Return the transforms that can be used, for lookups. More may be added afterwards."""
+        self._sort_in()
+        if self._file is not None:
+            self._write()
+        # Frames without accepted transforms are none for tf2.
+        occurs = np.zeros(len(self._names), np.bool_)
+        occurs[np.array(self._pair_table, np.int32).reshape(-1, 3)[list(self._accepted), :2]] = True
+        numbers = (np.cumsum(occurs) - 1).astype(np.int32)
+        frames = tuple(name for name, known in zip(self._names, occurs.tolist(), strict=True) if known)
+        histories: list[FrameHistory | None] = [None] * len(frames)
+        for number, child in self._children.items():
+            index = numbers.item(number)
+            if child.runs is not None:
+                child.runs = child.runs.sorted(numbers)
+                histories[index] = child.runs.history(index, numbers, child.received)
+                continue
+            rows = np.concatenate(child.sort())
+            columns = (rows["stamp_ns"], rows["pose"], numbers[rows["parent"]])
+            histories[index] = Samples.of(index, *columns, child.received, static=child.is_static)
+        names = list(self._names)
+        rejections = []
+        for (pair, reason), (stamp_ns, count) in islice(self._rejected.items(), MAX_REJECTIONS):
+            parent, of = self._pair_table[3 * pair : 3 * pair + 2]
+            rejections.append(RejectedTransforms(names[of], names[parent], stamp_ns, REASONS[reason], count))
         return TransformBuffer(
             frames=frames,
-            rejections=rejections,
-            rejected=rejected,
-            _stamps_ns=_read_only(records["stamp_ns"][kept]),
-            _poses=_read_only(records["pose"][kept]),
-            _parents=_read_only(parents),
-            _offsets=offsets,
-            _static=is_static,
-            _received=received,
+            rejections=tuple(rejections),
+            rejected=sum(count for _, count in self._rejected.values()),
+            _histories=tuple(histories),
             _numbers={name: number for number, name in enumerate(frames)},
         )
 
-    def _renumber(self, used: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[np.int32], NDArray[np.int32]]:
-        """Return the names of the frames with accepted transforms, the only ones for tf2; parents, children."""
-        occurs = np.zeros(len(self._names), dtype=np.bool_)
-        occurs[used] = True
-        numbers = (np.cumsum(occurs) - 1).astype(np.int32)
-        names = (name for name, known in zip(self._names, occurs.tolist(), strict=True) if known)
-        return tuple(names), numbers[used[:, 0]], numbers[used[:, 1]]
+    def _sort_in(self) -> None:
+        """Sort what has arrived into the child frames; count what is rejected."""
+        if not self._records:
+            return
+        records, self._records = np.frombuffer(self._records, self._DTYPE), bytearray()
+        pairs = np.array(self._pair_table, np.int32).reshape(-1, 3)[records["pair"]]
+        reasons = reasons_of(records["pose"], pairs[:, 2])
+        bad = records[reasons != ACCEPTED]
+        causes = zip(bad["pair"].tolist(), reasons[reasons != ACCEPTED].tolist(), strict=True)
+        for cause, stamp_ns in zip(causes, bad["stamp_ns"].tolist(), strict=True):
+            self._rejected.setdefault(cause, [stamp_ns, 0])[1] += 1
+        chosen = np.flatnonzero(reasons == ACCEPTED)
+        chosen = chosen[pairs[chosen, 1].argsort(kind="stable")]
+        records, pairs = records[chosen], pairs[chosen]
+        self._accepted.update(np.flatnonzero(np.bincount(records["pair"])).tolist())
+        rows = np.empty(len(records), ROW)
+        rows["stamp_ns"], rows["pose"], rows["parent"] = records["stamp_ns"], records["pose"], pairs[:, 0]
+        ends = np.flatnonzero(np.diff(pairs[:, 1], append=-1)) + 1
+        for begin, end in pairwise([0, *ends.tolist()]):
+            number = int(pairs[begin, 1])
+            child = self._children.get(number)
+            if child is None:
+                child = self._children[number] = _Child(bool(records["static"][begin]))
+            child.received += end - begin
+            if child.is_static:
+                child.rows = [rows[end - 1 : end].copy()]
+            else:
+                child.rows.append(rows[begin:end])
+        self._in_memory += len(rows)
+        if self._in_memory > MOST_IN_MEMORY:
+            self._write()
 
-    def _rejections(
-        self, records: NDArray[np.void], pairs: NDArray[np.int32], reasons: NDArray[np.int32]
-    ) -> tuple[RejectedTransforms, ...]:
-        bad = np.flatnonzero(reasons != ACCEPTED)
-        causes = np.stack((records["pair"][bad], reasons[bad]), axis=1)
-        groups, first, counts = np.unique(causes, axis=0, return_index=True, return_counts=True)
-        names = list(self._names)
-        rejections = []
-        for group in np.argsort(first)[:MAX_REJECTIONS].tolist():
-            pair, reason = groups[group].tolist()
-            parent, child, _ = pairs[pair].tolist()
-            stamp_ns = records["stamp_ns"].item(bad[first[group]])
-            rejections.append(
-                RejectedTransforms(names[child], names[parent], stamp_ns, REASONS[reason], counts.item(group))
-            )
-        return tuple(rejections)
+    def _write(self) -> None:
+        """Write what is in memory into a temporary file."""
+        from .stored import TransformFile  # noqa: PLC0415  # only long recordings need it
 
-
-def _time_order(
-    children: NDArray[np.int32], stamps_ns: NDArray[np.int64], is_static: NDArray[np.bool_]
-) -> NDArray[np.int64]:
-    """Return the indices of the transforms to keep, by child and stamp.
-
-    A dynamic child keeps the first of its transforms with one stamp, a static child the last of all.
-    """
-    static = is_static[children]
-    arrival = np.arange(len(children))
-    stamps_ns = np.where(static, 0, stamps_ns)
-    order = np.lexsort((np.where(static, -arrival, arrival), stamps_ns, children))
-    changes = (np.diff(children[order]) != 0) | (np.diff(stamps_ns[order]) != 0)
-    return order[np.concatenate(([True], changes))] if len(order) else order
-
-
-def _read_only(values: NDArray[Any]) -> NDArray[Any]:
-    values.flags.writeable = False
-    return values
+        self._file = self._file or TransformFile()
+        for child in self._children.values():
+            child.store(self._file)
+        self._in_memory = 0

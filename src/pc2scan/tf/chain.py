@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pc2scan.core.rigid import IDENTITY_POSE, Rigid, compose_poses, inverse_pose
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from pc2scan.core.rigid import Pose
 
@@ -86,15 +86,6 @@ class Chain:
         """The links that have to be known."""
         return self.source_side.links + self.target_side.links
 
-    def during(self, stamp_ns: int) -> Chain:
-        """Return the chain with the samples around a stamp, until any of its frames changes its parent."""
-
-        def during(links: Iterable[FrameHistory]) -> tuple[FrameHistory, ...]:
-            return tuple(link.during(stamp_ns) for link in links)
-
-        target_side, source_side = (Side.of(during(side.links)) for side in (self.target_side, self.source_side))
-        return Chain(target_side, source_side, during(self.above))
-
     def target_from_source(self, time_ns: int | None) -> Rigid:
         """Multiply the links' transforms at a time; None asks for each link's latest.
 
@@ -151,14 +142,12 @@ class Walk:
     loop: int | None = None
 
 
-def walk_up(
-    start: int, history: Callable[[int], FrameHistory | None], parent_of: Callable[[FrameHistory], int]
-) -> Walk:
+def walk_up(start: int, histories: Sequence[FrameHistory | None], parent_of: Callable[[FrameHistory], int]) -> Walk:
     """Walk up from a frame; ``parent_of`` returns -1 for an unknown parent."""
     met: dict[int, FrameHistory | None] = {}
     frame = start
     while frame not in met:
-        link = met[frame] = history(frame)
+        link = met[frame] = histories[frame]
         if link is None:
             return Walk(met)
         frame = parent_of(link)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -72,7 +73,7 @@ def _above(buffer: TransformBuffer, frame: str) -> list[str]:
     """Return the frames above a frame, the nearest first."""
     found: list[str] = []
     while (history := buffer.history(frame)) is not None and len(found) < _MOST_LINKS:
-        frame = buffer.frames[int(history.parents[-1])]
+        frame = buffer.frames[history.parent_at(None)]
         found.append(frame)
     return found
 
@@ -81,8 +82,8 @@ def _motion_in(buffer: TransformBuffer, fixed: str, frame: str, seconds: float) 
     if buffer.is_rigid(fixed, frame):
         return None
     links = [buffer.history(name) for name in (frame, *_above(buffer, frame))]
-    moving = [link.stamps_ns for link in links if link is not None and not link.static]
-    stamps = max(moving, key=len, default=np.empty(0, np.int64))
+    moving = [link for link in links if link is not None and not link.static]
+    stamps = max(moving, key=attrgetter("size")).all_stamps() if moving else np.empty(0, np.int64)
     if len(stamps) < 3:
         return None
     near = np.flatnonzero(np.diff(stamps) < _LONGEST_GAP_NS)

@@ -280,7 +280,7 @@ def _ancestors(buffer: TransformBuffer, frame: str, stamp_ns: int) -> list[tuple
         history = buffer.history(name)
         if history is None:
             break
-        name = buffer.frames[int(history.parents[-1])]
+        name = buffer.frames[history.parent_at(None)]
         moved = _lookup(buffer, name, frame, stamp_ns)
         if moved is None or name in WORLDS or name in {other for other, _ in found}:
             break

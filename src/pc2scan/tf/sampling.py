@@ -5,7 +5,7 @@ The rules are those of `pc2scan.tf.buffer`; results differ from its in the last 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,12 +17,20 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .chain import Chain
-    from .history import FrameHistory
+    from .history import Samples
 
     Needed = Callable[[NDArray[np.int64], NDArray[np.float64]], int]
 
 #: The stamps of a static link.
 _ALWAYS = np.empty(0, np.int64)
+
+
+class _Links(NamedTuple):
+    """What of a chain an interval needs: the links from both frames up to the common ancestor, and those above it."""
+
+    source: tuple[Samples, ...]
+    target: tuple[Samples, ...]
+    above: tuple[Samples, ...]
 
 
 def sample_chain(
@@ -33,19 +41,23 @@ def sample_chain(
     Parameters
     ----------
     chain
-        None: there is no transform in the interval.
+        Whose frames have the same parents in the whole interval. None: there is no transform in it.
     end_ns
         The interval may be a single time, which has one row.
     """
-    if chain is None or begin_ns == end_ns:
+    links = None
+    if chain is not None:
+        sides = (chain.source_side.links, chain.target_side.links, chain.above)
+        links = _Links(*(tuple([link.during(begin_ns, end_ns) for link in side]) for side in sides))
+    if links is None or begin_ns == end_ns:
         times = np.array([begin_ns, begin_ns + (end_ns - begin_ns) // 2, end_ns][: 3 if begin_ns < end_ns else 1])
-        return times[::2], np.full((times.size, 12), np.nan) if chain is None else rows_of(chain, times), 0
-    times, gap_ns = _node_times(chain, begin_ns, end_ns, step_ns)
-    found = rows_of(chain, times)
+        return times[::2], np.full((times.size, 12), np.nan) if links is None else rows_of(links, times), 0
+    times, gap_ns = _node_times(links, begin_ns, end_ns, step_ns)
+    found = rows_of(links, times)
     needed = needed_ns(times[::2], found)
     if needed < step_ns:
-        times, gap_ns = _node_times(chain, begin_ns, end_ns, needed)
-        found = rows_of(chain, times)
+        times, gap_ns = _node_times(links, begin_ns, end_ns, needed)
+        found = rows_of(links, times)
     return times[::2], found, gap_ns
 
 
@@ -60,17 +72,17 @@ def join_samples(
     return np.concatenate([stamps for stamps, _, _ in parts]), np.concatenate(rows), max(gap for _, _, gap in parts)
 
 
-def _node_times(chain: Chain, begin_ns: int, end_ns: int, step_ns: int) -> tuple[NDArray[np.int64], int]:
+def _node_times(links: _Links, begin_ns: int, end_ns: int, step_ns: int) -> tuple[NDArray[np.int64], int]:
     """Return the times at which a chain is looked up, nanoseconds, and its longest gap; see `kernel.nodes`.
 
     Samples of each link are among them: there the motion may change.
     """
-    samples = tuple([link.stamps_ns for link in chain.links if not link.static])
-    times, gap_ns = kernel.nodes(samples, begin_ns, end_ns, step_ns)
+    stamps = tuple([link.stamps_ns for link in (*links.source, *links.target) if not link.static])
+    times, gap_ns = kernel.nodes(stamps, begin_ns, end_ns, step_ns)
     return np.frombuffer(times, np.int64), gap_ns
 
 
-def rows_of(chain: Chain, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def rows_of(links: _Links, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return ``target_from_source`` at (N,) stamps.
 
     Returns
@@ -78,25 +90,25 @@ def rows_of(chain: Chain, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     (N, 12) float64
         The rows of the rotation, then the translation; NaN where a frame is not known.
     """
-    rows = _rows_to_ancestor(chain.source_side.links, stamps_ns)
-    if not chain.target_side.links:
+    rows = _rows_to_ancestor(links.source, stamps_ns)
+    if not links.target:
         return rows
-    target = _rows_to_ancestor(chain.target_side.links, stamps_ns)
+    target = _rows_to_ancestor(links.target, stamps_ns)
     back = target[:, :9].reshape(-1, 3, 3).transpose(0, 2, 1)
     origin = np.einsum("nij,nj->ni", back, rows[:, 9:] - target[:, 9:])
     # As in `follow`. The inverse of the target's walk scales, and what both walks have in common scales before.
-    for link in chain.target_side.links:
+    for link in links.target:
         origin *= _squared_lengths(link, stamps_ns)[:, np.newaxis]
-    if chain.source_side.links:
+    if links.source:
         known = np.ones(stamps_ns.size, np.bool_)
-        for link in chain.above:
+        for link in links.above:
             squared = _squared_lengths(link, stamps_ns)
             known &= ~np.isnan(squared)
             origin[known] *= np.square(squared[known])[:, np.newaxis]
     return np.concatenate([(back @ rows[:, :9].reshape(-1, 3, 3)).reshape(-1, 9), origin], axis=1)
 
 
-def _rows_to_ancestor(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def _rows_to_ancestor(links: Iterable[Samples], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the transforms from a frame up to the common ancestor."""
     rows = np.zeros((stamps_ns.size, 12))
     rows[:, 0:9:4] = 1.0
@@ -108,7 +120,7 @@ def _rows_to_ancestor(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64
     return rows
 
 
-def _squared_lengths(link: FrameHistory, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def _squared_lengths(link: Samples, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the squared lengths of a link's quaternions, (N,); NaN where it is not known."""
     samples, poses = _ALWAYS, link.poses[-1:]
     if not link.static:

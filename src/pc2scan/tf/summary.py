@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from .history import FrameHistory
 
 #: Usual names of a robot's frame, whose z is up; the first that exists is used.
@@ -76,37 +74,34 @@ class Tree:
     frames: tuple[str, ...]
 
 
-def frame_info(link: FrameHistory, received: int, names: Sequence[str]) -> FrameInfo:
+def frame_info(link: FrameHistory, names: Sequence[str]) -> FrameInfo:
     """Return the statistics of one child frame; ``names`` are those of all frames."""
-    parents, first = np.unique(link.parents, return_index=True)
-    count = len(link.stamps_ns)
-    gaps = np.diff(link.stamps_ns)
+    count, stamps_ns = link.size, link.all_stamps()
+    gaps = np.diff(stamps_ns)
     widest = int(gaps.argmax()) if count > 1 else 0
     return FrameInfo(
         child=names[link.child],
-        parents=tuple(names[parent] for parent in parents[np.argsort(first)].tolist()),
+        parents=tuple(names[parent] for parent in link.all_parents()),
         static=link.static,
         transforms=count,
-        received=received,
+        received=link.received,
         first_ns=link.first_ns,
         last_ns=link.last_ns,
         rate_hz=(count - 1) * 1e9 / (link.last_ns - link.first_ns) if count > 1 else None,
         largest_gap_ns=int(gaps[widest]) if count > 1 else None,
-        largest_gap_at_ns=link.stamps_ns.item(widest) if count > 1 else None,
+        largest_gap_at_ns=stamps_ns.item(widest) if count > 1 else None,
     )
 
 
-def trees_of(names: Sequence[str], offsets: NDArray[np.int64], parents: NDArray[np.int32]) -> tuple[Tree, ...]:
+def trees_of(names: Sequence[str], histories: Sequence[FrameHistory | None]) -> tuple[Tree, ...]:
     """Return the connected frames, the largest tree first.
 
     Parameters
     ----------
     names
         Names of all frames.
-    offsets
-        The samples of frame i are those from ``offsets[i]`` to ``offsets[i + 1]``.
-    parents
-        The parent in each sample.
+    histories
+        Their transforms, in the same order; None for a frame that is never a child.
     """
     # Union-find: following these from a frame leads to the one that represents its tree.
     toward = list(range(len(names)))
@@ -116,19 +111,15 @@ def trees_of(names: Sequence[str], offsets: NDArray[np.int64], parents: NDArray[
             toward[frame] = frame = toward[toward[frame]]
         return frame
 
-    counts = np.diff(offsets)
-    edges = np.sort(np.repeat(np.arange(len(names)), counts) * len(names) + parents)
-    # Not np.unique, which imports numpy.ma.
-    for edge in edges[np.diff(edges, prepend=-1) != 0].tolist():
-        child, parent = divmod(edge, len(names))
-        toward[representative(child)] = representative(parent)
+    for link in filter(None, histories):
+        for parent in sorted(link.all_parents()):
+            toward[representative(link.child)] = representative(parent)
     members: dict[int, list[int]] = {}
     for frame in range(len(names)):
         members.setdefault(representative(frame), []).append(frame)
-    is_child = (counts > 0).tolist()
     trees = (
         Tree(
-            roots=tuple(sorted(names[frame] for frame in frames if not is_child[frame])),
+            roots=tuple(sorted(names[frame] for frame in frames if histories[frame] is None)),
             frames=tuple(sorted(names[frame] for frame in frames)),
         )
         for frames in members.values()

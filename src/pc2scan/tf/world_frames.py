@@ -66,7 +66,7 @@ def find_body_motion(buffer: TransformBuffer, world: str, source: str) -> BodyMo
             return None
         below.append(name)
         if not history.static:
-            moves.append((float(np.linalg.norm(np.ptp(history.translations, axis=0))), name))
+            moves.append((float(np.linalg.norm(history.extent[:3])), name))
         name = buffer.frames[history.sole_parent]
     farthest, child = max(moves, default=(0.0, ""))
     if not farthest > (_MOVES if world in WORLDS else _MOVES_FAR):

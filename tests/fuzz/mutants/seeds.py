@@ -48,11 +48,17 @@ class Seed:
 
 
 def place(files: dict[str, bytes], opened: str, folder: Path) -> Path:
-    """Write the files; returns what to open."""
+    """Write the files, over those that are there; returns what to open."""
     for name, data in files.items():
         path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+        try:
+            # Not emptied first: the next mutant of a file takes a sixth of the time.
+            with path.open("r+b") as file:
+                file.write(data)
+                file.truncate()
+        except FileNotFoundError:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
     return folder / opened
 
 

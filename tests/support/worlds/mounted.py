@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -249,19 +249,30 @@ def cloud(
     return points.astype(np.float32)
 
 
-def _cast(place: Place, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    nearest = np.full(len(rays), np.inf)
-    for surface in place.surfaces:
+@cache
+def _planes(surfaces: tuple[Rectangle, ...]) -> list[tuple[NDArray[Any], ...]]:
+    """The corner, the edges and the normal of each surface that has an area."""
+    planes: list[tuple[NDArray[Any], ...]] = []
+    for surface in surfaces:
         corner, one, other = (np.array(part, float) for part in (surface.corner, surface.one, surface.other))
         normal = np.cross(one, other)
-        if not normal.any():
-            continue
+        if normal.any():
+            planes.append((corner, one, other, normal))
+    return planes
+
+
+def _cast(place: Place, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    nearest = np.full(len(rays), np.inf)
+    for corner, one, other, normal in _planes(place.surfaces):
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = ((corner - origin) @ normal) / (rays @ normal)
-            at = origin - corner + distance[:, None] * rays
+            (first,) = np.nonzero((distance > 0) & (distance < nearest))
+            if not first.size:
+                continue
+            at = origin - corner + distance[first, None] * rays[first]
             u, v = at @ one / (one @ one), at @ other / (other @ other)
-            hit = (distance > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1) & (distance < nearest)
-        nearest[hit] = distance[hit]
+        first = first[(u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)]
+        nearest[first] = distance[first]
     return nearest
 
 

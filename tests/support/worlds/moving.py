@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -196,8 +197,9 @@ def measured(drive: Drive, lidar: Lidar, times: Floats, directions: Floats) -> F
     return nearest
 
 
-def messages(drive: Drive, lidar: Lidar, seconds: float) -> list[Message]:
-    """Everything that a lidar measures, as serialised messages."""
+@lru_cache(maxsize=8)
+def messages(drive: Drive, lidar: Lidar, seconds: float) -> tuple[Message, ...]:
+    """Everything that a lidar measures, as serialised messages; remembered, since drives differ in their odometry."""
     random = np.random.default_rng(7)
     found = []
     for begin, times, directions in lidar.sweeps(seconds):
@@ -210,7 +212,7 @@ def messages(drive: Drive, lidar: Lidar, seconds: float) -> list[Message]:
         else:
             data = _cloud(lidar, stamp_ns, times, directions, distances)
         found.append(Message(log_time_ns, stamp_ns, data))
-    return found
+    return tuple(found)
 
 
 def _scan(lidar: Lidar, stamp_ns: int, distances: Floats) -> bytes:
