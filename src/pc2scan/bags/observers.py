@@ -345,17 +345,6 @@ def _observe_together(
             meter.add(unit.work(meter.ahead, is_skimmed=skim is not None))
         return first[0](callback, whole=whole)
 
-    def chosen(units: Iterable[Unit]) -> Iterator[Unit]:
-        """Yield the units that are wanted when they are announced to the system; skimmed ones by their beginning."""
-        for unit in units:
-            if next(wanted(unit), None) is not None:
-                skim, extent = unit.skim, unit.extent
-                if skim is not None and not again.compares(unit):
-                    skim = None
-                if skim is not None and extent is not None:
-                    extent = extent._replace(length=min(extent.length, SKIMMED_BYTES))
-                yield unit._replace(load=partial(load, unit, skim, []), extent=extent)
-
     sort_out()
     starts, stops = zip(*((observer.start_ns, observer.stop_ns) for observer in observers), strict=True)
     spread = next((observer for observer in observers if observer.spread is not None), None)
@@ -365,7 +354,17 @@ def _observe_together(
         units = reader.units(
             list(connections.values()), None if None in starts else min(starts), None if None in stops else max(stops)
         )
-    with closing(merge_by_time(chosen(units), take, holds_units=False, path=reader.path)) as messages:
+    # Twice: when units are announced to the system, of those that are skimmed the beginning; and when they are due.
+    chosen = (
+        unit._replace(
+            load=partial(load, unit, skim, []),
+            extent=extent._replace(length=min(extent.length, SKIMMED_BYTES)) if skim and extent else extent,
+        )
+        for unit in units
+        if next(wanted(unit), None) is not None
+        for skim, extent in [(unit.skim if unit.skim and again.compares(unit) else None, unit.extent)]
+    )
+    with closing(merge_by_time(chosen, take, holds_units=False, path=reader.path)) as messages:
         for seen in messages:
             if isinstance(seen, RawMessage):
                 lone[seen.connection.id](seen)
