@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
@@ -34,7 +35,10 @@ def taken_by_command(command: str) -> set[str]:
     """The names of what a command takes."""
     group = get_command(application(command))
     assert isinstance(group, TyperGroup)
-    return {str(parameter.name) for parameter in group.commands[command].params}
+    asked = group.commands[command]
+    # Options are made when the command is asked for them; `--help` and `--help-all` are no keywords.
+    asked.get_params(typer.Context(asked))
+    return {str(parameter.name) for parameter in asked.params}
 
 
 def taken_by_function(function: str) -> set[str]:

@@ -149,7 +149,7 @@ def test_the_file_has_whatever_an_output_has() -> None:
 @pytest.mark.parametrize("name", [*sorted(KEYS), *PARAMETERS])
 def test_the_schema_and_the_code_agree_about_every_key(name: str) -> None:
     root = scans_schema()
-    tried: list[Any] = [True, 2, 0.5, "middle", "auto", ["x > 1"], {"x": 1}, "median", "centered", "nan", "correct"]
+    tried: list[Any] = [True, 2, 0.5, "middle", "auto", ["x > 1"], {"x": 1}, "median", "centered", "nan", "correct", ""]
     for value in tried:
         try:
             load_scans({"/scan": {name: value}})

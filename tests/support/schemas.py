@@ -26,7 +26,7 @@ TYPES: dict[str, Any] = {
 def violations(value: Any, schema: dict[str, Any], root: dict[str, Any], place: str = "$") -> list[str]:
     """Return what a schema does not allow of a document. Only the keywords that our schemas use are supported."""
     assert schema.keys() <= {
-        *("$schema", "$id", "$ref", "$defs", "title", "description", "type", "enum", "anyOf", "minimum"),
+        *("$schema", "$id", "$ref", "$defs", "title", "description", "type", "enum", "anyOf", "minimum", "minLength"),
         *("properties", "required", "additionalProperties", "minProperties", "items", "minItems", "maxItems"),
     }
     if reference := schema.get("$ref"):
@@ -46,6 +46,8 @@ def violations(value: Any, schema: dict[str, Any], root: dict[str, Any], place: 
         return [f"{place}: {value!r} is not {schema.get('enum', kinds)}"]
     if "minimum" in schema and value < schema["minimum"]:
         return [f"{place}: {value!r} is less than {schema['minimum']}"]
+    if isinstance(value, str) and len(value) < schema.get("minLength", 0):
+        return [f"{place}: {value!r} is too short"]
     found = []
     if isinstance(value, dict):
         known, more = schema.get("properties", {}), schema.get("additionalProperties", True)
