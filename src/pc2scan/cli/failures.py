@@ -181,6 +181,8 @@ def _meant_as_option(words: Sequence[str], missing: str = "") -> str:
         if option is None or missing not in {"", word} or os.path.lexists(word):
             continue
         end = at + 1 if isinstance(option.value, Flag) else at + 2
+        if end > len(words) and _meant_as_output(words):
+            continue
         value = shlex.join(words[at + 1 : end]) or option.value.metavar or "|".join(option.value.words)
         others = [*words[1:at], *words[end:]]
         place = [] if any(not other.startswith("-") for other in others) else [_PLACES.get(words[0], "SRC")]
