@@ -25,9 +25,8 @@ _DESKEW_NS = 0.5
 #: To write a byte of a cloud that is kept, by the compression.
 _WRITE_NS = {"none": 2.5, "lz4": 3.0, "zstd": 4.5, "bz2": 60.0}
 
-#: To begin with a chunk, to skim one, and to read a row of a database.
+#: To begin with a chunk, and to read a row of a database.
 _CHUNK_NS = 50_000
-_SKIM_NS = 80_000
 _ROW_NS = 6_000
 
 #: To read messages ahead, of which a third are transforms, which are decoded; to check scans among other messages.
@@ -111,10 +110,6 @@ class Price(NamedTuple):
             bytes_ns *= 1 - _SHARED + _SHARED / self.threads
         fixed_ns = messages * _ROW_NS if are_rows else _CHUNK_NS
         return round(bytes_ns) + messages * self.message_ns + fixed_ns
-
-    def of_skimming(self, messages: int) -> int:
-        """Return how much work it is to skim a chunk with so many messages, whatever its size."""
-        return _SKIM_NS + messages * self.message_ns
 
 
 #: The price of what is read ahead or compared, and of scans that are checked.

@@ -76,10 +76,7 @@ def test_an_index_finds_the_order_of_the_source_in_whole_chunks(
     whole, due = whole_chunks(segments, ChunkRule("mcap", frozenset(), frozenset({1})), None, None)
     file: Any = None
 
-    def load(
-        segment: Segment, callback: Callable[[RawMessage], Any], *, whole: bool, ids: object = None
-    ) -> list[Any] | StoredChunk:
-        assert ids is None
+    def load(segment: Segment, callback: Callable[[RawMessage], Any], *, whole: bool) -> list[Any] | StoredChunk:
         return Load(segment.offset, chunks[segment.offset])(callback, whole=whole)
 
     units = [made._replace(extent=None, size=1) for made in segment_units(segments, load, file, whole, due)]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pc2scan.model import ChunkRule, Connection, RawMessage
 
     from .reader import Reader
-    from .units import Load, Loaded, Skim, Unit
+    from .units import Load, Loaded, Unit
 
     #: Returns a message instead of another one of the same connection and log time. Called on any thread, and again.
     Change: TypeAlias = Callable[[RawMessage], RawMessage]
@@ -49,11 +49,7 @@ class ChangedReader(WrappedReader):
         if rule is not None:
             rule = rule._replace(connection_ids=rule.connection_ids - self._changes.keys())
         for unit in super().units(connections, start_ns, stop_ns, rule):
-            skim = None if unit.skim is None else partial(self._skimming, unit.skim)
-            yield unit._replace(load=partial(self._load, unit.load), skim=skim)
-
-    def _skimming(self, skim: Skim, ids: Collection[int]) -> Load:
-        return partial(self._load, skim(ids))
+            yield unit._replace(load=partial(self._load, unit.load))
 
     def _load(self, load: Load, callback: Callable[[RawMessage], Any], *, whole: bool) -> Loaded[Any]:
         changes = self._changes

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pc2scan.files.source import SourceFile
-    from pc2scan.model import Buffer, ChunkRule, Connection, RawMessage
+    from pc2scan.model import ChunkRule, Connection, RawMessage
 
-    from .units import Item, Load, Loaded
+    from .units import Item, Loaded
 
     Span = tuple[int, int]
     Bools = NDArray[np.bool_]
@@ -33,12 +33,6 @@ if TYPE_CHECKING:
 
 #: Reading fewer uncompressed bytes takes less time than handing them to another thread.
 _WORTH_A_THREAD = 1 << 20
-
-#: A chunk may be skimmed if its messages have at least so many bytes in the mean.
-_LARGE_BYTES = 1 << 13
-
-#: What is read at a time of a chunk that is skimmed: the small messages between two clouds are usually less.
-SKIMMED_BYTES = 1 << 14
 
 #: The least number of bytes that an index has for a message.
 _ENTRY_BYTES = 12
@@ -255,37 +249,22 @@ def times_around(segments: Segments) -> Callable[[int, int], dict[str, int | Non
 
 
 class LoadSegment(Protocol):
-    """Loads a segment; see `pc2scan.bags.units.Load`, and with ``ids`` `pc2scan.bags.units.Skim`."""
+    """Loads a segment; see `pc2scan.bags.units.Load`."""
 
-    def __call__(
-        self,
-        segment: Segment,
-        callback: Callable[[RawMessage], Item],
-        *,
-        whole: bool,
-        ids: Collection[int] | None = None,
-    ) -> Loaded[Item]:
+    def __call__(self, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool) -> Loaded[Item]:
         """Return the callback's result for each message, or the chunk as a whole."""
         ...
 
 
 def segment_units(
-    segments: Segments, load: LoadSegment, file: SourceFile, whole: Bools, due: Numbers, *, has_checksums: bool = False
+    segments: Segments, load: LoadSegment, file: SourceFile, whole: Bools, due: Numbers
 ) -> Iterator[Unit]:
     """Yield the segments of a file as units, in the order in which `whole_chunks` says that they are due.
 
     The segments are in the order of the file. Each unit is made when it is due: it takes more memory than its segment.
-    Those of files at URLs are not skimmed: these are fetched in larger blocks than clouds have bytes.
     """
     for place in np.argsort(due, kind="stable").data:
         segment = segments[place]
-        size = segment.uncompressed_size
-        is_sparse = (
-            segment.compression == "none"
-            and size == segment.length
-            and size >= _LARGE_BYTES * (segment.message_count or size)
-            and file.is_local
-        )
         yield Unit(
             start_ns=int(due[place]),
             place=(segment.offset,),
@@ -298,52 +277,7 @@ def segment_units(
             compression=segment.compression,
             end_ns=segment.end_ns,
             connection_ids=segment.connection_ids,
-            skim=partial(_skimming, load, segment) if is_sparse else None,
-            has_checksum=has_checksums,
         )
-
-
-def _skimming(load: LoadSegment, segment: Segment, ids: Collection[int]) -> Load:
-    """Skim a segment; see `pc2scan.bags.units.Skim`."""
-    return partial(load, segment, ids=ids)
-
-
-def skim(
-    file: SourceFile,
-    segment: Segment,
-    first_cut: Callable[[memoryview], tuple[int, int | None]],
-    emptied: Callable[[memoryview], bytes],
-) -> memoryview:
-    """Return the records of a chunk that is not compressed, of which large messages that are not wanted are empty.
-
-    What they contain is not read. Whoever scans the records finds, counts and compares these messages like the others.
-
-    Parameters
-    ----------
-    first_cut
-        Returns the place of the first record that does not end in what was read, and its size; None if that is unknown.
-    emptied
-        Returns the record that begins here as an empty message, if it is one that is not wanted; else nothing.
-
-    Raises
-    ------
-    Exception
-        `SourceFile.damage`, if a record is not sound. The caller then reads the whole chunk, which shows what is wrong.
-    """
-    kept: list[Buffer] = []
-    position, stop = segment.offset, segment.offset + segment.length
-    while position < stop:
-        data = memoryview(file.read(position, min(SKIMMED_BYTES, stop - position)))
-        place, size = first_cut(data)
-        kept.append(data[:place])
-        position += place
-        if size is None and place:
-            continue
-        if size is None or position + size > stop:
-            raise file.damage(f"the record at byte {position} does not end before byte {stop}")
-        kept.append(emptied(data[place:]) or file.read(position, size))
-        position += size
-    return memoryview(b"".join(kept))
 
 
 class ChunkedReader(Reader):

@@ -8,7 +8,6 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import replace
-from functools import partial
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
     from pc2scan.progress import Price
 
     from .damage import Damage
-    from .units import Item, Load, Loaded, Skim, Unit
+    from .units import Item, Load, Loaded, Unit
 
 
 class MergedReader(Reader):
@@ -213,13 +212,7 @@ class _Source(NamedTuple):
             if (ids := unit.connection_ids) is not None:
                 ids = frozenset(self.known[own].id for own in ids & self.known.keys())
             load = _ConnectionReplacer(unit.load, self.known)
-            skim = None if unit.skim is None else partial(self._skimming, unit.skim)
-            yield unit._replace(place=(self.number, *unit.place), load=load, connection_ids=ids, skim=skim)
-
-    def _skimming(self, skim: Skim, ids: Collection[int]) -> Load:
-        """Skim a unit; the ids are those of merged connections."""
-        own = [key for key, connection in self.known.items() if connection.id in ids]
-        return _ConnectionReplacer(skim(own), self.known)
+            yield unit._replace(place=(self.number, *unit.place), load=load, connection_ids=ids)
 
 
 class _ConnectionReplacer(NamedTuple):

@@ -1,9 +1,7 @@
 """Observers: each takes something from messages of some connections, and all of them share one reading of a recording.
 
 A message that several observers want is read once, and a chunk is decompressed once. What an observer takes is taken
-while the message is in memory; nothing else of it is kept. A chunk that is not compressed is skimmed: its clouds are
-not read, if nobody wants them. Then its checksum is not compared; so of chunks with one, only those are skimmed that
-are loaded again for what follows (`Again`).
+while the message is in memory; nothing else of it is kept.
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 from pc2scan.errors import MessageError
 from pc2scan.model import RawMessage, copied_message
 
-from .chunks import SKIMMED_BYTES
 from .units import FirstTimes, merge_by_time
 
 if TYPE_CHECKING:
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
     from pc2scan.progress import Meter, Price
 
     from .reader import Reader
-    from .units import Load, Loaded, Skim, Unit
+    from .units import Loaded, Unit
 
 #: Rows are listed for each part, to skip those between; of more parts, all are listed.
 _MOST_PARTS = 1_000
@@ -188,35 +185,6 @@ class Observer(Generic[_Value]):
         return (self.most is not None or self.spread is not None) and self.is_done
 
 
-class Again(NamedTuple):
-    """What of a recording is loaded again, after the observers; without ids, nothing is.
-
-    Attributes
-    ----------
-    ids
-        Those of the connections.
-    start_ns, stop_ns
-        The cut, ``start_ns <= log_time_ns < stop_ns``; None: no limit.
-    """
-
-    ids: frozenset[int] = frozenset()
-    start_ns: int | None = None
-    stop_ns: int | None = None
-
-    def compares(self, unit: Unit) -> bool:
-        """Return whether the checksum of a unit is compared then, or it has none."""
-        return not unit.has_checksum or (
-            unit.end_ns is not None
-            and (self.start_ns is None or self.start_ns <= unit.end_ns)
-            and (self.stop_ns is None or unit.start_ns < self.stop_ns)
-            and unit.connection_ids is not None
-            and not self.ids.isdisjoint(unit.connection_ids)
-        )
-
-
-_NOTHING = Again()
-
-
 class _Seen(NamedTuple):
     """What observers take of a message; an item of `merge_by_time`."""
 
@@ -225,7 +193,7 @@ class _Seen(NamedTuple):
     values: Sequence[tuple[Observer[Any], Any]]
 
 
-def _work_of(price: Price, reader: Reader, observers: Iterable[Observer[Any]], again: Again) -> int:
+def _work_of(price: Price, reader: Reader, observers: Iterable[Observer[Any]]) -> int:
     """Return how much work it is to show all messages to those observers that want all; the others want few."""
     lasting = [each for each in observers if each.most is None and each.spread is None and each.is_needless is None]
     starts, stops = ([getattr(each, name) for each in lasting] for name in ("start_ns", "stop_ns"))
@@ -233,17 +201,10 @@ def _work_of(price: Price, reader: Reader, observers: Iterable[Observer[Any]], a
     if not connections:
         return 0
     start_ns, stop_ns = None if None in starts else min(starts), None if None in stops else max(stops)
-    asked = list(connections.values()), start_ns, stop_ns
-    if not reader.has_chunks:
-        return reader.work(price, *asked)
-    return sum(
-        unit.work(price, is_skimmed=unit.skim is not None and again.compares(unit)) for unit in reader.units(*asked)
-    )
+    return reader.work(price, list(connections.values()), start_ns, stop_ns)
 
 
-def observe(
-    *asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None = None, again: Again = _NOTHING
-) -> None:
+def observe(*asked: tuple[Reader, Sequence[Observer[Any]]], meter: Meter | None = None) -> None:
     """Show the messages of recordings to observers; see `observing`.
 
     Parameters
@@ -252,20 +213,15 @@ def observe(
         Each recording, and what takes its messages.
     meter
         Counts the work; None: nothing is reported.
-    again
-        What is loaded again of the first recording.
     """
-    readings = [(*each, _NOTHING if number else again) for number, each in enumerate(asked)]
     if meter is not None:
-        meter.expect(sum(_work_of(meter.ahead, *each) for each in readings) + meter.following)
-    for reader, observers, own in readings:
-        for _ in observing(reader, observers, meter, own):
+        meter.expect(sum(_work_of(meter.ahead, *each) for each in asked) + meter.following)
+    for reader, observers in asked:
+        for _ in observing(reader, observers, meter):
             pass
 
 
-def observing(
-    reader: Reader, observers: Iterable[Observer[Any]], meter: Meter | None = None, again: Again = _NOTHING
-) -> Generator[None]:
+def observing(reader: Reader, observers: Iterable[Observer[Any]], meter: Meter | None = None) -> Generator[None]:
     """Show the messages of a recording to observers, and yield after each.
 
     A recording with chunks is read once for all of them. Of one with rows, which are read topic by topic without
@@ -277,8 +233,6 @@ def observing(
         The recording, and what takes its messages.
     meter
         Gets the work of each unit that was read; None: nothing is reported.
-    again
-        What is loaded again.
 
     Raises
     ------
@@ -292,14 +246,12 @@ def observing(
         groups.setdefault(reader.has_chunks or observer.selection, []).append(observer)
     for group in groups.values():
         if not all(observer.is_done for observer in group):
-            yield from _observe_together(reader, group, meter, again)
+            yield from _observe_together(reader, group, meter)
         for observer in group:
             observer.has_ended = True
 
 
-def _observe_together(
-    reader: Reader, observers: Sequence[Observer[Any]], meter: Meter | None, again: Again
-) -> Generator[None]:
+def _observe_together(reader: Reader, observers: Sequence[Observer[Any]], meter: Meter | None) -> Generator[None]:
     """Read a recording once."""
     connections = {each.id: each for observer in observers for each in observer.connections}
     by_connection: dict[int, list[Observer[Any]]] = {}
@@ -324,26 +276,18 @@ def _observe_together(
         found = [each for observer in by_connection[key] if (each := observer.value_of(message))]
         return _Seen(message.log_time_ns, len(message.data), found)
 
-    def wanted(unit: Unit) -> Iterator[int]:
-        """Find the connections of which an observer wants messages of a unit by now."""
-        for key in connections.keys() if unit.connection_ids is None else connections.keys() & unit.connection_ids:
-            for observer in by_connection[key]:
-                if observer.wants(unit):
-                    yield key
-                    break
+    def is_wanted(unit: Unit) -> bool:
+        """Whether an observer wants messages of a unit by now."""
+        ids = connections.keys() if unit.connection_ids is None else connections.keys() & unit.connection_ids
+        return any(observer.wants(unit) for key in ids for observer in by_connection[key])
 
-    def load(
-        unit: Unit, skim: Skim | None, first: list[Load], callback: Callable[[RawMessage], Any], *, whole: bool
-    ) -> Loaded[Any]:
+    def load(unit: Unit, callback: Callable[[RawMessage], Any], *, whole: bool) -> Loaded[Any]:
         """Load a unit whose messages are due, if any observer wants them by then."""
-        if next(wanted(unit), None) is None:
+        if not is_wanted(unit):
             return []
-        if not first:
-            # If it is loaded again, it has the same messages again.
-            first.append(unit.load if skim is None else skim(frozenset(wanted(unit))))
         if meter is not None:
-            meter.add(unit.work(meter.ahead, is_skimmed=skim is not None))
-        return first[0](callback, whole=whole)
+            meter.add(unit.work(meter.ahead))
+        return unit.load(callback, whole=whole)
 
     sort_out()
     starts, stops = zip(*((observer.start_ns, observer.stop_ns) for observer in observers), strict=True)
@@ -354,16 +298,8 @@ def _observe_together(
         units = reader.units(
             list(connections.values()), None if None in starts else min(starts), None if None in stops else max(stops)
         )
-    # Twice: when units are announced to the system, of those that are skimmed the beginning; and when they are due.
-    chosen = (
-        unit._replace(
-            load=partial(load, unit, skim, []),
-            extent=extent._replace(length=min(extent.length, SKIMMED_BYTES)) if skim and extent else extent,
-        )
-        for unit in units
-        if next(wanted(unit), None) is not None
-        for skim, extent in [(unit.skim if unit.skim and again.compares(unit) else None, unit.extent)]
-    )
+    # Twice: when units are announced to the system, and when they are due.
+    chosen = (unit._replace(load=partial(load, unit)) for unit in units if is_wanted(unit))
     with closing(merge_by_time(chosen, take, holds_units=False, path=reader.path)) as messages:
         for seen in messages:
             if isinstance(seen, RawMessage):

@@ -15,7 +15,6 @@ import heapq
 from array import array
 from bisect import bisect_left
 from collections import deque
-from collections.abc import Callable, Collection
 from contextlib import closing
 from functools import partial
 from itertools import compress, islice
@@ -26,7 +25,7 @@ from pc2scan.errors import RecordingError
 from pc2scan.model import RawMessage, StoredChunk, own_message
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
     from pc2scan.files.source import SourceFile
@@ -194,11 +193,6 @@ class Load(Protocol):
         ...
 
 
-#: Returns what loads only the messages of some connections. Large messages of others are not read, so no checksum is
-#: compared; all else is.
-Skim: TypeAlias = Callable[[Collection[int]], Load]
-
-
 class Extent(NamedTuple):
     """The place of a unit: the file, and its bytes there."""
 
@@ -236,10 +230,6 @@ class Unit(NamedTuple):
         Log time of its last message, or later; None if that is unknown.
     connection_ids
         The connections with messages in it; None if they are unknown, or those that were asked for.
-    skim
-        See `Skim`; None where this would take as long. It is for units that have as many bytes as their extent.
-    has_checksum
-        Whether ``load`` compares a checksum.
     """
 
     start_ns: int
@@ -254,13 +244,9 @@ class Unit(NamedTuple):
     compression: str = "none"
     end_ns: int | None = None
     connection_ids: frozenset[int] | None = None
-    skim: Skim | None = None
-    has_checksum: bool = False
 
-    def work(self, price: Price, *, is_skimmed: bool = False) -> int:
+    def work(self, price: Price) -> int:
         """Return how much work it is at a price."""
-        if is_skimmed:
-            return price.of_skimming(self.messages)
         stored = None if self.extent is None else self.extent.length
         return price.of(
             self.size, stored, self.messages, self.compression, are_rows=self.is_in_memory, is_quick=self.is_quick
@@ -347,7 +333,7 @@ def merge_by_time(
                 _evict(heap, max_open_bytes - unit.size)
                 found = _sort(coming.result())
                 if unit.extent and not isinstance(found, StoredChunk):
-                    most += (unit.size if unit.skim else unit.extent.length) - len(found)
+                    most += unit.extent.length - len(found)
                     if most < 0:
                         raise RecordingError("has more messages than bytes, which no recording does", path=path)
                 if found:

@@ -260,7 +260,6 @@ class SourceFile:
         self.path = path
         #: Fetches bytes before they are read; None for a local file.
         self._fetch: Callable[[int, int], None] | None = None
-        self.is_local = not isinstance(path, UrlPath)
         self._descriptor = -1
         self._buffers = _shared.setdefault("", BufferPool())
         if isinstance(path, UrlPath):

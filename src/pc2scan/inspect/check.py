@@ -330,7 +330,7 @@ def check(
         if progress is not None:
             meter = Meter(progress, CHECK)
             meter.following = reader.work(CHECK, wanted)
-        survey.read(meter, again=wanted)
+        survey.read(meter)
         transforms = reading.finish()
         buffer = transforms.buffer
         wrong = {name: clock for name, clock in clocks.findings().items() if clock.other}

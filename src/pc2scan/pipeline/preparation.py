@@ -107,7 +107,6 @@ def prepare(
     *,
     transform_frames: Collection[str] | None = None,
     meter: Meter | None = None,
-    is_complete: bool = False,
 ) -> Preparation:
     """Prepare the conversion of each output: read transforms, and measure what is ``auto``.
 
@@ -125,8 +124,6 @@ def prepare(
         The frames that the caller needs transforms of, even if the conversion needs none; None: it needs no transforms.
     meter
         Counts the work of the preparation and of the conversion that follows; None: nothing is reported.
-    is_complete
-        Whether all messages of the cut are converted afterwards, not a few.
     """
     asked = options.frames
     # Added transforms are written to the output, even if it needs none.
@@ -153,12 +150,10 @@ def prepare(
         survey.ask_transforms((*(transform_frames or ()), *needed))
     else:
         survey.ask_robot()
-    return _prepare_by_facts(survey, plan, firsts, meter, is_complete=is_complete)
+    return _prepare_by_facts(survey, plan, firsts, meter)
 
 
-def _prepare_by_facts(
-    survey: Survey, plan: Plan, firsts: FirstClouds, meter: Meter | None, *, is_complete: bool
-) -> Preparation:
+def _prepare_by_facts(survey: Survey, plan: Plan, firsts: FirstClouds, meter: Meter | None) -> Preparation:
     """Ask the survey for what each output needs besides transforms, let it read, and make conversions of the facts."""
     asked, reader, span = survey.frames, survey.reader, survey.span
     notes: list[str] = []
@@ -174,10 +169,10 @@ def _prepare_by_facts(
         for facts in placed:
             facts.ask_headers(CLOCK_HEADERS)
     outputs = {spec: _OutputFacts(spec, plan, survey, asked) for spec in plan.specs if not spec.reverse}
-    connections = [route.connection for route in plan.routes]
     if meter is not None:
+        connections = [route.connection for route in plan.routes]
         meter.following = reader.work(meter.price, connections, span.start_ns, span.stop_ns)
-    survey.read(meter, again=connections if is_complete else ())
+    survey.read(meter)
     transforms: TransformBuffer | None = None
     found: FoundTransforms | None = None
     if survey.transforms is not None:

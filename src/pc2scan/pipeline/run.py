@@ -103,7 +103,7 @@ def run(
                 from pc2scan.progress import Meter  # noqa: PLC0415  # only if somebody wants to know
 
                 meter = Meter(progress, _price_of(plan, target, jobs))
-            prepared = prepare(reader, plan, options, span, stack, tell, meter=meter, is_complete=True)
+            prepared = prepare(reader, plan, options, span, stack, tell, meter=meter)
             report.add((), prepared.notes)
             cut = None if output.cut is None else replace(output.cut, begin_ns=span.first_ns)
             with _writing(target, unfinished, cut) as writer:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
-from pc2scan.bags.observers import Again, Observer, observe
+from pc2scan.bags.observers import Observer, observe
 from pc2scan.bags.topics import by_topic
 from pc2scan.core.floor import CloudSample, are_enough
 from pc2scan.core.layout import TURN
@@ -19,7 +19,7 @@ from pc2scan.messages.clouds import CLOUDS, SCANS
 from pc2scan.tf.reading import RobotTransforms, TransformReading
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Hashable, Iterable, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.core.points import Points
@@ -333,7 +333,7 @@ class Survey:
             self._imus[topic] = ImuReading([self.reader, *self.others], topic, most)
         return self._imus[topic]
 
-    def read(self, meter: Meter | None = None, again: Collection[Connection] = ()) -> None:
+    def read(self, meter: Meter | None = None) -> None:
         """Read the recordings: each once, as far as anything of it is needed.
 
         A topic with poses that was not asked for is read separately, if only it has a frame that is needed.
@@ -342,8 +342,6 @@ class Survey:
         ----------
         meter
             Counts the work; None: nothing is reported.
-        again
-            The connections whose messages in the cut are all read afterwards.
 
         Raises
         ------
@@ -364,7 +362,6 @@ class Survey:
                 observers += (each for facts in self._facts.values() for each in facts.observers)
                 observers += self.observers
             asked.append((reader, observers))
-        ids = frozenset(connection.id for connection in again)
-        observe(*asked, meter=meter, again=Again(ids, self.span.start_ns, self.span.stop_ns))
+        observe(*asked, meter=meter)
         if self.transforms is not None:
             self.transforms.supply(self.reader, self._needed, use=self._use)

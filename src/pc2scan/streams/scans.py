@@ -242,7 +242,6 @@ class Scans(Stream[Scan]):
             report.warnings.append,
             transform_frames=self._transform_frames,
             meter=self._meter,
-            is_complete=True,
         )
         self.transforms = prepared.transforms
         report.add((), (*plan.notes, *prepared.notes))

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import struct
-from functools import partial
 from typing import TYPE_CHECKING
 
-from pc2scan.bags.chunks import Segment, skim
+from pc2scan.bags.chunks import Segment
 from pc2scan.bags.formats import and_list
 from pc2scan.bags.units import MAX_LISTED_ITEMS
 from pc2scan.files.compression import ZSTD_MAGIC, CompressionError, allowed_bytes, crc32, decompress
@@ -104,41 +103,6 @@ def borrow_payload(file: RecordFile, segment: Segment, *, verify: bool = True) -
     record = file.borrow(segment.record_offset, head + segment.length)
     chunk = _check_header(record.data, segment, file)
     return record._replace(data=decompress_chunk(file, chunk, record.data[head:], verify=verify))
-
-
-def skimmed_payload(file: RecordFile, segment: Segment, ids: Collection[int]) -> memoryview:
-    """Read a chunk's records, of which large messages of other channels are empty; no CRC is compared.
-
-    Raises
-    ------
-    RecordingError
-        If bytes are missing, or the chunk's header differs from the index.
-    """
-    assert isinstance(segment, ChunkSegment)
-    head = file.read(segment.record_offset, segment.offset - segment.record_offset)
-    _check_header(memoryview(head), segment, file)
-    return skim(file, segment, _first_cut, partial(_emptied, ids))
-
-
-def _first_cut(data: memoryview) -> tuple[int, int | None]:
-    """Return the place and the size of the first record that does not end here; None if it could be in a header."""
-    place, end = 0, len(data)
-    unpack, head = RECORD.unpack_from, RECORD.size
-    while place + MESSAGE.size <= end:
-        size = head + unpack(data, place)[1]
-        if place + size > end:
-            return place, size
-        place += size
-    return place, None
-
-
-def _emptied(ids: Collection[int], data: memoryview) -> bytes:
-    """Return the message that begins here without its data, if its channel is not among these; else nothing."""
-    opcode, length, channel_id, *numbers = MESSAGE.unpack_from(data)
-    size = MESSAGE.size - RECORD.size
-    if opcode != OP_MESSAGE or length < size or channel_id in ids:
-        return b""
-    return MESSAGE.pack(opcode, size, channel_id, *numbers)
 
 
 def stored_chunk(

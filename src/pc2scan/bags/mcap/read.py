@@ -22,15 +22,7 @@ from pc2scan.files.source import BorrowedBytes
 from pc2scan.model import Attachment, Connection, Definition, Metadata, StoredChunk, Summary
 
 from . import records
-from .chunks import (
-    ChunkSegment,
-    borrow_payload,
-    chunk_at,
-    copy_by_content,
-    copy_by_index,
-    payload,
-    skimmed_payload,
-)
+from .chunks import ChunkSegment, borrow_payload, chunk_at, copy_by_content, copy_by_index, payload
 from .index import McapIndex, find_declarations, find_index, indexed_times
 from .records import ANY_TIME, MESSAGE, RECORD, Opcode, RecordFile, encode_record, parse, scan_messages, split
 
@@ -66,8 +58,6 @@ class _Selection(NamedTuple):
         Which chunks may be copied as a whole; None: none.
     blindly
         Channels whose chunks may be copied without decompressing them.
-    skims
-        Whether large messages of other connections are not read.
     """
 
     wanted: Mapping[int, Connection]
@@ -75,7 +65,6 @@ class _Selection(NamedTuple):
     stop_ns: int
     rule: ChunkRule | None
     blindly: frozenset[int]
-    skims: bool = False
 
 
 class McapReader(ChunkedReader):
@@ -183,23 +172,12 @@ class McapReader(ChunkedReader):
             blindly = shared_channels(self._index, rule)
         times = (0 if start_ns is None else start_ns, 1 << 64 if stop_ns is None else stop_ns)
         selection = _Selection(wanted, *times, rule, blindly)
-        load = partial(self._load, selection)
-        return segment_units(segments, load, self._file, whole, due, has_checksums=self._verify)
+        return segment_units(segments, partial(self._load, selection), self._file, whole, due)
 
     def _load(
-        self,
-        selection: _Selection,
-        segment: Segment,
-        callback: Callable[[RawMessage], Item],
-        *,
-        whole: bool,
-        ids: Collection[int] | None = None,
+        self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
     ) -> Loaded[Item]:
         """Load a segment; see `pc2scan.bags.units.Load`."""
-        if ids is not None:
-            selection = selection._replace(
-                wanted={key: selection.wanted[key] for key in selection.wanted.keys() & ids}, skims=True
-            )
         found: StoredChunk | Messages | None = None
         payload: BorrowedBytes | None = None
         # A damaged segment is read again to recover its messages; a damaged chunk is not copied.
@@ -231,9 +209,7 @@ class McapReader(ChunkedReader):
             seen = seen or copy_by_content(self._file, segment, selection.rule, verify=self._verify)
         if isinstance(seen, StoredChunk):
             return seen, None
-        if selection.skims:
-            payload = BorrowedBytes(skimmed_payload(self._file, segment, selection.wanted), None)
-        elif seen is None:
+        if seen is None:
             payload = borrow_payload(self._file, segment, verify=self._verify)
         else:
             payload = BorrowedBytes(seen, None)
@@ -250,7 +226,7 @@ class McapReader(ChunkedReader):
         DamageError
             If the records are not sound, or contradict what the segment declares.
         """
-        wanted, start_ns, stop_ns, *_ = selection
+        wanted, start_ns, stop_ns, _, _ = selection
         span = _declared_span(segment)
         further = partial(self._compare_declaration, data, segment) if isinstance(segment, ChunkSegment) else None
         scan = scan_messages(data, wanted, start_ns, stop_ns, span or ANY_TIME, further)

@@ -7,7 +7,6 @@ chunks and to count: they have no further information, and some recorders write 
 from __future__ import annotations
 
 from array import array
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +15,7 @@ import numpy as np
 
 from pc2scan.bags.chunks import ChunkedReader, segment_units, whole_chunks
 from pc2scan.bags.damage import AnotherRecordingError, DamageLog
-from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems, filter_items, map_items
+from pc2scan.bags.units import MAX_LISTED_ITEMS, LazyItems, map_items
 from pc2scan.errors import stamp_text
 from pc2scan.files.compression import LZ4_MAGIC
 from pc2scan.model import RawMessage, StoredChunk, Summary, own_data
@@ -40,7 +39,6 @@ from .records import (
     number_field,
     parse_connection,
     record_in,
-    skimmed_payload,
     time_field,
 )
 
@@ -174,21 +172,10 @@ class Rosbag1Reader(ChunkedReader):
         return segment_units(segments, partial(self._load, selection), self._file, whole, due)
 
     def _load(
-        self,
-        selection: _Selection,
-        segment: Segment,
-        callback: Callable[[RawMessage], Item],
-        *,
-        whole: bool,
-        ids: Collection[int] | None = None,
+        self, selection: _Selection, segment: Segment, callback: Callable[[RawMessage], Item], *, whole: bool
     ) -> Loaded[Item]:
         """Load a chunk; see `pc2scan.bags.units.Load`."""
         try:
-            if ids is not None:
-                # A damaged chunk is read as a whole.
-                with suppress(FormatError):
-                    skimmed = self._scan(selection, segment, skimmed_payload(self._file, segment, ids), {})
-                    return map_items(callback, filter_items(lambda message: message.connection.id in ids, skimmed))
             if selection.rule and whole:
                 found = self._load_whole(selection, selection.rule, segment)
                 return found if isinstance(found, StoredChunk) else map_items(callback, found)

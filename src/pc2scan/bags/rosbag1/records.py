@@ -19,12 +19,10 @@ Source: http://wiki.ros.org/Bags/Format/2.0, and for details missing there, ROS 
 from __future__ import annotations
 
 import struct
-from functools import partial
 from itertools import permutations
 from operator import itemgetter
 from typing import TYPE_CHECKING, NamedTuple
 
-from pc2scan.bags.chunks import skim
 from pc2scan.bags.damage import RECOVER
 from pc2scan.bags.formats import FORMATS
 from pc2scan.errors import DamageError
@@ -33,7 +31,7 @@ from pc2scan.files.source import SourceFile
 from pc2scan.model import Connection, Definition, RawMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from pc2scan.bags.chunks import Segment
@@ -217,32 +215,6 @@ def decompress_chunk(file: BagFile, segment: Segment, data: Buffer) -> Buffer:
         observed = f"more than {size}" if len(unpacked) > size else str(len(unpacked))
         raise FormatError(f"it holds {observed} bytes when decompressed, {size} are declared")
     return unpacked
-
-
-def skimmed_payload(file: BagFile, segment: Segment, ids: Collection[int]) -> memoryview:
-    """Read a chunk's records, of which large messages of other connections are empty."""
-    return skim(file, segment, _first_cut, partial(_emptied, ids))
-
-
-def _first_cut(data: memoryview) -> tuple[int, int | None]:
-    """Return the place and the size of the first record that does not end here; None if its header does not."""
-    place, end = 0, len(data)
-    unpack, head = UINT32.unpack_from, UINT32.size
-    while place + head <= end and (body := place + head + unpack(data, place)[0] + head) <= end:
-        stop = body + unpack(data, body - head)[0]
-        if stop > end:
-            return place, stop - place
-        place = stop
-    return place, None
-
-
-def _emptied(ids: Collection[int], data: memoryview) -> bytes:
-    """Return the message that begins here without its data, if its connection is not among these; else nothing."""
-    stop = UINT32.size + int(UINT32.unpack_from(data)[0])
-    fields = parse_fields(data[UINT32.size : stop])
-    if kind_of(fields) != MESSAGE or number_field(fields, "conn") in ids:
-        return b""
-    return bytes(data[:stop]) + bytes(UINT32.size)
 
 
 def record_in(data: memoryview, position: int) -> tuple[dict[bytes, bytes], int, int]:
