@@ -17,6 +17,7 @@ from .render import LiveWarnings, progress_bar, say, show
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from pc2scan.bags.formats import Format
     from pc2scan.pipeline.report import Report
 
 #: More files than these are written as a pattern.
@@ -75,7 +76,8 @@ def next_command(report: Report) -> str:
     from pc2scan.bags.formats import FORMATS
     from pc2scan.pipeline.parameters import preset_of
 
-    destination = _destination(report)
+    entry = FORMATS[report.container]
+    destination = _destination(report, entry)
     if report.all_empty:
         return f"pc2scan info {_quoted(report.sources[0])}"
     consumer = next(filter(None, map(preset_of, report.origins.values())), "")
@@ -84,7 +86,6 @@ def next_command(report: Report) -> str:
     converted = [topic.spec for topic in report.converted]
     if any(spec is not None and not spec.reverse for spec in converted):
         return f"pc2scan check {destination}"
-    entry = FORMATS[report.container]
     is_one = entry.is_directory or len(report.files) < 2
     is_playable = entry.ros_version == report.ros_version and (is_one or entry.plays_several)
     if converted and entry.play and is_playable and not is_url(report.destination):
@@ -93,11 +94,9 @@ def next_command(report: Report) -> str:
     return f"pc2scan info {destination}"
 
 
-def _destination(report: Report) -> str:
+def _destination(report: Report, entry: Format) -> str:
     """Return the destination quoted for the shell: the recording, or a pattern for all its files."""
-    from pc2scan.bags.formats import FORMATS
-
-    if not report.files or FORMATS[report.container].is_directory:
+    if not report.files or entry.is_directory:
         return _quoted(report.destination)
     if len(report.files) <= _NAMED:
         return " ".join(map(_quoted, report.files))
