@@ -31,10 +31,7 @@ PAGES = {
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are not under docs."""
     generated = {page: (ROOT / file).read_text("utf-8") for file, page in PAGES.items()}
-    generated |= {
-        "reference/python.md": functions(),
-        "reference/schemas.md": schemas(),
-    }
+    generated["reference/python.md"] = functions()
     for page, text in generated.items():
         files.append(File.generated(config, page, content=text))
     return files
@@ -70,16 +67,3 @@ def functions() -> str:
         where = f"{thing.__module__}.{thing.__qualname__}" if hasattr(thing, "__qualname__") else f"pc2scan.{name}"
         parts.append(f"::: {where}\n")
     return "\n".join(parts)
-
-
-def schemas() -> str:
-    """Return the JSON schemas of the files that pc2scan reads and writes."""
-    files = sorted((ROOT / "src").rglob("*.schema.json"))
-    parts = [f"## {path.name}\n\n```json\n{path.read_text('utf-8').strip()}\n```\n" for path in files]
-    return "\n".join(
-        [
-            "# Schemas\n",
-            "Of scans files and dataset files, for editors that check YAML; of reports and manifests, for programs.\n",
-            *parts,
-        ]
-    )

@@ -1,7 +1,7 @@
 """Results: data with one description, from which text, HTML, JSON and the command's output are made.
 
 A result is a data class. ``body`` and ``remarks`` describe it; ``print``, notebooks and the command show these parts.
-`as_dict` has its attributes: the schema of the JSON is ``pc2scan/results.schema.json``.
+`as_dict` has its attributes.
 """
 
 from __future__ import annotations

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -15,19 +14,14 @@ from pc2scan.batch.dataset_file import DatasetEntry
 from pc2scan.batch.jobs import digest_of, request_of
 from pc2scan.errors import UsageError
 from pc2scan.export.formats import FORMATS
-from pc2scan.options.schemas import schema_text
-from pc2scan.options.table import dataset_options, options_of
+from pc2scan.options.table import options_of
 from support import ROOT
 from support.batches import in_this_process, manifest_of, place
 from support.command import run
 from support.tables import rows
 
 
-def test_the_schema_of_dataset_files_is_that_of_the_options() -> None:
-    committed = (ROOT / "src" / "pc2scan" / "batch" / "dataset.schema.json").read_text("utf-8")
-    assert committed == schema_text("dataset"), "python -m pc2scan.options.schemas"
-    properties = json.loads(committed)["properties"]["defaults"]["properties"]
-    assert properties.keys() == dataset_options().keys()
+def test_formats_are_words_of_the_options() -> None:
     assert options_of("batch")["export"].value.words == options_of("export")["format"].value.words == tuple(FORMATS)
 
 

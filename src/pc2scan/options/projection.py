@@ -21,7 +21,7 @@ from .option import (
     Path,
     Quantity,
 )
-from .values import Count, Flag, Instance, Number, Outputs, PathName, Preset, Text, Texts
+from .values import Count, Flag, Instance, Number, Outputs, PathName, Text, Texts
 
 
 class Projection(TypedDict, total=False):
@@ -225,7 +225,7 @@ class ParameterSources(TypedDict, total=False):
     preset: Annotated[
         str | None,
         Option(
-            Preset("CONSUMER"),
+            Text("CONSUMER"),
             "Parameters for a consumer of the scans: slam_toolbox, cartographer, gmapping, amcl, nav2, mrpt. "
             "Parameters given here or in a file override them.",
             panel=SLAM,

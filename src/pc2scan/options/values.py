@@ -12,7 +12,6 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 from pc2scan.arguments import names_in, value_and_type
-from pc2scan.core.presets import PRESETS
 from pc2scan.errors import UsageError
 from pc2scan.files.urls import path_of, paths_in
 from pc2scan.text import did_you_mean
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
 
 #: The longest time in seconds that a scan may be made of.
 _LONGEST = 86_400.0
-
-_TEXT = {"type": "string"}
-_NUMBER_OR_TEXT = {"anyOf": [{"type": "number"}, _TEXT]}
 
 
 def _is_number(value: object) -> bool:
@@ -90,10 +86,6 @@ class Value:
         """Return whether a value of a YAML or JSON file has the right type."""
         return isinstance(value, str) and (value in self.words or not self.words)
 
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema of values in files."""
-        return {"enum": list(self.words)} if self.words else dict(_TEXT)
-
 
 class Flag(Value):
     """True or false."""
@@ -114,10 +106,6 @@ class Flag(Value):
     def admits(self, value: object) -> bool:
         """Return whether it is true or false."""
         return isinstance(value, bool)
-
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        return {"type": "boolean"}
 
 
 class Text(Value):
@@ -155,14 +143,6 @@ class OpenText(Text):
     is_open = True
 
 
-class Preset(Text):
-    """The name of a consumer of scans, whose parameters are used."""
-
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        return {"enum": list(PRESETS)}
-
-
 class Switch(Text):
     """True, or a text: an option whose value may be left out."""
 
@@ -189,11 +169,6 @@ class Texts(Value):
                     hint=did_you_mean(text, self.words) or None,
                 )
         return found
-
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        item = super().schema()
-        return {"anyOf": [item, {"type": "array", "items": item, "minItems": 1}]}
 
 
 class TransformTexts(Texts):
@@ -238,10 +213,6 @@ class PathName(Value):
         """Return whether it is a text that is not empty."""
         return isinstance(value, str) and bool(value)
 
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        return {**_TEXT, "minLength": 1}
-
 
 class Recording(PathName):
     """The path of a recording."""
@@ -259,11 +230,6 @@ class Recordings(Recording):
     def read(self, name: str, value: Any) -> Any:
         """Return the paths as a tuple."""
         return () if value in ((), []) else tuple(paths_in(name, value))
-
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        one = super().schema()
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
 
 
 class Outputs(PathName):
@@ -305,13 +271,6 @@ class Count(Value):
     def admits(self, value: object) -> bool:
         """Return whether it is a whole number, or one of the words."""
         return self.accept(value) is not None
-
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        number: dict[str, Any] = {"type": "integer", "minimum": self.low}
-        if self.high is not None:
-            number["maximum"] = self.high
-        return {"anyOf": [number, {"enum": list(self.words)}]} if self.words else number
 
 
 class Number(Value):
@@ -359,12 +318,6 @@ class Number(Value):
         """Return whether it is a number, a quantity as text, or one of the words."""
         return _is_number(value) or (isinstance(value, str) and (bool(self.unit) or value in self.words))
 
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        if self.unit:
-            return dict(_NUMBER_OR_TEXT)
-        return {"anyOf": [{"type": "number"}, {"enum": list(self.words)}]} if self.words else {"type": "number"}
-
 
 class Share(Number):
     """A share, 0 to 1, or in percent: ``0.05`` or ``5%``."""
@@ -382,10 +335,6 @@ class Share(Number):
         """Return whether it is a number or percent."""
         return _is_number(value) or (isinstance(value, str) and value.endswith("%"))
 
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        return dict(_NUMBER_OR_TEXT)
-
 
 class Duration(Value):
     """A time: seconds, text such as ``500ms``, or a `datetime.timedelta`. `nanoseconds_of` reads it."""
@@ -400,10 +349,6 @@ class Duration(Value):
     def admits(self, value: object) -> bool:
         """Return whether it is a number or text."""
         return isinstance(value, str) or _is_number(value)
-
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        return dict(_NUMBER_OR_TEXT)
 
 
 def nanoseconds_of(name: str, value: Any, more: str = "") -> int:
@@ -443,10 +388,6 @@ class Moment(Value):
     def admits(self, value: object) -> bool:
         """Return whether it is a number or text."""
         return isinstance(value, str) or _is_number(value)
-
-    def schema(self) -> dict[str, Any]:
-        """Return the JSON schema."""
-        return {"type": ["number", "string"]}
 
 
 class Moments(Moment):
