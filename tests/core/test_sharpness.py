@@ -29,14 +29,14 @@ def test_noise_is_measured_whatever_the_motion_is(hertz: int, sign: int) -> None
     # A quaternion and its negative are one rotation, and single poses jump.
     found[::7, 3:] *= sign
     found[::200, 0] += 5
-    metres, radians = noise(stamps, found.__getitem__)
+    metres, radians = noise(stamps, found)
     assert (metres, radians) == pytest.approx((0.02, 0.01), rel=0.15)
-    assert max(noise(stamps, poses(times, np.sin(2 * times), 3 * np.cos(times)).__getitem__)) < 0.002
+    assert max(noise(stamps, poses(times, np.sin(2 * times), 3 * np.cos(times)))) < 0.002
 
 
 def test_few_values_have_no_noise() -> None:
     stamps = np.arange(20, dtype=np.int64) * SECOND
-    assert noise(stamps, poses(stamps, np.random.default_rng(1).normal(0, 1, 20)).__getitem__) == (0.0, 0.0)
+    assert noise(stamps, poses(stamps, np.random.default_rng(1).normal(0, 1, 20))) == (0.0, 0.0)
     assert roughness(stamps[:3], np.ones((3, 2))).tolist() == [0.0, 0.0]
 
 
@@ -54,7 +54,7 @@ def test_the_busiest_seconds_are_those_in_which_the_velocity_changes() -> None:
     times = np.arange(0, 60, 0.02)
     stamps = (times * SECOND).astype(np.int64)
     turning = np.where((times > 20) & (times < 22), np.sin(3 * (times - 20)), 0.0)
-    moving, turned, still = (poses(times, *each).__getitem__ for each in ((turning, times), (turning,), (0 * times,)))
+    moving, turned, still = (poses(times, *each) for each in ((turning, times), (turning,), (0 * times,)))
     found = busiest(stamps, moving, Window(0, 60 * SECOND), SECOND, 2)
     assert len(found) == 2
     assert all(19 * SECOND < begin < 22.5 * SECOND and end - begin == SECOND for begin, end in found)

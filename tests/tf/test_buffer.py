@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from pc2scan.core.rigid import Rigid, interpolate, interpolate_poses
 from pc2scan.errors import RecordingError, TransformError
 from pc2scan.tf.builder import TransformBuilder
-from pc2scan.tf.history import Samples
 from tf.small_buffers import EPOCH, SECOND, at, built, refusal, row, x_of
 
 if TYPE_CHECKING:
@@ -230,7 +229,7 @@ def test_a_tolerance_changes_nothing_that_is_known_without_it() -> None:
 def test_the_history_of_a_frame() -> None:
     buffer = built([row("a", "b", second, x=second) for second in (2, 1)], [row("b", "c", 0)])
     history = buffer.history("/b")
-    assert isinstance(history, Samples)
+    assert history is not None
     assert history.stamps_ns.tolist() == [at(1), at(2)]
     assert history.translations.tolist() == [[1, 0, 0], [2, 0, 0]]
     assert history.quaternions.tolist() == [[0, 0, 0, 1]] * 2

@@ -12,11 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
-
-    PosesOf = Callable[[NDArray[np.intp]], NDArray[np.float64]]
 
 #: Rotations are compared with translations at this distance from the robot, metres.
 LEVER = 10.0
@@ -56,15 +52,15 @@ def spread(points: NDArray[np.float64]) -> float:
     return len(_DIRECTIONS) * len(points) ** 2 / total if total else 0.0
 
 
-def busiest(stamps_ns: NDArray[np.int64], poses_of: PosesOf, span: Window, length_ns: int, most: int) -> list[Window]:
+def busiest(
+    stamps_ns: NDArray[np.int64], poses: NDArray[np.float64], span: Window, length_ns: int, most: int
+) -> list[Window]:
     """Return the windows in which a velocity changes most, none of which overlaps another one, the busiest first.
 
     Parameters
     ----------
-    stamps_ns
-        (N,) increasing.
-    poses_of
-        Returns those of N poses with the numbers (K,): (K, 7), x, y, z, and the quaternion i, j, k, r.
+    stamps_ns, poses
+        (N,) increasing, and (N, 7): x, y, z, and the quaternion i, j, k, r.
     span
         Where windows may be.
     length_ns, most
@@ -76,7 +72,7 @@ def busiest(stamps_ns: NDArray[np.int64], poses_of: PosesOf, span: Window, lengt
     if steps < 2 or end_ns - begin_ns < length_ns:
         return []
     times = np.arange(begin_ns, end_ns, step_ns)
-    moved, turned = steps_of(poses_of(np.minimum(stamps_ns.searchsorted(times), len(stamps_ns) - 1)))
+    moved, turned = steps_of(poses[np.minimum(stamps_ns.searchsorted(times), len(stamps_ns) - 1)])
     motion = np.concatenate([moved, LEVER / 2 * turned], axis=1)
     sums, squares = (np.cumsum(np.pad(each, ((1, 0), (0, 0))), axis=0) for each in (motion, motion**2))
     mean, square = ((each[steps:] - each[:-steps]) / steps for each in (sums, squares))
@@ -96,20 +92,20 @@ def steps_of(poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     return np.diff(poses[:, :3], axis=0), sign * vector
 
 
-def noise(stamps_ns: NDArray[np.int64], poses_of: PosesOf) -> tuple[float, float]:
+def noise(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> tuple[float, float]:
     """Return how far poses are off a smooth motion, as standard deviations: metres and radians; see `roughness`.
 
     Parameters
     ----------
-    stamps_ns, poses_of
+    stamps_ns, poses
         As for `busiest`.
     """
     places = _places(len(stamps_ns))
-    poses = poses_of(places.reshape(-1)).reshape(*places.shape, 7)
-    one, other = poses[:, :-1, 3:], poses[:, 1:, 3:]
+    chosen = poses[places]
+    one, other = chosen[:, :-1, 3:], chosen[:, 1:, 3:]
     # A quaternion and its negative are one rotation.
     other *= np.cumprod(np.where((one * other).sum(axis=2, keepdims=True) < 0, -1.0, 1.0), axis=1)
-    sizes = _deviations(stamps_ns[places], poses)
+    sizes = _deviations(stamps_ns[places], chosen)
     return float(np.linalg.norm(sizes[:3])), 2 * float(np.linalg.norm(sizes[3:]))
 
 

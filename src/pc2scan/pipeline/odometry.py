@@ -177,11 +177,11 @@ def odometry_of(buffer: TransformBuffer, fixed: str, source: str) -> Odometry:
     body = links[0]
     parent, child = buffer.frames[body.parent_at(None)], buffer.frames[body.child]
     is_below = len(links) == 1 and child == fixed.removeprefix("/")
-    stamps_ns = body.all_stamps()
+    stamps_ns = body.stamps_ns
     intervals = np.diff(stamps_ns)
     apart_ns = max(1, int(median(intervals))) if intervals.size else _STEP_NS
     every = max(1, _STEP_NS // apart_ns)
-    x, y, _, a, b, c, d = body.poses_of(np.arange(0, body.size, every)).T
+    x, y, _, a, b, c, d = body.poses[::every].T
     yaw = np.arctan2(2 * (d * c + a * b), 1 - 2 * (b * b + c * c))
     turned = np.remainder(np.diff(yaw) + math.pi, math.tau) - math.pi
     turns = np.ptp(np.append(0.0, np.cumsum(turned))) >= _LEAST_TURN
@@ -218,7 +218,7 @@ def odometry_warnings(spec: ScanSpec, odometry: Odometry) -> Iterator[str]:
         return
     body = odometry.links[0]
     pair = f"from {spec.fixed_frame} to {odometry.child}"
-    intervals = np.diff(body.all_stamps())
+    intervals = np.diff(body.stamps_ns)
     apart_ns = int(median(intervals)) if intervals.size else 0
     if apart_ns > _SLOW_NS:
         yield (
@@ -226,7 +226,7 @@ def odometry_warnings(spec: ScanSpec, odometry: Odometry) -> Iterator[str]:
             f"{_CLOUD_NS / 1e9:g} s: points are placed as if the robot had moved evenly meanwhile; odometry of 10 Hz "
             "and more deskews better: another `fixed_frame`, or `tf_from` another recording"
         )
-    metres, radians = map(sum, zip(*(noise(link.all_stamps(), link.poses_of) for link in odometry.links), strict=True))
+    metres, radians = map(sum, zip(*(noise(link.stamps_ns, link.poses) for link in odometry.links), strict=True))
     off = math.hypot(metres, LEVER * radians)
     moved = _motion_of_cloud(body, apart_ns)
     if off > max(_LEAST_NOISE, moved / math.sqrt(12)):
@@ -248,9 +248,9 @@ def tilt_warnings(spec: ScanSpec, odometry: Odometry, up: UpSource) -> Iterator[
     if not (spec.deskew and odometry.links and isinstance(up, UpByImu)):
         return
     body = odometry.links[0]
-    level = np.concatenate([_ups(part.quaternions) for part in body.parts()])
+    level = _ups(body.quaternions)
     by_imu = _tilts(up.stamps_ns, up.directions)
-    by_odometry = _tilts(body.all_stamps(), level)
+    by_odometry = _tilts(body.stamps_ns, level)
     if by_imu > _LEAST_TILT and by_odometry < _LEVEL_BESIDE * by_imu:
         yield (
             f"by {up.topic}, roll and pitch change by {math.degrees(by_imu):.2g} degrees within {_CLOUD_NS / 1e9:g} s "
@@ -280,7 +280,7 @@ def _tilts(stamps_ns: NDArray[np.int64], ups: NDArray[np.float64]) -> float:
 def _motion_of_cloud(link: FrameHistory, apart_ns: int) -> float:
     """Return how far points at `LEVER` move within a cloud, metres, when the robot moves (third quartile)."""
     between = max(1, round(_CLOUD_NS / apart_ns)) if apart_ns else 1
-    poses = link.poses_of(np.arange(0, link.size, between))
+    poses = link.poses[::between]
     if len(poses) < _FEWEST // 100:
         return 0.0
     moved, turned = steps_of(poses)
@@ -384,7 +384,7 @@ class Surroundings:
         self._together = together
         self._clouds: dict[str, list[_Cloud]] = {}
         body = odometry.links[0]
-        self._windows = busiest(body.all_stamps(), body.poses_of, Window(*span), _WINDOW_NS, _WINDOWS)
+        self._windows = busiest(body.stamps_ns, body.poses, Window(*span), _WINDOW_NS, _WINDOWS)
 
     def add(self, topic: str, points: Points, seconds: Times | None = None) -> None:
         """Add a sample of a cloud, if it is of one of the windows. On any thread.

@@ -13,7 +13,7 @@ import numpy as np
 from pc2scan.errors import RecordingError
 
 from .buffer import TransformBuffer
-from .history import ROW, Samples, time_order
+from .history import FrameHistory, time_order
 from .lookup_errors import ACCEPTED, REASONS, RejectedTransforms, reason_of_names, reasons_of
 
 if TYPE_CHECKING:
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from pc2scan.core.rigid import TransformRow
 
-    from .history import FrameHistory
-    from .stored import Runs, TransformFile
+    _Columns = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]
 
 #: Groups of rejected transforms that are reported one by one; all are counted.
 MAX_REJECTIONS = 100
@@ -33,8 +32,7 @@ MAX_REJECTIONS = 100
 MAX_FRAMES = 100_000
 MAX_PAIRS = 200_000
 
-#: How many transforms are in memory at most, and how many are sorted into their frames at a time.
-MOST_IN_MEMORY = 100_000
+#: How many transforms are sorted into their frames at a time.
 _AT_ONCE = 8_192
 
 
@@ -48,41 +46,39 @@ class _Child:
         Whether its first transform is: then only the last one counts.
     received
         Their number.
-    rows
-        Those in memory, in the order of their arrival.
-    runs
-        Those before, in a file; None: there are none.
+    parts
+        Stamps, poses and numbers of the parents, in the order of their arrival.
     """
 
     is_static: bool
     received: int = 0
-    rows: list[NDArray[np.void]] = field(default_factory=list)
-    runs: Runs | None = None
+    parts: list[_Columns] = field(default_factory=list)
 
-    def sort(self) -> list[NDArray[np.void]]:
-        """Return those in memory in the order of their stamps, in parts; of several with one stamp, the first."""
-        stamps = np.concatenate([part["stamp_ns"] for part in self.rows])
-        is_sorted = bool((stamps[1:] > stamps[:-1]).all())
-        if is_sorted and len(stamps) > _AT_ONCE:
-            return self.rows
-        rows = np.concatenate(self.rows)
-        return [rows if is_sorted else rows[time_order(stamps)]]
+    def append(self, columns: _Columns) -> None:
+        """Add transforms. Parts are joined with others of their size, so that their memory is used again early."""
+        self.parts.append(columns)
+        while len(self.parts) > 1 and len(self.parts[-1][0]) >= len(self.parts[-2][0]):
+            self.parts[-2:] = [_joined(self.parts[-2:])]
 
-    def store(self, file: TransformFile) -> None:
-        """Write those in memory into a file."""
-        from .stored import Runs  # noqa: PLC0415  # only long recordings need it
+    def sorted(self) -> _Columns:
+        """Return the transforms in the order of their stamps, which replace the parts; of one stamp, the first."""
+        stamps, poses, parents = _joined(self.parts)
+        if not (stamps[1:] > stamps[:-1]).all():
+            order = time_order(stamps)
+            stamps, poses, parents = stamps[order], poses[order], parents[order]
+        self.parts = [(stamps, poses, parents)]
+        return self.parts[0]
 
-        if self.rows and not self.is_static:
-            self.runs = self.runs or Runs(file)
-            for rows in self.sort():
-                self.runs.append(rows)
-            self.rows = []
+
+def _joined(parts: list[_Columns]) -> _Columns:
+    stamps, poses, parents = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return stamps, poses, parents
 
 
 class TransformBuilder:
     """Collects transforms in the order of the recording; `build` turns them into a `TransformBuffer`.
 
-    Of each child frame, those that are accepted are together. More than `MOST_IN_MEMORY` are in a temporary file.
+    Those of each child frame that are accepted are together, in 68 bytes each.
     """
 
     # Pair of frames, stamp_ns, whether static, and the pose.
@@ -100,8 +96,6 @@ class TransformBuilder:
         self._accepted: set[int] = set()
         self._rejected: dict[tuple[int, int], list[int]] = {}
         self._children: dict[int, _Child] = {}
-        self._in_memory = 0
-        self._file: TransformFile | None = None
 
     def add(self, rows: Iterable[TransformRow], *, static: bool) -> None:
         """Append transforms in the order in which they were recorded.
@@ -117,8 +111,7 @@ class TransformBuilder:
         Raises
         ------
         RecordingError
-            If there are more frames than `MAX_FRAMES`, or more pairs than `MAX_PAIRS`; or if there are so many
-            transforms that they need a temporary file, which cannot be written.
+            If there are more frames than `MAX_FRAMES`, or more pairs than `MAX_PAIRS`.
         """
         pairs, pack = self._pairs, self._RECORD.pack
         for parent, child, stamp_ns, *pose in rows:
@@ -177,8 +170,6 @@ class TransformBuilder:
     def build(self) -> TransformBuffer:
         """Return the transforms that can be used, for lookups. More may be added afterwards."""
         self._sort_in()
-        if self._file is not None:
-            self._write()
         # Frames without accepted transforms are none for tf2.
         occurs = np.zeros(len(self._names), np.bool_)
         occurs[np.array(self._pair_table, np.int32).reshape(-1, 3)[list(self._accepted), :2]] = True
@@ -187,13 +178,9 @@ class TransformBuilder:
         histories: list[FrameHistory | None] = [None] * len(frames)
         for number, child in self._children.items():
             index = numbers.item(number)
-            if child.runs is not None:
-                child.runs = child.runs.sorted(numbers)
-                histories[index] = child.runs.history(index, numbers, child.received)
-                continue
-            rows = np.concatenate(child.sort())
-            columns = (rows["stamp_ns"], rows["pose"], numbers[rows["parent"]])
-            histories[index] = Samples.of(index, *columns, child.received, static=child.is_static)
+            stamps_ns, poses, parents = child.sorted()
+            columns = (stamps_ns, poses, numbers[parents])
+            histories[index] = FrameHistory.of(index, *columns, child.received, static=child.is_static)
         names = list(self._names)
         rejections = []
         for (pair, reason), (stamp_ns, count) in islice(self._rejected.items(), MAX_REJECTIONS):
@@ -222,8 +209,7 @@ class TransformBuilder:
         chosen = chosen[pairs[chosen, 1].argsort(kind="stable")]
         records, pairs = records[chosen], pairs[chosen]
         self._accepted.update(np.flatnonzero(np.bincount(records["pair"])).tolist())
-        rows = np.empty(len(records), ROW)
-        rows["stamp_ns"], rows["pose"], rows["parent"] = records["stamp_ns"], records["pose"], pairs[:, 0]
+        columns = records["stamp_ns"].copy(), records["pose"].copy(), pairs[:, 0].copy()
         ends = np.flatnonzero(np.diff(pairs[:, 1], append=-1)) + 1
         for begin, end in pairwise([0, *ends.tolist()]):
             number = int(pairs[begin, 1])
@@ -231,19 +217,8 @@ class TransformBuilder:
             if child is None:
                 child = self._children[number] = _Child(bool(records["static"][begin]))
             child.received += end - begin
+            stamps, poses, parents = (column[begin:end] for column in columns)
             if child.is_static:
-                child.rows = [rows[end - 1 : end].copy()]
+                child.parts = [(stamps[-1:].copy(), poses[-1:].copy(), parents[-1:].copy())]
             else:
-                child.rows.append(rows[begin:end])
-        self._in_memory += len(rows)
-        if self._in_memory > MOST_IN_MEMORY:
-            self._write()
-
-    def _write(self) -> None:
-        """Write what is in memory into a temporary file."""
-        from .stored import TransformFile  # noqa: PLC0415  # only long recordings need it
-
-        self._file = self._file or TransformFile()
-        for child in self._children.values():
-            child.store(self._file)
-        self._in_memory = 0
+                child.append((stamps, poses, parents))

@@ -83,7 +83,7 @@ def _motion_in(buffer: TransformBuffer, fixed: str, frame: str, seconds: float) 
         return None
     links = [buffer.history(name) for name in (frame, *_above(buffer, frame))]
     moving = [link for link in links if link is not None and not link.static]
-    stamps = max(moving, key=attrgetter("size")).all_stamps() if moving else np.empty(0, np.int64)
+    stamps = max(moving, key=attrgetter("size")).stamps_ns if moving else np.empty(0, np.int64)
     if len(stamps) < 3:
         return None
     near = np.flatnonzero(np.diff(stamps) < _LONGEST_GAP_NS)

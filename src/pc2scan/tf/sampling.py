@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from .chain import Chain
-    from .history import Samples
+    from .history import FrameHistory
 
     Needed = Callable[[NDArray[np.int64], NDArray[np.float64]], int]
 
@@ -28,9 +28,9 @@ _ALWAYS = np.empty(0, np.int64)
 class _Links(NamedTuple):
     """What of a chain an interval needs: the links from both frames up to the common ancestor, and those above it."""
 
-    source: tuple[Samples, ...]
-    target: tuple[Samples, ...]
-    above: tuple[Samples, ...]
+    source: tuple[FrameHistory, ...]
+    target: tuple[FrameHistory, ...]
+    above: tuple[FrameHistory, ...]
 
 
 def sample_chain(
@@ -108,7 +108,7 @@ def rows_of(links: _Links, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.concatenate([(back @ rows[:, :9].reshape(-1, 3, 3)).reshape(-1, 9), origin], axis=1)
 
 
-def _rows_to_ancestor(links: Iterable[Samples], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def _rows_to_ancestor(links: Iterable[FrameHistory], stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the transforms from a frame up to the common ancestor."""
     rows = np.zeros((stamps_ns.size, 12))
     rows[:, 0:9:4] = 1.0
@@ -120,7 +120,7 @@ def _rows_to_ancestor(links: Iterable[Samples], stamps_ns: NDArray[np.int64]) ->
     return rows
 
 
-def _squared_lengths(link: Samples, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+def _squared_lengths(link: FrameHistory, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the squared lengths of a link's quaternions, (N,); NaN where it is not known."""
     samples, poses = _ALWAYS, link.poses[-1:]
     if not link.static:

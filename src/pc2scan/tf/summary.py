@@ -76,7 +76,7 @@ class Tree:
 
 def frame_info(link: FrameHistory, names: Sequence[str]) -> FrameInfo:
     """Return the statistics of one child frame; ``names`` are those of all frames."""
-    count, stamps_ns = link.size, link.all_stamps()
+    count, stamps_ns = link.size, link.stamps_ns
     gaps = np.diff(stamps_ns)
     widest = int(gaps.argmax()) if count > 1 else 0
     return FrameInfo(
