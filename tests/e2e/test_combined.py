@@ -20,6 +20,7 @@ from pc2scan.core.rigid import Rigid
 from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.result import json_value
 from support import conversions, sampled
+from support.builders import CHATTER, SECOND, Item, Recording, string, write_mcap
 from support.command import run
 from support.tables import rows
 from support.worlds.moving import BEGIN_NS, Drive, Lidar, off_the_walls, returns_in_odom, write_world
@@ -286,6 +287,17 @@ def test_gaps_of_the_odometry_and_silent_lidars_are_reported(world: Callable[...
     assert "21 scans on /scan have nothing of /rear; 21 in a row" in " ".join(silent.stderr.split())
 
 
+@pytest.mark.parametrize("name", ["out.mcap", "out.bag", "out"])
+def test_the_last_scan_was_logged_with_its_last_message(name: str, world: Callable[..., Path], tmp_path: Path) -> None:
+    driven = world(SMALL_FRONT, SMALL_REAR, seconds=0.3)
+    other = Item(CHATTER, BEGIN_NS + 60 * SECOND, {2: string("later", 2)})
+    later = write_mcap(tmp_path / "later.mcap", Recording((CHATTER,), (other,)))
+    with closing(open_recording(driven)) as reader:
+        last_ns = max(each.log_time_ns for each in reader.messages() if each.connection.topic in {"/front", "/rear"})
+    pc2scan.convert([driven, later], tmp_path / name, **BOTH)
+    assert [scan.log_time_ns for scan in pc2scan.scans(tmp_path / name)][-1] == last_ns
+
+
 # Other commands, and files
 
 
@@ -295,8 +307,7 @@ def test_scans_exports_and_maps_are_those_of_the_conversion(
 ) -> None:
     source = world(*(replace(each, columns=360) for each in (FRONT, REAR, FLAT)), seconds=1.0)
     converted = tmp_path / "out.mcap"
-    # Other messages that follow the last cloud make the log time of the last scan later.
-    report = pc2scan.convert(source, converted, **options, only_scans=True)
+    report = pc2scan.convert(source, converted, **options)
     topics = sorted({topic.target for topic in report.topics if topic.action == "converted" and topic.target})
 
     def content(scans: Any) -> list[Any]:

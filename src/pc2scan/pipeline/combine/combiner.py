@@ -1,8 +1,8 @@
 """Combines messages to scans in the stream of a conversion.
 
 Messages are grouped in order, scans are made on any thread, and they are written in order. A scan has the log time of
-the message that completed its group, which is when a node would have published it. So log times in the destination are
-sorted as they are without such scans.
+the message that completed its group, which is when a node would have published it. A group that nothing completes has
+that of the last message of its topics, whatever else was recorded later.
 """
 
 from __future__ import annotations
@@ -158,24 +158,24 @@ def _work(
     items: Iterable[Item | StoredChunk], combiners: Mapping[Output, Combiner]
 ) -> Generator[tuple[Callable[[], Item | StoredChunk], int, bool]]:
     """Yield the work in order, its size in bytes, and whether another thread should do it."""
-    latest_ns = 0
+    last_ns = dict.fromkeys(combiners.values(), 0)
     for item in items:
         arrivals: list[tuple[Combiner, Arrival]] = []
         if isinstance(item, StoredChunk):
-            log_time_ns, size = item.span_ns()[1], len(item.stored)
+            log_time_ns, size = 0, len(item.stored)
         else:
             log_time_ns, size, arrivals = item.log_time_ns, item.size, _arrivals(item, combiners)
-        latest_ns = max(latest_ns, log_time_ns)
         yield partial(_same, item), size, False
         del item
         for combiner, arrival in arrivals:
+            last_ns[combiner] = log_time_ns
             for group in combiner.add(arrival, log_time_ns):
                 yield partial(combiner.make, group, log_time_ns), _size(group), not combiner.is_quick(group)
                 # This frame must not hold the points in memory while the next message is read.
                 del group
-    for combiner in dict.fromkeys(combiners.values()):
+    for combiner, log_time_ns in last_ns.items():
         for group in combiner.finish():
-            yield partial(combiner.make, group, latest_ns), _size(group), not combiner.is_quick(group)
+            yield partial(combiner.make, group, log_time_ns), _size(group), not combiner.is_quick(group)
 
 
 def _arrivals(item: Item, combiners: Mapping[Output, Combiner]) -> list[tuple[Combiner, Arrival]]:
