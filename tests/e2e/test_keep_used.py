@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from contextlib import closing
 from itertools import product
 from pathlib import Path
@@ -25,6 +26,7 @@ from pc2scan.messages.laserscan import decode_laserscan
 from pc2scan.messages.pointcloud2 import POINTCLOUD2, PointCloud2, PointField, decode_pointcloud2, encode_pointcloud2
 from pc2scan.model import Connection, Definition
 from support import ROOT, sampled
+from support.builders import POINTS, Item, Recording, write_rosbag1
 from support.tables import rows
 from support.worlds.moving import Lidar, write_world
 
@@ -75,6 +77,25 @@ def assert_recorded(cloud: PointCloud2, used: PointCloud2) -> None:
     rows = {bytes(row) for row in np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)}
     own = np.frombuffer(used.data, np.uint8).reshape(-1, used.point_step)
     assert all(bytes(row[: cloud.point_step]) in rows for row in own)
+
+
+@pytest.mark.parametrize("row_step", [0, 12, 30_240])
+def test_packed_rows_are_read_whatever_row_step_says(row_step: int, tmp_path: Path) -> None:
+    report = ROOT / "fixtures" / "reports" / "row_step_of_a_driver.bag"
+    found = [(time, data) for time, _, data in messages(report, "/points")]
+
+    def results(row_step: int) -> list[Any]:
+        # point_step and row_step; the data have 30,240 bytes.
+        steps, said = (struct.pack("<III", 12, step, 30_240) for step in (30_240, row_step))
+        items = tuple(Item(POINTS, time, {1: data.replace(steps, said)}) for time, data in found)
+        source = write_rosbag1(tmp_path / f"{row_step}.bag", Recording((POINTS,), items))
+        converted = source.with_suffix(".mcap")
+        pc2scan.convert(source, converted, min_height=-0.3, keep_used="/used")
+        return [messages(converted, topic) for topic in ("/scan", "/used")]
+
+    right = results(360 * 12)
+    assert [len(each) for each in right] == [4, 4]
+    assert results(row_step) == right
 
 
 def test_deskewed_points_are_kept_as_they_were_recorded(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ A file of transcripts is about one subject; each of its cases is a heading, comm
     hint: did you mean drive.bag?
 
 Each case runs in an empty folder; a fixture that it names (``hall.bag``, ``hall.mcap``, ``hall``, a golden case such as
-``tf_static``, or one of `tests/transcripts/files`) is copied there, or made (`support.made`).
+``tf_static``, or one of `fixtures/reports` and `tests/transcripts/files`) is copied there, or made (`support.made`).
 
 ``pc2scan`` runs in this process, with the folder for ``$PWD``, and batches convert in it; every other command runs in a
 shell, where it must succeed. ``?`` is the exit status; 0 if there is none. Each line below is in what the command
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Case", "cases_of", "check"]
 
-PATTERNS = ("fixtures/hall*", "fixtures/golden*/*", "tests/transcripts/files/*")
+PATTERNS = ("fixtures/hall*", "fixtures/golden*/*", "fixtures/reports/*", "tests/transcripts/files/*")
 FIXTURES = {path.name: path for pattern in PATTERNS for path in ROOT.glob(pattern)}
 
 

@@ -92,7 +92,7 @@ class PointCloud2:
     stamp_ns
         ``header.stamp``, nanoseconds.
     data
-        The points, read-only: row r, column c begins at ``r * row_step + c * point_step``.
+        The points, read-only: row r, column c begins at ``r * row_stride + c * point_step``.
     """
 
     sequence: int
@@ -113,6 +113,16 @@ class PointCloud2:
     def points(self) -> int:
         """Number of declared points, non-returns included."""
         return self.height * self.width
+
+    @property
+    def row_stride(self) -> int:
+        """Bytes from one row to the next: ``row_step``, unless there is one row, or the rows of ``data`` are packed.
+
+        Drivers write any ``row_step`` beside packed data: 0, ``point_step``, the size of all rows.
+        """
+        row = self.width * self.point_step
+        is_packed = self.height < 2 or not self.row_step or len(self.data) == self.height * row
+        return row if is_packed else self.row_step
 
     def field(self, name: str) -> NDArray[Any]:
         """Return one field of every point, as a view.
@@ -212,9 +222,7 @@ class PointCloud2:
                 f"field {name!r} takes bytes {found.offset} to {found.offset + dtype.itemsize} of a point, "
                 f"but point_step is {self.point_step}"
             )
-        row = self.width * self.point_step
-        # Some drivers write row_step 0; it matters only from the second row on.
-        row_step = self.row_step if self.height > 1 and self.row_step else row
+        row, row_step = self.width * self.point_step, self.row_stride
         if row_step < row:
             raise self._error(
                 f"row_step is {self.row_step}, but {self.width} points of {self.point_step} bytes take {row}"

@@ -122,11 +122,12 @@ def _bytes_of(message: PointCloud2) -> NDArray[np.uint8]:
     """Return the bytes of each point, (height, width, point_step)."""
     shape = (message.height, message.width, message.point_step)
     data: Any = message.data
-    needed = (shape[0] - 1) * message.row_step + shape[1] * message.point_step
+    stride = message.row_stride
+    needed = (shape[0] - 1) * stride + shape[1] * message.point_step
     if len(data) < needed:
         # The last point may end after its last field, without the padding.
         data = bytes(data) + bytes(needed - len(data))
-    return np.ndarray(shape, np.uint8, data, 0, (message.row_step, message.point_step, 1))
+    return np.ndarray(shape, np.uint8, data, 0, (stride, message.point_step, 1))
 
 
 def _unused_name(names: Iterable[str], name: str = BEAM) -> str:
