@@ -31,12 +31,9 @@ def check(
     """
     from pc2scan.commands import check as run
 
-    from .junit import junit_output, of_check
     from .render import progress_bar
 
-    with junit_output(options, "check", [*sources, *options.tf_from]) as write_junit:
-        with progress_bar(enabled=not options.as_json) as progress:
-            result = run(sources, options, progress=progress)
-        show(result, as_json=options.as_json)
-        write_junit(of_check(result))
+    with progress_bar(enabled=not options.as_json) as progress:
+        result = run(sources, options, progress=progress)
+    show(result, as_json=options.as_json)
     raise typer.Exit(result.exit_status)

@@ -31,12 +31,9 @@ def diff(
     """
     from pc2scan.commands import diff as run
 
-    from .junit import junit_output, of_diff
     from .render import progress_bar
 
-    with junit_output(options, "diff", [path for path in (a, b) if path is not None]) as write_junit:
-        with progress_bar(enabled=not (options.as_json or options.quiet)) as progress:
-            result = run(a, b, options, progress=progress)
-        write_junit(of_diff(result))
+    with progress_bar(enabled=not (options.as_json or options.quiet)) as progress:
+        result = run(a, b, options, progress=progress)
     show(result, as_json=options.as_json, quiet=options.quiet)
     raise typer.Exit(result.exit_status)

@@ -39,32 +39,25 @@ def golden(
     Exit status: 0 all as expected, 1 some differ, 2 some could not be checked.
     """
     if options.init is not None:
-        if pattern or options.given.keys() & {"update", "junit", "as_json"}:
-            raise UsageError("--init makes one case, and cannot be combined with -k, --update, --junit or --json")
+        if pattern or options.given.keys() & {"update", "as_json"}:
+            raise UsageError("--init makes one case, and cannot be combined with -k, --update or --json")
         _init(folder, options)
         return
     if options.given.keys() & {"start", "end", "topics", "params_file"}:
         raise UsageError("--start, --end, --topic and --params-file need --init", hint="a case has its own")
     from pc2scan.commands import golden as run
-    from pc2scan.golden.case import case_folders
-    from pc2scan.golden.check import refuse_output_over_cases
 
     from .in_process import run_command
-    from .junit import junit_output, of_golden
 
     def show_case(case: CaseResult) -> None:
         if not options.as_json and not (options.quiet and case.outcome == "passed"):
             show_parts(case.body())
 
-    if options.junit is not None:
-        refuse_output_over_cases(options.junit, "--junit", [case for _, case in case_folders(folder, pattern)])
-    with junit_output(options, "golden") as write_junit:
-        report = run(folder, pattern, options, run_command, each=show_case)
-        if options.as_json:
-            show(report, as_json=True)
-        else:
-            show_parts(report.conclusion())
-        write_junit(of_golden(report))
+    report = run(folder, pattern, options, run_command, each=show_case)
+    if options.as_json:
+        show(report, as_json=True)
+    else:
+        show_parts(report.conclusion())
     raise typer.Exit(report.exit_status)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, NamedTuple, Protocol
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 from pc2scan.compare.diff import diff, open_source
 from pc2scan.compare.scan_text import render_messages
 from pc2scan.errors import OutputError, Pc2ScanError, RecordingError, UsageError
-from pc2scan.files.ownership import InputPath, OutputPath, refuse_overlap
+from pc2scan.files.ownership import OutputPath, refuse_overlap
 from pc2scan.files.text_output import text_output
 
 from .case import EXPECTED_TEXT, SETTINGS, load_case
@@ -53,17 +52,6 @@ class Command(Protocol):
         UsageError
             If ``chosen`` has any other or an unknown option.
         """
-
-
-def refuse_output_over_cases(output: Path, option: str, folders: Sequence[Path]) -> None:
-    """Raise a `DestinationError` if the output of an option is a file that a case reads, or its expected output."""
-    files = []
-    for folder in folders:
-        # Errors of a case are reported when it is checked.
-        with suppress(Pc2ScanError):
-            case = load_case(folder)
-            files += [*case.read_files(), InputPath(case.new_expected(), "file of a case")]
-    refuse_overlap(files, [OutputPath(output, option)])
 
 
 def check_case(name: str, folder: Path, command: Command, *, update: bool = False) -> CaseResult:

@@ -1,4 +1,4 @@
-"""The results of golden cases, from which text, JSON, JUnit XML, pytest's results and the exit status are made."""
+"""The results of golden cases, from which text, JSON, pytest's results and the exit status are made."""
 
 from __future__ import annotations
 

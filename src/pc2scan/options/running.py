@@ -147,12 +147,3 @@ class JsonOutput(TypedDict, total=False):
     """Results as JSON; only commands have it."""
 
     as_json: Annotated[bool, Option(Flag(), "Print JSON.", typed="--json", common=True, command_only=True)]
-
-
-class JUnitOutput(TypedDict, total=False):
-    """Results as JUnit XML; only commands have it."""
-
-    junit: Annotated[
-        Path | None, Option(PathName(), "Write the results as JUnit XML, for CI systems.", command_only=True)
-    ]
-    overwrite: Annotated[bool, Option(Flag(), "Replace the file of `junit`, whatever it contains.", command_only=True)]
