@@ -150,11 +150,3 @@ def test_of_several_outputs_the_first_is_shown(tmp_path: Path) -> None:
     drawn = pc2scan.plot(HALL, tmp_path / "a.png", scans=asked)
     assert note.format("shown") in drawn.warnings
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
-
-
-def test_a_difference_as_a_page(tmp_path: Path) -> None:
-    pc2scan.convert(HALL, tmp_path / "a.mcap", min_height=-0.3)
-    pc2scan.convert(HALL, tmp_path / "b.mcap", min_height=-0.2)
-    found = pc2scan.diff(tmp_path / "a.mcap", tmp_path / "b.mcap", view=tmp_path / "page.html")
-    assert not found.same
-    assert (tmp_path / "page.html").read_text("utf-8").startswith("<!doctype html>")

@@ -235,12 +235,7 @@ def diff(a: Path, b: Path | None, options: Options, *, progress: Progress | None
 
     rules = Rules.of(options)
     pairs = [TopicPair.parse(topic) for topic in options.topics]
-    found = compare(a, b, topics=pairs, all_topics=options.all_topics, rules=rules, progress=progress)
-    if options.view is not None:
-        from .look.comparison import write_comparison  # noqa: PLC0415
-
-        write_comparison(a, a if b is None else b, options.view, topics=pairs, rules=rules, summary=str(found))
-    return found
+    return compare(a, b, topics=pairs, all_topics=options.all_topics, rules=rules, progress=progress)
 
 
 def golden(

@@ -1,4 +1,4 @@
-"""Describes the page of scans, for the scans of one recording and for those of two that are compared."""
+"""Describes the page of the scans of a recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .html import compress, description_of
 from .recording import moment_text, spread_messages
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from pc2scan.bags.reader import Reader
     from pc2scan.inspect.check import Check
@@ -106,7 +106,7 @@ def scans_page(
             pose = _pose(buffer, common, scan.frame_id, scan.stamp_ns)
             where = scan.frame_id if pose is not None else f"{scan.frame_id}, not connected to {common}"
             stamps.append(scan.stamp_ns or message.log_time_ns)
-            layers.append(layer(f"{topic} ({where})", number, scan, blobs, pose=pose or _HERE))
+            layers.append(_layer(f"{topic} ({where})", number, scan, blobs, pose or _HERE))
         if layers:
             moments.append({"moment": moment_text(stamps[0]), "frame": common, "layers": layers})
     if not moments:
@@ -158,15 +158,7 @@ def _pose(buffer: TransformBuffer | None, target: str, source: str, stamp_ns: in
     return [a, b, x, c, d, y]
 
 
-def layer(
-    name: str,
-    colour: int,
-    scan: LaserScan,
-    blobs: dict[str, bytes],
-    *,
-    pose: Sequence[float] = _HERE,
-    differing: Iterable[int] = (),
-) -> dict[str, Any]:
+def _layer(name: str, colour: int, scan: LaserScan, blobs: dict[str, bytes], pose: Sequence[float]) -> dict[str, Any]:
     """Describe a scan, and add its arrays to the page's blobs."""
     columns = {"ranges": scan.ranges.astype("<f4")}
     if len(scan.intensities) == len(scan.ranges) > 0:
@@ -181,7 +173,6 @@ def layer(
         "pose": list(pose),
         "rangeMin": _finite(scan.range_min),
         "rangeMax": _finite(scan.range_max, math.inf),
-        "differing": list(differing),
         "data": description_of(key, columns),
     }
 

@@ -416,14 +416,6 @@ class ComparisonRules(TypedDict, total=False):
             "scan, shape, layout, padding, is_dense.",
         ),
     ]
-    view: Annotated[
-        Path | None,
-        Option(
-            PathName("PAGE"),
-            "Also write an HTML page that shows the scans with most differing beams on top of each other.",
-            panel="",
-        ),
-    ]
 
 
 class CompareScreen(TypedDict, total=False):

@@ -12,7 +12,7 @@ const STOPS = {
   dark: ["#5a49b8", "#4a7fe0", "#2fb3c4", "#48cf97", "#a8dc5e", "#fde25a"],
 };
 
-/** Colours of topics, and of the two sides of a comparison. */
+/** Colours of topics. */
 const LAYER_COLOURS = {
   light: ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8a6d00", "#56b4e9"],
   dark: ["#56b4e9", "#ff8c4b", "#2fd3a4", "#e59bc6", "#f0e442", "#9ad1f5"],

@@ -1,4 +1,4 @@
-// The page of scans: overlays those of several topics, or of two recordings that are compared.
+// The page of scans: overlays those of several topics.
 
 import { columns } from "./data.mjs";
 import { beamsFromAbove, endsOf, frameMarks, rings } from "./draw.mjs";
@@ -17,13 +17,11 @@ import { Unrolled } from "./unrolled.mjs";
  * @property {[number, number, number, number, number, number]} pose the matrix from x, y and 1 to the view, row by row
  * @property {number} rangeMin metres
  * @property {number} rangeMax metres
- * @property {number[]} differing beams that differ from the other side's
  * @property {import("./data.mjs").ArrayData} data
  */
 
 /**
  * @typedef {object} ScanRecording
- * @property {string} kind
  * @property {{moment: string, frame: string, layers: Layer[]}[]} moments
  * @property {{heading: string, lines: {text: string, wrong: boolean}[]}[]} findings
  */
@@ -89,15 +87,6 @@ export function showScans(recording) {
         1 + sizeOf(n),
       ),
     );
-    pen.strokeStyle = style.getPropertyValue("--bad");
-    for (const { differing, ends } of layers) {
-      for (const beam of differing) {
-        if (ends[2 * beam] !== ends[2 * beam]) continue;
-        pen.beginPath();
-        pen.arc(top.px(ends[2 * beam]), top.py(ends[2 * beam + 1]), 5, 0, 2 * Math.PI);
-        pen.stroke();
-      }
-    }
     frameMarks(pen, (x, y) => [top.px(x), top.py(y)], [], 40 / shown.scale, style);
     pen.restore();
     unrolled.draw(
@@ -152,9 +141,7 @@ export function showScans(recording) {
         name.append(swatch, layer.name);
         const beams = Object.assign(document.createElement("td"), { className: "count" });
         beams.textContent = `${returnsOf(layer)} of ${layer.ranges.length} beams`;
-        const differing = Object.assign(document.createElement("td"), { className: "count" });
-        differing.textContent = recording.kind === "diff" ? `${layer.differing.length} differ` : "";
-        row.append(name, beams, differing);
+        row.append(name, beams);
         return row;
       }),
     );
